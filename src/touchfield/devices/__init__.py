@@ -17,7 +17,7 @@ class _CallablePackage(ModuleType):
     """The class of this package: a module that can be called, ``touchfield.devices()``."""
 
     def __call__(self) -> tuple[Device, ...]:
-        """All device profiles."""
+        """Return all device profiles."""
         return tuple(devices())
 
 

@@ -73,7 +73,7 @@ class Device(Picklable):
     title: str  # maker and model
     type: int  # 1 (point) or 2 (array)
     axes: str = field(metadata={"rule": _Rule((1, 2), is_text=True)})  # axes of its driver
-    # the nominal box; for an array columns * pitch, rows * pitch, and the depth that is pooled
+    # nominal box; for an array columns * pitch, rows * pitch, and the depth over which the field is pooled
     workspace_mm: Triple = field(metadata={"rule": _Rule((1,), (1,), size=3)})
     lattice: tuple[int, int, int]  # of an array (columns, rows, 1)
     force_max_n: float = field(metadata={"rule": _Rule((1, 2))})  # peak
@@ -124,7 +124,9 @@ _RULES: Final[Mapping[str, _Rule]] = {
 
 
 def parse_table(table: Mapping[str, Any], where: str) -> Device:
-    """The device that a parsed profile describes; `where` names the file in messages.
+    """Return the device that a parsed profile describes.
+
+    `where` names the file in messages.
 
     Raises `DeviceError` if a key is unknown or missing, a value has no source or is out of range, or the
     nominal lattice contradicts the workspace and the resolution.
@@ -172,7 +174,7 @@ def _text(value: object, where: str) -> str:
 
 
 def _value(entry: object, rule: _Rule, where: str) -> tuple[Any, str]:
-    """The checked value of one entry, and its source."""
+    """Return the checked value of one entry, and its source."""
     if not isinstance(entry, dict):
         raise DeviceError(where, repr(entry)[:80], "a table with value and source")
     for key in entry:
@@ -198,7 +200,7 @@ def _value(entry: object, rule: _Rule, where: str) -> tuple[Any, str]:
 
 @cache
 def devices() -> tuple[Device, ...]:
-    """All devices included in touchfield, sorted by name."""
+    """Return all devices included in touchfield, sorted by name."""
     profiles = (resources.files("touchfield.devices") / "profiles").iterdir()
     return tuple(
         sorted(
@@ -209,12 +211,12 @@ def devices() -> tuple[Device, ...]:
 
 
 def device_names() -> tuple[str, ...]:
-    """The names that `device` accepts, sorted."""
+    """Return the names that `device` accepts, sorted."""
     return tuple(profile.name for profile in devices())
 
 
 def device(name_or_path: str | Path) -> Device:
-    """The device with a name, or at the path of a TOML profile.
+    """Return the device with a name, or that of a TOML profile at a path.
 
     Raises `InvalidArgument` if it is neither; `DeviceError` if the profile cannot be read or is invalid.
     """

@@ -71,7 +71,7 @@ class _Event:
         )
 
     def envelope(self, after_s: Float64s) -> Float64s:
-        """Fraction of the intensity, for times after the start."""
+        """Return the fraction of the intensity at times after the start, seconds."""
         if self.is_transient:
             return np.clip(1 - after_s / TRANSIENT_S, 0, 1)
         attack_s, release_s = self.values["AttackTime"], self.values["ReleaseTime"]
@@ -169,7 +169,7 @@ def _sample_pattern(
 
 
 def _parse_event(entry: JsonValue) -> _Event | None:
-    """An event; None for an event of sound."""
+    """Parse an event; None for an event of sound."""
     kind = entry.at("EventType").text(("HapticTransient", "HapticContinuous", *_SOUNDS))
     if kind in _SOUNDS:
         return None
@@ -190,7 +190,7 @@ def _seconds(entry: JsonValue, key: str) -> float:
 
 
 def _parse_curve(entry: JsonValue, start_s: float, points: Iterable[JsonValue]) -> list[_Curve]:
-    """A curve through points, in a list; empty if the parameter is not haptic."""
+    """Return the curve through points, in a list; empty if the parameter is not haptic."""
     name = entry.at("ParameterID").text()
     low = 0.0 if name == "HapticIntensityControl" else -1.0
     vertices = [

@@ -22,15 +22,16 @@ drive and frequency, both linear between frames and with continuous phase; witho
 **.haptic** (JSON, version 1.0.0, of Haptics Studio). A clip has one continuous signal: an envelope of
 amplitude, one of frequency (both 0 to 1, linear between points in seconds), and at a point of amplitude an
 emphasis, a tap whose amplitude is at least the point's. That is the published data model of its open player;
-relations to newtons and hertz are not published, and `SingleTrack` defines ours.
+relations to newtons and hertz are not published; `SingleTrack` defines those used here.
 
 **.ahap**. A pattern has a continuous event for each 30 seconds, Apple's maximum, and curves of intensity and
 sharpness of at most 16 points each. Curves act on all events, so that taps are part of the curve; a pattern
 that consists of taps has transients and no curve.
 
-Both contain one track, as a telephone or a controller can play it. With several actuators, each frame takes
-the strongest, with its frequency. A drive that rises from zero and is back at zero within `TRANSIENT_S` is a
-tap; the rest is an envelope. Frequencies are fractions of `SHARPNESS_HZ`.
+``.haptic`` and ``.ahap`` contain one track, since a telephone or a controller has one actuator. With several
+actuators, each frame has the drive and the frequency of the strongest one. A drive that rises from zero and
+is back at zero within `TRANSIENT_S` is a tap; the rest is an envelope. Frequencies are fractions of
+`SHARPNESS_HZ`.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ _STEPS: Final = 100
 
 
 def fits_vest(lattice: tuple[int, int, int]) -> bool:
-    """True for an array whose columns and rows a vest's dots can show."""
+    """Return True if the dots of a vest can show the columns and rows of an array."""
     columns, rows, depth = lattice
     return columns == COLUMNS and rows in VEST_ROWS and depth == 1
 
@@ -110,7 +111,7 @@ def write_tact(path: str | Path, effect: ArrayEffect, *, panel: str = "front") -
 
 
 def _spans(effect: ArrayEffect) -> Iterator[tuple[int, int, Int64s]]:
-    """Spans of equal drives: start and stop in ms, and hundredths, int64 [5, 4].
+    """Yield spans of equal drives: start and stop in ms, and hundredths, int64 [5, 4].
 
     Silent spans are left out.
     """
@@ -226,7 +227,7 @@ class SingleTrack:
 
     @classmethod
     def from_effect(cls, effect: ArrayEffect, has_taps: bool = True) -> SingleTrack:
-        """The track of an effect.
+        """Convert an effect to a track.
 
         A single frame lasts one frame period. Without `has_taps`, taps stay in the envelope.
         """
@@ -255,7 +256,7 @@ class SingleTrack:
 def _split_taps(
     drives: Float64s, sharpness: Float64s, rate_hz: float
 ) -> tuple[Float64s, tuple[tuple[float, float, float], ...]]:
-    """The drives without taps, and the taps."""
+    """Return the drives without taps, and the taps."""
     max_frames = int(TRANSIENT_S * rate_hz)  # longest tap, in frames
     edges = np.flatnonzero(np.diff(np.concatenate([[0], (drives > 0).astype(np.int8), [0]])))
     envelope, taps = drives.copy(), []
@@ -341,7 +342,7 @@ def _event(
 
 
 def _curves(parameter: str, points: Points) -> Iterator[dict[str, Any]]:
-    """Curves end to end: the last point of one is the first of the next."""
+    """Yield consecutive curves: the last point of one is the first of the next."""
     for first in range(0, max(1, len(points) - 1), _MAX_CURVE_POINTS - 1):
         chunk = points[first : first + _MAX_CURVE_POINTS]
         start_s = chunk[0][0]

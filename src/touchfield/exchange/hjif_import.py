@@ -2,22 +2,22 @@
 
 An array is made from the channels of the first perception in `MODALITIES`. A channel drives the actuators
 that it targets; one without targets drives all of its array, and if no channel states an array, the channels
-form a row. Body parts are placed side by side, in order of appearance. Where several channels overlap,
-amplitudes add up, to 1 at most, and the frequency is that of the strongest.
+form a row. Body parts are placed side by side, in order of appearance. Where several channels overlap, their
+amplitudes are added, up to 1, and the frequency is that of the strongest.
 
 Drives are sampled at the frames of a rate and are linear between frames, so that faster changes are smoothed.
 
-The result is the drive of an actuator, not the waveform that it makes. For a VectorialWave it is the
-amplitude and the frequency, whatever its base signal; for a Transient a burst that decays to zero within
-`TRANSIENT_S`; for a block of wavelets envelope and frequency (`wave_drive`), and the same for a Curve that is
-a vibration drawn point by point, as the reference encoder draws signals below 72 Hz. Any other Curve is its
-magnitude, without a frequency. In a band, the latest effect that has started is active, as in the reference
-decoder. An effect too short to meet a frame is placed at the nearest one.
+The result is the drive of an actuator, not its waveform. A VectorialWave gives its amplitude and frequency,
+whatever its base signal. A Transient gives a burst that decays to zero within `TRANSIENT_S`. A block of
+wavelets gives envelope and frequency (`wave_drive`), and so does a Curve that is a vibration sampled point by
+point, as the reference encoder writes signals below 72 Hz. Any other Curve gives its magnitude, without a
+frequency. In a band, the latest effect that has started is active, as in the reference decoder. An effect
+that is too short to include a frame is placed at the nearest one.
 
-**Sampled waves.** Between two zero crossings is a half wave. Its largest value is placed at its time, and
-lines between these points are the envelope; the number of half waves in a window gives the frequency. A
-signal of fewer than two crossings, or one slower than `MIN_FREQUENCY_HZ`, is no vibration: it has a magnitude
-and no frequency.
+**Sampled waves.** A half wave lies between two zero crossings. The envelope is the polyline through the
+largest value of each half wave; the number of half waves in a window gives the frequency. A signal with fewer
+than two crossings, or slower than `MIN_FREQUENCY_HZ`, is not a vibration: it has a magnitude and no
+frequency.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def read_hjif_array(path: str | Path, rate_hz: float = DEFAULT_RATE_HZ) -> Impor
 
 
 def force_n(perception: Perception, ticks: Float64s) -> Float64s:
-    """Force at ascending ticks [n], float64 [n, 3].
+    """Return the force at ascending ticks [n], newtons, float64 [n, 3].
 
     It is the sum of all channels along their directions.
     """
@@ -120,7 +120,7 @@ def force_n(perception: Perception, ticks: Float64s) -> Float64s:
 def _magnitude(
     document: Hjif, perception: Perception, frames: int, rate_hz: float, notes: tuple[str, ...]
 ) -> ImportedEffect:
-    """A force as the drive of one actuator."""
+    """Convert a force to the drive of one actuator."""
     ticks = np.arange(frames, dtype=np.float64) * (document.timescale / rate_hz)
     magnitude_n = np.linalg.norm(force_n(perception, ticks), axis=1)
     greatest_n = float(magnitude_n.max())
@@ -159,14 +159,14 @@ def _frames(document: Hjif, perception: Perception, rate_hz: float) -> int:
 
 
 def _check_work(perception: Perception, instants: int) -> None:
-    """Refuse so many bands that evaluating each at each instant would take too long."""
+    """Refuse a number of bands that would take too long to evaluate at each instant."""
     bands = sum(len(channel.bands) + 1 for channel in perception.channels)
     if bands * instants > _MAX_WORK:
         raise perception.node.wrong(f"{bands} bands at {instants} instants", f"at most {_MAX_WORK} of both")
 
 
 def _cells(perception: Perception, frames: int) -> tuple[list[Int64s], int, int, int]:
-    """Actuators of each channel, and the number of rows, columns and body parts.
+    """Return the actuators of each channel, and the number of rows, columns and body parts.
 
     Actuators are counted row by row from the lower left.
     """
@@ -199,7 +199,7 @@ def _cells(perception: Perception, frames: int) -> tuple[list[Int64s], int, int,
 
 
 def _images(values: Float32s, rows: int, columns: int) -> Float32s:
-    """[actuators from the lower left, frames] as [frames, rows from the top, columns]."""
+    """Rearrange [actuators from the lower left, frames] to [frames, rows from the top, columns]."""
     return np.ascontiguousarray(values.reshape(rows, columns, -1).transpose(2, 0, 1)[:, ::-1])
 
 
@@ -212,7 +212,7 @@ _MIN_WINDOW_S: Final = 0.02
 def wave_drive(
     times_s: Float64s, values: Float64s, at_s: Float64s, window_s: float
 ) -> tuple[Float64s, Float64s]:
-    """Amplitudes and frequencies [m] of a wave at ascending times in seconds.
+    """Return amplitudes and frequencies [m] of a wave at ascending times in seconds.
 
     The wave is linear between its samples [n], n at least 1. A frequency is counted over `window_s`, at least
     0.02 s. It is 0 Hz where the signal is too slow for a vibration; the amplitude is then its magnitude.
@@ -252,7 +252,7 @@ _SLACK: Final = 0.5
 
 
 def end_tick(band: Band, timescale: int) -> float:
-    """The tick at which the last effect of a band ends; 0 for a band without effects."""
+    """Return the tick at which the last effect of a band ends; 0 without effects."""
     if band.kind == "WaveletWave":
         return max(
             (effect.position + len(effect.samples) * timescale / band.upper_hz for effect in band.effects),
@@ -266,7 +266,7 @@ def end_tick(band: Band, timescale: int) -> float:
 
 
 def drive_of(bands: Iterable[Band], frames: int, ticks_per_frame: float, timescale: int) -> Drive:
-    """Sum of the drives of all bands of a channel, before its gain."""
+    """Return the sum of the drives of all bands of a channel, before its gain."""
     total, ticks = Drive.silent(frames), np.arange(frames, dtype=np.float64) * ticks_per_frame
     for band in bands:
         if band.kind == "Transient":
@@ -279,7 +279,7 @@ def drive_of(bands: Iterable[Band], frames: int, ticks_per_frame: float, timesca
 
 
 def _active_ranges(band: Band, ticks: Float64s) -> Iterable[tuple[Effect, int, int]]:
-    """Each effect, with the start and stop of the ticks at which it is active."""
+    """Yield each effect, with the start and stop of the ticks at which it is active."""
     effects = [keyed_effect for keyed_effect in band.effects if len(keyed_effect.ticks)]
     low, high = (
         [keyed_effect.position - _SLACK for keyed_effect in effects],
@@ -292,7 +292,7 @@ def _active_ranges(band: Band, ticks: Float64s) -> Iterable[tuple[Effect, int, i
 
 
 def _wavelets(band: Band, frame_ticks: Float64s, timescale: int) -> Drive:
-    """Drive of blocks of wavelets; consecutive blocks that are not silent form one wave."""
+    """Return the drive of blocks of wavelets; consecutive blocks that are not silent form one wave."""
     drive = Drive.silent(len(frame_ticks))
     window_s = float(frame_ticks[1] - frame_ticks[0]) / timescale if len(frame_ticks) > 1 else 0.0
     runs: list[tuple[float, list[Float64s]]] = []
@@ -319,7 +319,7 @@ def _wavelets(band: Band, frame_ticks: Float64s, timescale: int) -> Drive:
 
 
 def _continuous(band: Band, frame_ticks: Float64s, ticks_per_frame: float, timescale: int) -> Drive:
-    """Drive of a Curve or a VectorialWave."""
+    """Return the drive of a Curve or a VectorialWave."""
     drive = Drive.silent(len(frame_ticks))
     for effect, first, stop in _active_ranges(band, frame_ticks):
         where, at = slice(first, stop), frame_ticks[first:stop] - effect.position
@@ -344,7 +344,7 @@ def _continuous(band: Band, frame_ticks: Float64s, ticks_per_frame: float, times
 
 
 def _linear_values(effect: Effect, values: Float64s, at: Float64s, default: float) -> Float64s:
-    """Values at some ticks, linear between the keyframes that have a value."""
+    """Return values at some ticks, linear between the keyframes that have a value."""
     has_value = ~np.isnan(values)
     return (
         np.interp(at, effect.ticks[has_value], values[has_value])
@@ -379,7 +379,7 @@ def _curve_values(band: Band, effect: Effect, at: Float64s) -> Float64s:
 def _sample_curve(
     band: Band, effect: Effect, at: Float64s, ticks_per_frame: float, timescale: int
 ) -> tuple[Float64s, Float64s]:
-    """Drive of a Curve: a wave where it oscillates about zero, else its magnitude."""
+    """Return the drive of a Curve: a wave where it oscillates about zero, else its magnitude."""
     has_value, magnitudes = ~np.isnan(effect.amplitudes), np.abs(_curve_values(band, effect, at))
     if not has_value.any():
         return magnitudes, np.zeros(len(at))

@@ -4,12 +4,12 @@ The checks are those of the published schemas. The file is untrusted: its length
 all memory is bounded by its size, and a violation of the schema is reported in one line with its position in
 the JSON.
 
-**Blocks of wavelets** are 2^m samples, at a rate of their band's upper frequency limit. A stream contains,
-least significant bit of a byte first, the codes of an adaptive binary arithmetic coder of ten bits with a
-counter for each of seven contexts. They are the number of bit planes (4), the largest coefficient (1 + 7),
-and the bit planes of the coefficients in the order of Said and Pearlman's set partitioning in hierarchical
-trees (1996). The coefficients are those of a biorthogonal 9/7 wavelet over log2(n / 4) levels, symmetric at
-the ends.
+**Blocks of wavelets** are 2^m samples, at a rate of their band's upper frequency limit. A stream contains the
+output of an adaptive binary arithmetic coder with a precision of ten bits and a counter for each of seven
+contexts; the least significant bit of a byte comes first. The coded bits are the number of bit planes (4
+bits), the largest coefficient (1 + 7 bits), and the bit planes of the coefficients in the order of set
+partitioning in hierarchical trees (SPIHT; Said and Pearlman, 1996). The coefficients are those of a
+biorthogonal 9/7 wavelet over log2(n / 4) levels, symmetric at the ends.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ class _Clock:
 
 
 def read_hjif(path: str | Path) -> Hjif:
-    """The perceptions of an ``.hjif`` file, or of its binary form ``.hmpg``.
+    """Read an ``.hjif`` file, or its binary form ``.hmpg``.
 
     Raises SourceError if the file cannot be read, is longer than 64 MiB, is not JSON or violates the schema;
     and if an effect refers to a library or is composed of others, or a curve is of a type without an agreed
@@ -213,7 +213,7 @@ def _band(entry: JsonValue, clock: _Clock) -> Band:
 
 
 def _wavelets(entry: JsonValue, rate_hz: float, clock: _Clock) -> list[Effect]:
-    """The blocks of a band of wavelets."""
+    """Read the blocks of a band of wavelets."""
     ticks = entry.at("block_length").bounded_integer(1, _MAX_TICK)
     length = round(ticks * rate_hz / clock.timescale)
     if not MIN_BLOCK <= length <= MAX_BLOCK or length.bit_count() != 1:
@@ -265,7 +265,7 @@ def _effect(entry: JsonValue) -> Effect:
 
 
 class _ArithmeticDecoder:
-    """Decoded bits of a stream; zeros follow its end."""
+    """Arithmetic decoder of a stream; zeros follow its end."""
 
     def __init__(self, stream: bytes) -> None:
         self.bits = np.unpackbits(np.frombuffer(stream, np.uint8), bitorder="little").tolist()
@@ -308,7 +308,7 @@ class _ArithmeticDecoder:
 
 
 def block_samples(stream: bytes, length: int) -> Float64s:
-    """Samples of a block of wavelets, float64 [length].
+    """Decode the samples of a block of wavelets, float64 [length].
 
     Parameters
     ----------
@@ -329,7 +329,7 @@ def block_samples(stream: bytes, length: int) -> Float64s:
 
 
 def _coefficients(bits: _ArithmeticDecoder, length: int, planes: int) -> list[int]:
-    """Coefficients in steps of the last bit plane, by set partitioning."""
+    """Read the coefficients, in steps of the last bit plane, by set partitioning."""
     out = [0] * length
     significant: list[int] = []
     insignificant = list(range(8))

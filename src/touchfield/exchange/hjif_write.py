@@ -78,7 +78,8 @@ def write_hjif_array(
     ----------
     path : Path
     effect : ArrayEffect
-        A single frame lasts one frame period. Without frequencies: `DEFAULT_CARRIER_HZ`.
+        A single frame lasts one frame period. An effect without frequencies is written with
+        `DEFAULT_CARRIER_HZ`.
     device_name : str
         Name of the reference device.
     panel : str
@@ -213,7 +214,7 @@ def _write(
 
 
 def _wave(ticks: Int64s, drives: Float32s, hertz: Float32s) -> dict[str, Any]:
-    """The VectorialWave of one actuator."""
+    """Return the VectorialWave of one actuator."""
     amplitudes = np.round(drives.astype(np.float64), _DIGITS)
     samples = np.stack([amplitudes, np.maximum(np.round(hertz.astype(np.float64)), 1)], axis=1)
     low = min(int(samples[:, 1].min()), int(MAX_FREQUENCY_HZ) - 1)
@@ -226,7 +227,7 @@ def _wave(ticks: Int64s, drives: Float32s, hertz: Float32s) -> dict[str, Any]:
 
 
 def _effects(ticks: Int64s, samples: Float64s) -> Iterator[dict[str, Any]]:
-    """Effects end to end, none longer than 65535 ticks."""
+    """Yield consecutive effects, none longer than 65535 ticks."""
     first, phase = 0, 0.0
     while first < len(ticks) - 1:
         last = int(np.searchsorted(ticks, ticks[first] + MAX_SPAN_TICKS, side="right")) - 1
@@ -256,7 +257,7 @@ def _effect(position: int, phase: float, keyframes: list[dict[str, Any]]) -> dic
 
 
 def _curve(values: Float64s, timescale: int) -> dict[str, Any]:
-    """The Curve of one axis, from one value a tick."""
+    """Return the Curve of one axis, from one value a tick."""
     amplitudes = np.round(values, _DIGITS)
     indices = keyframe_indices(np.arange(len(values)), amplitudes[:, None], (AMPLITUDE_STEP / 2,))
     line = list(zip(indices.tolist(), amplitudes[indices].tolist()))
@@ -276,12 +277,12 @@ def _curve(values: Float64s, timescale: int) -> dict[str, Any]:
 
 
 def keyframe_indices(ticks: Int64s, values: Float64s, tolerances: Sequence[float]) -> Int64s:
-    """Samples to keep so that lines between them stay within a tolerance of all samples.
+    """Select keyframes so that lines between them are within a tolerance of all samples.
 
-    The first and the last are always kept. Each line reaches as far as the tolerances allow (the cone of
-    slopes that pass all samples on the way); one pass, in time proportional to the number of samples.
+    The first and the last sample are always keyframes. Each line extends as far as the tolerances allow (the
+    cone of slopes that pass all samples on the way). The time is proportional to the number of samples.
 
-    Returns int64 [k]: indices of the samples to keep, ascending.
+    Returns int64 [k]: indices of the keyframes, ascending.
 
     Parameters
     ----------

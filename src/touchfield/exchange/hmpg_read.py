@@ -29,7 +29,7 @@ MODALITIES: Final = (
     "Other", "Pressure", "Acceleration", "Velocity", "Position", "Temperature", "Vibrotactile", "Water",
     "Wind", "Force", "Vibrotactile Texture", "Stiffness", "Friction", "Electrotactile",
 )  # fmt: skip
-"""Names of HJIF in the order of the binary form's numbers, as in the tables below."""
+"""Names of HJIF in the order of their numbers in the binary form; so are the tables below."""
 
 BANDS: Final = ("Transient", "Curve", "VectorialWave", "WaveletWave")
 CURVES: Final = ("Unknown", "Cubic", "Linear", "Akima", "Bezier", "BSpline")
@@ -87,7 +87,7 @@ class _Document:
 
 
 def read_hmpg(path: str | Path) -> JsonValue:
-    """The document of a ``.hmpg`` file, in the form of HJIF.
+    """Read an ``.hmpg`` file as a document in the form of HJIF.
 
     Raises SourceError if the file cannot be read, is longer than 4 MiB, is truncated, or refers to something
     that was not defined before.

@@ -1,12 +1,12 @@
 """Effects: the drive of each actuator of an array over time, and its frequency.
 
-It is a symbolic medium of figure 1: an effect represents something and was not measured. All formats are
-written from and read into `ArrayEffect`, which lies between them and the medium of a stream.
+An effect is a symbolic medium (paper figure 1): it represents something and was not measured. All formats are
+read into and written from `ArrayEffect`, the intermediate form between files and media.
 
-An actuator has one drive: as in `touchfield.pipeline.array_medium`, the greater of |F| and the vibration's
-amplitude, over the force that drives it fully. A medium made from an effect therefore contains the drive
-twice: as the force along the array's normal, for programs that use only forces, and as the vibration's
-amplitude, with the frequency.
+An actuator has one drive. As in `touchfield.pipeline.array_medium`, it is the greater of |F| and the
+amplitude of the vibration, divided by the force that drives an actuator fully. A medium made from an effect
+therefore contains the drive twice: as the force along the array's normal, for programs that use only forces,
+and as the vibration's amplitude, with the frequency.
 """
 
 from __future__ import annotations
@@ -110,10 +110,10 @@ class ArrayEffect:
 
 @dataclass(frozen=True)
 class ImportedEffect:
-    """An effect as read from a file.
+    """An effect read from a file.
 
-    With it the device that the file names ("": none), the force of a full drive if the file states it, and
-    notes for the user on what was left out or interpreted.
+    `device_name` is the device that the file names ("" for none), `force_max_n` the force of a full drive if
+    the file states it, and `notes` tell the user what was left out or interpreted.
     """
 
     effect: ArrayEffect
@@ -131,7 +131,7 @@ class Drive:
 
     @classmethod
     def silent(cls, frames: int) -> Drive:
-        """A drive of zero."""
+        """Return a drive of zero."""
         return cls(np.zeros(frames), np.zeros(frames))
 
     def add(self, other: Drive, frames: slice = slice(None)) -> None:
@@ -142,10 +142,11 @@ class Drive:
 
 
 def filled_hz(drives: Float32s, frequencies_hz: Float32s | None) -> Float32s:
-    """A frequency for each drive, float32 [frames, ...] like the drives.
+    """Return a frequency for each drive, float32 [frames, ...] like the drives.
 
-    Where it is unknown, it is the latest known one of the actuator, before that the first known one, and
-    `DEFAULT_CARRIER_HZ` if there is none. The frequency of a drive of zero does not count.
+    An unknown frequency is replaced by the latest known one of the actuator, before the first known one by
+    that one, and by `DEFAULT_CARRIER_HZ` if none is known. The frequency of a drive of zero counts as
+    unknown.
     """
     if frequencies_hz is None:
         return np.full(drives.shape, DEFAULT_CARRIER_HZ, np.float32)
@@ -159,12 +160,12 @@ def filled_hz(drives: Float32s, frequencies_hz: Float32s | None) -> Float32s:
 
 
 def check_rate(rate_hz: float) -> None:
-    """InvalidArgument unless an effect can be sampled at this rate."""
+    """Raise InvalidArgument unless an effect can be sampled at this rate."""
     require_between(1, MAX_RATE_HZ, rate_hz=rate_hz)
 
 
 def checked_frames(where: str, frames: int, actuators: int, max_values: int = MAX_VALUES) -> int:
-    """`frames`, unless they would take too much memory; else InvalidArgument."""
+    """Return `frames`; raise InvalidArgument if they would take too much memory."""
     if frames * actuators > max_values:
         found = f"{frames} frames of {actuators} actuators"
         raise InvalidArgument(
@@ -174,7 +175,7 @@ def checked_frames(where: str, frames: int, actuators: int, max_values: int = MA
 
 
 def effect_device(lattice: tuple[int, int, int], name: str = "", force_max_n: float | None = None) -> Device:
-    """The profile `name` if its array matches that of an effect, else a generic one.
+    """Return the profile `name` if it matches an effect, else a generic one.
 
     `lattice` is columns, rows, 1; `force_max_n` is the force of a full drive, by default the profile's or 3.3
     N.
@@ -200,9 +201,9 @@ def effect_device(lattice: tuple[int, int, int], name: str = "", force_max_n: fl
 def effect_medium(
     effect: ArrayEffect, grid: Grid, force_max_n: float, provenance: Mapping[str, str]
 ) -> HapticMedium:
-    """An effect as a symbolic medium on (columns, rows, 1) samples, x right and y up.
+    """Convert an effect to a symbolic medium on (columns, rows, 1) samples.
 
-    The force along z is the drive times `force_max_n`, which drives an actuator fully.
+    x is right and y up. The force along z is the drive times `force_max_n`, which drives an actuator fully.
     """
     if grid.shape != effect.lattice:
         raise InvalidArgument("grid", f"{grid.shape}", f"{effect.lattice}, as the effect has it")

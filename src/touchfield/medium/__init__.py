@@ -1,4 +1,8 @@
-"""Data types: `Grid`, `ForceField` (one instant), `HapticMedium` (W_t, paper section 4), `HapticScene`."""
+"""Data types of haptic media (paper section 4).
+
+`Grid` is a lattice, `ForceField` one instant, `HapticMedium` a sequence of fields (W_t), and `HapticScene`
+objects with poses.
+"""
 
 from touchfield.medium.field import ForceField, Support
 from touchfield.medium.grid import BRICK, Grid

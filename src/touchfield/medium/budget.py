@@ -1,7 +1,7 @@
-"""Memory budget of a field: forces are allocated here, after a check against the machine's memory.
+"""Memory budget of a field: check the size of an allocation before it is made.
 
-Without it a nominal lattice of 8e9 samples, or a small file that claims a large field, would make the machine
-swap before any error was raised.
+Without the check, a nominal lattice of 8e9 samples, or a small file that claims a large field, would make the
+machine swap before any error was raised.
 """
 
 from __future__ import annotations
@@ -31,7 +31,10 @@ def _physical_bytes() -> int:
 
 
 def memory_budget_bytes() -> int:
-    """Return the bytes that one field may take: ``TOUCHFIELD_MEMORY_GIB``, or half of the memory."""
+    """Return the bytes that one field may take.
+
+    The budget is ``TOUCHFIELD_MEMORY_GIB`` if that is set, else half of the physical memory.
+    """
     setting = os.environ.get("TOUCHFIELD_MEMORY_GIB", "")
     try:
         return int(float(setting) * 2**30)

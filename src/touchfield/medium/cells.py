@@ -1,7 +1,8 @@
-"""Fields of moving objects in the layout of the compiled queries: *cells* of 9^3 samples in a hash table.
+"""Fields of moving objects in the layout that the compiled queries read.
 
-Each brick of 8^3 samples is stored with the first samples of the next bricks along each axis, so that the
-eight corners around any point are in one cell.
+Each brick of 8^3 samples is stored as a block of 9^3 samples: its own and the first samples of the next
+bricks along each axis. The eight samples around any point are then in one block. Blocks are found through a
+hash table. The code calls these blocks *cells*.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ if TYPE_CHECKING:
     from touchfield.medium.medium import HapticScene
 
 _FLOOR_FRACTION: Final = 1e-9
-"""An object's own force below this fraction of F_max is rounding at the edge of its support."""
+"""Forces of one object below this fraction of F_max are rounding errors at the edge of its support."""
 
 _MEETINGS_FREE: Final = 4096
 _MEETINGS_PER_BYTE: Final = 32
-"""In a file of n bytes, a frame may reach at most `_MEETINGS_FREE` + 32 n pairs of a brick and an object."""
+"""Limit on the pairs of brick and object in a frame: `_MEETINGS_FREE` + 32 n for a file of n bytes."""
 
 _JOINED: Final = ("lattices", "bricks", "cells", "supported")
 _ANY: Final = 1 << 50
@@ -44,21 +45,23 @@ _BYTES_PER_CELLS: Final = (BRICK + 1) ** 3 * 3 * 4
 
 @dataclass(frozen=True)
 class CellPool:
-    """The fields of some objects in the layout of the kernels (`kernels.placed`), concatenated."""
+    """The concatenated fields of some objects, in the layout of `kernels.placed`."""
 
-    # float64 [objects, 6]; spacing, and the corner of the object's box of bricks in its own frame, metres
+    # float64 [objects, 6]; spacing, and corner of the object's box of bricks in its body frame, metres
     lattices: Float64s
     boxes: Int64s  # int64 [objects, 5]
     starts: Int64s  # int64 [objects + 1]
-    bricks: Int32s  # int32 [n, 3]; of cells, from the corner
+    bricks: Int32s  # int32 [n, 3]; brick coordinates of the cells, counted from the corner of the box
     cells: Float32s  # float32 [n * 9 * 9 * 9 * 3]
     supported: NDArray[np.uint64]  # uint64 [n, 8]
     tables: Int64s  # int64 [m, 2]
 
     @classmethod
     def of(cls, field: ForceField, paired: ForceField | None = None) -> CellPool:
-        """The pool of one field; with room for `paired`, too, so that both pools have their cells in one
-        order.
+        """Return the pool of one field.
+
+        If `paired` is given, the pool also has cells for the bricks of that field, so that the pools of both
+        fields have their cells in the same order.
         """
         from touchfield.medium.kernels import placed as kernels
 
@@ -71,7 +74,7 @@ class CellPool:
                 lattice, np.zeros((1, 5), np.int64), np.zeros(2, np.int64), *none, np.zeros((0, 2), np.int64)
             )
         candidates = [part.bricks for part in parts]
-        for part in parts:  # samples at the beginning of a brick are corners of cells of the brick before
+        for part in parts:  # the first samples of a brick are also stored in the cells of the previous brick
             for corner in CORNERS[1:]:
                 first_samples = tuple(0 if c else slice(None) for c in corner)
                 has_mask = part.mask[(slice(None), *first_samples)].reshape(len(part.bricks), -1).any(axis=1)
@@ -143,13 +146,17 @@ class PlacedFields:
         out = np.empty(points.shape, np.float32)
         flat, forces, floor = points.reshape(-1, 3), out.reshape(-1, 3), self._limit_n * _FLOOR_FRACTION
         if not flat.flags.writeable:
-            flat = flat.copy()  # to the compiler read-only arrays are another type
+            flat = flat.copy()  # numba treats read-only arrays as another type
         tables = (pool.boxes, placed, pool.tables, pool.cells, pool.supported, floor, self._limit_n)
         for_chunks(kernels.at_points, len(flat), flat, *tables, forces, chunk=_POINTS_AT_ONCE)
         return out
 
     def voxels(self, frame: int, grid: Grid, file_bytes: int | None = None) -> ForceField:
-        """One frame on a lattice: each sample is `sample_n` at its point; see `HapticScene.voxelise`."""
+        """Return one frame on a lattice; see `HapticScene.voxelise`.
+
+        Each sample equals `sample_n` at its position.
+
+        """
         from touchfield.medium.kernels import placed as kernels
 
         pool, placed = self._at(frame)
@@ -195,7 +202,7 @@ class PlacedFields:
         poses = np.array([[*track.quaternions[frame], *track.positions_m[frame]] for track in tracks])
         motions, placed = np.zeros((len(tracks), 6)), np.empty((len(tracks), _COLUMNS))
         if scene.surface_damping_n_s_per_m:
-            with np.errstate(over="ignore"):  # the kernels cut what is beyond all bounds
+            with np.errstate(over="ignore"):  # the kernels handle forces that overflow
                 motions[:] = scene.surface_damping_n_s_per_m * self._motions[frame]
         kernels.fill_placements(poses, pool.lattices, motions, placed)
         self._latest = frame, pool, placed
@@ -203,7 +210,7 @@ class PlacedFields:
 
     @cached_property
     def _motions(self) -> Float64s:
-        """Velocity and spin of each object, float64 [frame, object, 6]."""
+        """Linear and angular velocity of each object, float64 [frame, object, 6]."""
         motions = [
             np.hstack(scene_object.track.velocities(self._scene.rate_hz))
             for scene_object in self._scene.objects

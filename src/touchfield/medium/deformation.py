@@ -1,16 +1,18 @@
-"""Deformation of a medium at the receiver by control points; nothing is sent upstream (paper section 6.3).
+"""Deformation of a medium at the receiver by control points (paper section 6.3).
 
-The field at x is looked up at psi(x) = x + u(x) in the stored medium; u is a cubic B-spline over a small
-lattice of control points, constant beyond it along each axis. With F = -grad f the force is
+Nothing is sent upstream to the source. The field at x is read at psi(x) = x + u(x) in the stored medium; u is
+a cubic B-spline on a small lattice of control points, and constant outside the lattice along each axis. With
+F = -grad f the force is
 
     F'(x) = (I + grad u)^T F(psi(x)) = -grad (f o psi),
 
-as free of curl as F: bending a field generates no energy, which it would if the forces kept their size. The
-map goes backwards, from the position of the hand to the undeformed medium, so that a query inverts nothing.
+which is curl-free if F is. A deformed conservative field therefore generates no energy; it would if the
+magnitudes of the forces were kept. The map goes from the position of the hand to the undeformed medium, so
+that a query does not have to invert it.
 
-The control points move by **tracks**, a lattice of displacements for each frame, interpolated linearly in
-time; or they **yield** under the finger, as a spring of `compliance_m_per_n` in series with the field that
-follows with the time constant `relax_s`. Both add up.
+Control points move in two ways, whose displacements are added. **Tracks** are displacements of the lattice
+for each frame, interpolated linearly in time. Control points **yield** under the finger like a spring of
+`compliance_m_per_n` in series with the field, which follows with the time constant `relax_s`.
 """
 
 from __future__ import annotations
@@ -33,26 +35,30 @@ from touchfield.medium.stores.npz import NpzArchive
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-MAX_CONTROLS: Final = 32  # along an axis
+MAX_CONTROLS: Final = 32  # control points along each axis
 MAX_CELLS: Final = 1 << 18
-"""Over all frames; checking them for folds takes 1 to 2 s. With 8 x 8 x 8 control points: 35 s at 60 Hz."""
+"""Cells of the lattice in all frames; checking them for folds takes 1 to 2 s.
 
-STEP_M: Final = 2e-5  # of displacements in a file: imperceptible, and negligible in the slopes of the map
-_MAX_BYTES: Final = MAX_CELLS * 4**3 * 3 * 2  # of the least lattice, whose one cell has most control points
-_FINE: Final = 3  # places along each side of a cell at which the determinant is looked at
+For 8 x 8 x 8 control points the limit is 35 s at 60 Hz.
+"""
+
+STEP_M: Final = 2e-5  # quantisation step of displacements in a file: imperceptible
+_MAX_BYTES: Final = MAX_CELLS * 4**3 * 3 * 2  # of 4 x 4 x 4 control points a cell
+_FINE: Final = 3  # points along each side of a cell at which the determinant is evaluated
 _ARRAYS: Final = {"corner_m": 3, "spacing_m": 3, "rate_hz": 1, "compliance_m_per_n": 1, "relax_s": 1}
 
 
 @dataclass(frozen=True, eq=False)
 class Deformation:
-    """Displacements of control points, and how they yield.
+    """Displacements of control points, and their compliance.
 
-    displacement_m : float [T, nx, ny, nz, 3]; u at the control points of each frame, metres: from where the
-        hand is to where the medium was. 4 to 32 along each axis.
-    corner_m, spacing_m : float [3]; where the cells of the lattice begin (control point 1 of each axis), and
-        their sides, metres.
-    compliance_m_per_n : float; metres that the medium gives way for a newton; 0: it does not yield.
-    relax_s : float; time constant with which it does, and comes back, seconds.
+    displacement_m : float [T, nx, ny, nz, 3]; u at the control points of each frame, metres, from the
+        position of the hand to the position in the stored medium. 4 to 32 control points along each axis.
+    corner_m, spacing_m : float [3]; lower corner of the cells of the lattice (the position of control point 1
+        along each axis), and the sides of a cell, metres.
+    compliance_m_per_n : float; displacement of the medium for each newton, m/N; 0 for a medium that does not
+        yield.
+    relax_s : float; time constant with which the medium yields and recovers, seconds.
     Raises `InvalidArgument` if a shape does not fit, a number is out of range or not finite, or the map
     folds: the determinant of I + grad u is not positive somewhere.
     """
@@ -107,7 +113,11 @@ class Deformation:
 
     @classmethod
     def at_rest(cls, low_m: ArrayLike, high_m: ArrayLike, controls: int = 8, **yields: float) -> Deformation:
-        """One frame without any displacement over a box; `yields` as of the class."""
+        """Return a deformation of one frame without displacement, over a box.
+
+        `low_m` and `high_m` float [3] are the corners of the box, metres; `controls` is the number of control
+        points along each axis; `yields` are the parameters `compliance_m_per_n` and `relax_s`.
+        """
         low, high = (np.asarray(m, np.float64) for m in (low_m, high_m))
         require_between(4, MAX_CONTROLS, controls=controls)
         spacing = (high - low) / (controls - 3)
@@ -122,10 +132,10 @@ class Deformation:
 
     @property
     def max_yield_m(self) -> float:
-        """Most that a control point may yield along an axis, metres, so that the map surely does not fold.
+        """Maximum yield of a control point along an axis, metres, without a fold.
 
-        The map does not fold where |grad u| < 1. Of a B-spline that slope is at most the difference of
-        neighbouring control points over their distance, and that of the tracks is taken off first.
+        The map does not fold where |grad u| < 1. The slope of a B-spline is at most the difference of
+        neighbouring control points divided by their distance; the slope of the tracks is subtracted first.
         """
         u, square = self.displacement_m, 0.0
         for axis in range(3):
@@ -134,21 +144,27 @@ class Deformation:
             )
         slope = sum(
             3 * (2.0 / h) ** 2 for h in self.spacing_m
-        )  # of control points that differ by up to twice 1 m
+        )  # for neighbouring control points that differ by 2 m
         return max(0.0, (0.95 - math.sqrt(square)) / math.sqrt(slope))
 
     @cached_property
     def max_stretch(self) -> float:
-        """Gershgorin bound of the largest singular value of I + grad u, at the points of the determinant."""
+        """Gershgorin bound of the largest singular value of I + grad u.
+
+        It is evaluated at the points at which `min_determinant` evaluates the determinant.
+        """
         squares = (np.abs(np.swapaxes(j, -2, -1) @ j).sum(axis=-1).max() for j in self._jacobians())
         return math.sqrt(max(squares))
 
     def min_determinant(self) -> tuple[float, int]:
-        """Return the minimum determinant of I + grad u, at 3^3 points of every cell, and its frame."""
+        """Return the minimum determinant of I + grad u, and its frame.
+
+        It is evaluated at 3^3 points of every cell.
+        """
         return min((float(np.linalg.det(j).min()), frame) for frame, j in enumerate(self._jacobians()))
 
     def _jacobians(self) -> Iterator[Float64s]:
-        """I + grad u [.., 3, 3] of each frame."""
+        """Yield I + grad u of each frame, float64 [.., 3, 3]."""
         values, slopes = _basis(np.arange(_FINE) / (_FINE - 1))
         for u in self.displacement_m:
             if not u.any():
@@ -164,7 +180,10 @@ class Deformation:
             yield jacobian + np.eye(3)
 
     def design(self, points_m: Float64s) -> tuple[Int64s, Float64s]:
-        """Control points, flat, and weights of each point [n, 64]: u(x) is the weighted sum."""
+        """Return the control points that determine u at each point, and their weights.
+
+        Both are [n, 64]; the control points are flat indices, and u(x) is their weighted sum.
+        """
         shape = np.array(self.displacement_m.shape[1:4])
         s = np.clip((points_m - np.array(self.corner_m)) / np.array(self.spacing_m), 0, shape - 3)
         cell = np.minimum(s.astype(np.int64), shape - 4)
@@ -176,10 +195,11 @@ class Deformation:
         return flat.reshape(-1, 64), both.reshape(-1, 64)
 
     def write(self, path: str | Path) -> None:
-        """Write it as ``.npz``, displacements as whole steps of 20 um, whole or not at all.
+        """Write the deformation as ``.npz``, with displacements in steps of 20 um.
 
-        What stands there are second differences in time, int16 which wraps, their signs in the lowest bit,
-        all low bytes before all high ones: half of what first differences take.
+        The file appears when it is complete. It stores second differences in time, int16 with wrap-around,
+        zigzag-coded (the sign in the lowest bit), and all low bytes before all high bytes. This takes half
+        the bytes of first differences.
         """
         steps = np.rint(self.displacement_m / STEP_M).astype(np.int16)
         second = np.diff(steps, n=2, axis=0, prepend=np.zeros((2, *steps.shape[1:]), np.int16)).astype(
@@ -194,7 +214,10 @@ class Deformation:
 
 
 def read_deformation(path: str | Path) -> Deformation:
-    """Read a file of `Deformation.write`; `SourceError` that names file and array if it is invalid."""
+    """Read a file that `Deformation.write` wrote.
+
+    Raises `SourceError`, which names the file and the array, if it is invalid.
+    """
     archive = NpzArchive(Path(path))
     header, where = archive.header("displacement"), f"{path}, array displacement"
     if (
@@ -219,7 +242,10 @@ def read_deformation(path: str | Path) -> Deformation:
 
 
 def _basis(t: Float64s) -> tuple[Float64s, Float64s]:
-    """Cubic B-spline at positions 0 to 1 in a cell: weights of four control points [n, 4], and slopes."""
+    """Evaluate the cubic B-spline at positions 0 to 1 in a cell.
+
+    Returns the weights of the four control points, float64 [n, 4], and their derivatives.
+    """
     r = 1 - t
     values = [r**3, 3 * t**3 - 6 * t**2 + 4, 3 * r**3 - 6 * r**2 + 4, t**3]
     slopes = [-3 * r**2, 9 * t**2 - 12 * t, -9 * r**2 + 12 * r, 3 * t**2]
@@ -227,7 +253,10 @@ def _basis(t: Float64s) -> tuple[Float64s, Float64s]:
 
 
 def _along(u: Float64s, rows: Float64s, axis: int) -> Float64s:
-    """Interpolate control points along an axis at the points of each cell; `rows` are the weights of four."""
+    """Interpolate control points along an axis at the points of each cell.
+
+    `rows` [points, 4] are the weights of four control points at each point of a cell.
+    """
     lanes = np.moveaxis(u, axis, -1)
     windows = np.lib.stride_tricks.sliding_window_view(lanes, 4, axis=-1)
     placed = np.einsum("...cw,pw->...cp", windows, rows)
@@ -235,7 +264,7 @@ def _along(u: Float64s, rows: Float64s, axis: int) -> Float64s:
 
 
 _SMOOTH: Final = (3e-3, 3e-2, 0.3)
-"""Weights of the second differences over the mean weight of a vertex; the first without a fold is used."""
+"""Weights of the smoothing term relative to the mean weight of a vertex; the first without a fold is used."""
 
 
 def fitted(
@@ -245,12 +274,14 @@ def fitted(
     rate_hz: float,
     report: Callable[[int], None] = lambda _: None,
 ) -> tuple[Deformation, float]:
-    """Fit tracks on the lattice of another deformation; return them and the rms residual, metres.
+    """Fit tracks to moving vertices; return them and the RMS residual, metres.
 
-    rest_m : float64 [n, 3]; the vertices in the medium as it is stored, metres.
-    frames_m : of float64 [n, 3]; the vertices of each frame.
-    Raises `InvalidArgument` if the vertices are not the same in number, or no fit of a frame is without a
-    fold.
+    rest_m : float64 [n, 3]; vertices in the stored medium, metres.
+    frames_m : iterable of float64 [n, 3]; vertices of each frame, metres.
+    lattice : Deformation; provides the lattice of control points.
+    rate_hz : float; frames a second.
+    report : callable; ``report(done)`` is called after each frame.
+    Raises `InvalidArgument` if the number of vertices changes, or every fit of some frame folds.
     """
     tracks, square = [], 0.0
     for number, now in enumerate(frames_m):
@@ -280,7 +311,7 @@ def _frame(
     bends, eyes = 1e-9 * sparse.identity(int(np.prod(shape))), [sparse.identity(n) for n in shape]
     for axis, n in enumerate(
         shape
-    ):  # squares of second differences along each axis, and a little of the first
+    ):  # penalty on second differences along each axis, and a small one on first differences
         second = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(n - 2, n))
         first = sparse.diags([1.0, -1.0], [0, 1], shape=(n - 1, n))
         penalty = second.T @ second + 1e-3 * (first.T @ first)

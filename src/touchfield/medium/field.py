@@ -1,8 +1,10 @@
-"""One instant of a haptic medium: a force field W: R^3 -> R^3 on a grid (paper section 4).
+"""One instant of a haptic medium: a force field on a grid (paper section 4).
 
-Forces in newtons, sparse in bricks of 8x8x8 samples: a brick without a force is not stored, and the *support*
-is the set of samples whose force is not zero. `Support` gives the paper's amplitude vector **a** and
-direction matrix **D** (section 5.2).
+The field is W: R^3 -> R^3.
+
+Forces are in newtons and stored sparsely, in bricks of 8x8x8 samples; a brick without a force is not stored.
+The *support* is the set of samples whose force is not zero. `Support` gives the paper's amplitude vector
+**a** and direction matrix **D** (section 5.2).
 """
 
 from __future__ import annotations
@@ -32,14 +34,17 @@ _BRICKS_AT_ONCE = 64
 
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
-    """A read-only view of `array`; the caller keeps its own writeable one."""
+    """Return a read-only view of `array`; the array itself stays writeable."""
     view = array.view()
     view.flags.writeable = False
     return view
 
 
 def brick_keys(grid: Grid, bricks: NDArray[np.integer[Any]]) -> Int64s:
-    """Return the raster index of each brick (x slowest, z fastest), int64 [n], of int [n, 3]."""
+    """Return the raster index (x slowest, z fastest) of each brick, int64 [n].
+
+    `bricks` are int [n, 3].
+    """
     _, by, bz = grid.brick_shape
     b = bricks.astype(np.int64)
     return (b[:, 0] * by + b[:, 1]) * bz + b[:, 2]
@@ -55,7 +60,10 @@ def bricks_of(grid: Grid, keys: Int64s) -> Int32s:
 
 
 def bricks_within(grid: Grid, spans: Int64s) -> Int32s:
-    """Return the distinct bricks within boxes, ascending; `spans` [n, 3, 2] are their starts and stops."""
+    """Return the distinct bricks within boxes, ascending.
+
+    `spans` int64 [n, 3, 2] holds the start and stop of each box along each axis, in bricks.
+    """
     from touchfield.medium import kernels
 
     pairs = float(np.maximum(0, spans[..., 1] - spans[..., 0]).prod(axis=1, dtype=np.float64).sum())
@@ -70,7 +78,9 @@ def bricks_within(grid: Grid, spans: Int64s) -> Int32s:
 def bricks_reached(
     field: ForceField, grid: Grid, move: Callable[[Float64s], Float64s] | None = None
 ) -> Int32s:
-    """The bricks of `grid` that a field may reach: its samples act within one spacing.
+    """Return the bricks of `grid` that a field may reach, int32 [n, 3], ascending.
+
+    A sample of the field acts within one spacing around it.
 
     ``move(points_m)``, if given, transforms the points of the field first.
     """
@@ -105,7 +115,10 @@ def check_bricks(
 
 
 def slots_of(sorted_keys: Int64s, keys: Int64s) -> Int64s:
-    """Return the index of each key among ascending keys, int64 of the shape of `keys`; -1 if missing."""
+    """Return the index of each key among ascending keys; -1 if it is missing.
+
+    The result is int64, of the shape of `keys`.
+    """
     if not len(sorted_keys):
         return np.full(keys.shape, -1)
     slot = np.minimum(np.searchsorted(sorted_keys, keys), len(sorted_keys) - 1)
@@ -113,7 +126,10 @@ def slots_of(sorted_keys: Int64s, keys: Int64s) -> Int64s:
 
 
 def tiled(dense: NDArray[Any]) -> NDArray[Any]:
-    """Return the bricks of an array [nx, ny, nz, ...], zero-padded, [bx, by, bz, 8, 8, 8, ...]."""
+    """Divide an array [nx, ny, nz, ...] into bricks, [bx, by, bz, 8, 8, 8, ...].
+
+    The array is padded with zeros.
+    """
     short = [*((0, -n % BRICK) for n in dense.shape[:3]), *((0, 0) for _ in dense.shape[3:])]
     padded = np.pad(dense, short) if any(after for _, after in short) else dense
     x, y, z = (n // BRICK for n in padded.shape[:3])
@@ -123,7 +139,10 @@ def tiled(dense: NDArray[Any]) -> NDArray[Any]:
 def values_at(
     grid: Grid, bricks: Int32s, values: NDArray[Any], indices: NDArray[np.integer[Any]]
 ) -> NDArray[Any]:
-    """Look up values [n, 8, 8, 8, ...] of ascending bricks at points int [m, 3]; 0 without a brick."""
+    """Look up values [n, 8, 8, 8, ...] of ascending bricks at indices int [m, 3].
+
+    Values are 0 where there is no brick.
+    """
     inside = ((indices >= 0) & (indices < grid.shape)).all(axis=1)
     slots = np.full(len(indices), -1)
     slots[inside] = slots_of(brick_keys(grid, bricks), brick_keys(grid, indices[inside] // BRICK))
@@ -140,11 +159,14 @@ def neighbour_slots(
     count: Sequence[int] | Int64s,
     neighbours: int = 27,
 ) -> Int64s:
-    """Return the indices, among `others`, of the bricks around each brick, int64 [n, neighbours]; -1: none.
+    """Look up the neighbours of bricks: indices in `others`, int64 [n, neighbours].
+
+    The index is -1 for a neighbour that is not in `others`.
 
     bricks, others : int [n, 3], int [m, 3]; the others in raster order, x slowest.
     count : 3 int; bricks along each axis.
-    neighbours : int; how many of the 27, in raster order; 13 is the brick itself.
+    neighbours : int; number of neighbours to look up, of 27 in raster order; neighbour 13 is the brick
+        itself.
     """
     # rows are separated by two, so that neighbours across an edge match no brick
     pitch = np.array([(count[1] + 2) * (count[2] + 2), count[2] + 2, 1], np.int64)
@@ -162,10 +184,12 @@ def keys_of_both(first: ForceField, second: ForceField) -> Int64s:
 
 
 def dilated(grid: Grid, bricks: Int32s, reach: tuple[int, int, int]) -> Int32s:
-    """Return the bricks, int32 [m, 3], within `reach` samples along each axis of `bricks` [n, 3].
+    """Return the bricks, int32 [m, 3], within `reach` samples of `bricks` [n, 3].
 
-    They are ascending, within the grid, and include `bricks`.
-    Raises `InvalidArgument` if the reach makes more than 2^27 pairs of bricks.
+    `reach` is given along each axis.
+
+    The result is ascending, within the grid, and includes `bricks`. Raises `InvalidArgument` if that yields
+    more than 2^27 bricks along an axis before duplicates are removed.
     """
     keys = np.sort(brick_keys(grid, bricks))
     for axis in range(3):
@@ -175,9 +199,11 @@ def dilated(grid: Grid, bricks: Int32s, reach: tuple[int, int, int]) -> Int32s:
 
 
 def spread_keys(keys: Int64s, lattice: tuple[int, int, int], axis: int, margins: tuple[int, int]) -> Int64s:
-    """Extend ascending keys of bricks [n] along `axis` by `margins` bricks before and after, int64 [m].
+    """Extend bricks along `axis` by `margins` bricks before and after, int64 [m].
 
-    Raises `InvalidArgument` if that makes more than 2^27 pairs of bricks.
+    `keys` [n] and the result are ascending keys of bricks.
+
+    Raises `InvalidArgument` if that yields more than 2^27 bricks before duplicates are removed.
     """
     size, step = lattice[axis], int(np.prod(lattice[axis + 1 :]))
     backward, forward = (min(margin, size - 1) for margin in margins)
@@ -189,14 +215,16 @@ def spread_keys(keys: Int64s, lattice: tuple[int, int, int], axis: int, margins:
         keys[(coordinate + d >= 0) & (coordinate + d < size)] + d * step
         for d in range(-backward, forward + 1)
     ]
-    sorted_keys = np.sort(np.concatenate(moved), kind="stable")  # several ascending rows: quickly merged
+    sorted_keys = np.sort(np.concatenate(moved), kind="stable")  # merges the ascending rows quickly
     return np.asarray(sorted_keys[np.diff(sorted_keys, prepend=-1) > 0])
 
 
 def padded_blocks(
     field: ForceField, values: NDArray[Any], bricks: Int32s, before: Sequence[int], after: Sequence[int]
 ) -> Iterator[tuple[slice, NDArray[Any]]]:
-    """Yield the values of a field at some bricks [m, 3], with `before` and `after` samples around them.
+    """Yield the values of a field at some bricks [m, 3], with a margin.
+
+    The margin is `before` and `after` samples along each axis.
 
     `values` are those of the field's bricks [n, 8, 8, 8, ...]; missing bricks are zero. Each item is a slice
     of `bricks` and its blocks, float [.., 8 + before + after] along each axis.
@@ -226,7 +254,10 @@ def numbers_of(
     *,
     is_finite: bool = False,
 ) -> NDArray[Any]:
-    """Convert an argument to an array of a type and shape; `InvalidArgument` if the conversion loses data."""
+    """Convert an argument to an array of a type and shape.
+
+    Raises `InvalidArgument` if the conversion would lose data.
+    """
     try:
         array = np.asarray(values)
         if array.dtype.kind in "cMm" or np.ma.is_masked(values):
@@ -255,11 +286,13 @@ class Support:
 
 @dataclass(frozen=True, eq=False)
 class ForceField(EqualByValue):
-    """Forces in newtons on a grid, sparse in bricks; what no brick covers is zero.
+    """Forces in newtons on a grid, stored in sparse bricks.
+
+    Samples outside the bricks are zero.
 
     bricks : int32 [n, 3]; brick coordinates in strictly ascending order (x slowest, z fastest).
-    forces_n : float32 [n, 8, 8, 8, 3]; force at each sample, axes (brick, x, y, z, component). Samples beyond
-        the grid are zero, and every brick holds at least one force; `from_bricks` sees to both.
+    forces_n : float32 [n, 8, 8, 8, 3]; force at each sample, axes (brick, x, y, z, component). Samples
+        outside the grid are zero, and every brick has at least one force; `from_bricks` ensures both.
     Raises `InvalidArgument` if the shapes, types or the order of the bricks are wrong.
     """
 
@@ -275,12 +308,14 @@ class ForceField(EqualByValue):
 
     @classmethod
     def empty(cls, grid: Grid) -> ForceField:
-        """The field that is zero everywhere."""
+        """Return the field that is zero everywhere."""
         return cls(grid, np.zeros((0, 3), np.int32), np.zeros((0, BRICK, BRICK, BRICK, 3), np.float32))
 
     @classmethod
     def from_bricks(cls, grid: Grid, bricks: ArrayLike, forces_n: ArrayLike) -> ForceField:
-        """From bricks in any order, some perhaps empty or reaching beyond the grid.
+        """Make a field of bricks in any order.
+
+        Empty bricks are dropped, and samples outside the grid are set to zero.
 
         Raises `InvalidArgument` if a force is not finite, or a brick is given twice or lies outside the grid.
         """
@@ -297,7 +332,7 @@ class ForceField(EqualByValue):
 
     @classmethod
     def from_dense(cls, grid: Grid, forces_n: ArrayLike) -> ForceField:
-        """From a dense array of newtons [nx, ny, nz, 3]."""
+        """Make a field of a dense array, newtons [nx, ny, nz, 3]."""
         if not isinstance(grid, Grid):
             raise InvalidArgument("grid", f"a {type(grid).__name__}", "a Grid")
         dense = numbers_of("forces_n", forces_n, np.float32)
@@ -307,9 +342,10 @@ class ForceField(EqualByValue):
 
     @classmethod
     def from_slabs(cls, grid: Grid, slabs: Iterable[Float32s], *, to_the_bit: bool = False) -> ForceField:
-        """From dense pieces across x, newtons float32 [m, ny, nz, 3], m a multiple of 8 but in the last.
+        """Make a field of dense slabs along x, newtons float32 [m, ny, nz, 3].
 
-        Only bricks with a force are kept; with `to_the_bit` also those that contain -0.0 only.
+        m is a multiple of 8 except in the last slab. Only bricks with a force are kept; with `to_the_bit`
+        bricks that contain only zeros but at least one -0.0 are kept as well.
         """
         bricks, forces = [np.zeros((0, 3), np.int32)], [np.zeros((0, BRICK, BRICK, BRICK, 3), np.float32)]
         first = 0
@@ -326,7 +362,10 @@ class ForceField(EqualByValue):
 
     @classmethod
     def from_support(cls, grid: Grid, positions: ArrayLike, forces_n: ArrayLike) -> ForceField:
-        """From indices int [L, 3] and newtons [L, 3]; a sample named twice keeps the last force."""
+        """Make a field of sample indices, int [L, 3], and their forces, newtons [L, 3].
+
+        A sample that is given twice has the last of its forces.
+        """
         p = numbers_of("positions", positions, np.int64, (-1, 3))
         values = numbers_of("forces_n", forces_n, np.float32, (len(p), 3))
         if len(p) and (p.min() < 0 or (p.max(0) >= grid.shape).any()):
@@ -341,14 +380,14 @@ class ForceField(EqualByValue):
         return f"<ForceField: {support}, {self.grid.description}>"
 
     def to_dense(self) -> Float32s:
-        """Newtons as a dense float32 array [nx, ny, nz, 3]."""
+        """Return the forces as a dense array, newtons, float32 [nx, ny, nz, 3]."""
         return np.concatenate(list(self.slabs(0)))
 
     def slabs(self, axis: int) -> Iterator[Float32s]:
-        """Dense pieces across `axis`, ascending, newtons float32 [nx, ny, nz, 3], each 8 samples thick but
-        the last.
+        """Yield dense slabs along `axis`, ascending, newtons, float32 [nx, ny, nz, 3].
 
-        A dense 256^3 frame takes 201 MB, a slab of it 6 MB.
+        Each slab but the last is 8 samples thick along `axis`. A dense frame of 256^3 samples takes 201 MB, a
+        slab of it 6 MB.
         """
         shape = self.grid.brick_shape
         order = np.argsort(self.bricks[:, axis], kind="stable")
@@ -363,24 +402,27 @@ class ForceField(EqualByValue):
             yield np.ascontiguousarray(tiles.reshape(*size, 3)[:nx, :ny, :nz])
 
     def raster_slots(self) -> Int64s:
-        """Return the indices of the support in ``forces_n.reshape(-1, 3)``, in raster order, int64 [L]."""
+        """Return the indices of the support in raster order, int64 [L].
+
+        They are indices into ``forces_n.reshape(-1, 3)``.
+        """
         from touchfield.medium import kernels
 
         return kernels.raster_slots(self.bricks, self.mask)
 
     def vectors_n(self) -> Float32s:
-        """The forces of the support, newtons, in raster order, float32 [L, 3]."""
+        """Return the forces of the support in raster order, newtons, float32 [L, 3]."""
         return self.forces_n.reshape(-1, 3)[self.raster_slots()]
 
     def positions(self) -> Int32s:
-        """Grid indices of the support in raster order, int32 [L, 3]."""
+        """Return the grid indices of the support in raster order, int32 [L, 3]."""
         slots = self.raster_slots()
         brick, local = np.divmod(slots, BRICK**3)
         ijk = np.stack(np.unravel_index(local, (BRICK, BRICK, BRICK)), axis=-1)
         return (self.bricks[brick] * BRICK + ijk).astype(np.int32)
 
     def support(self) -> Support:
-        """The paper's **a** and **D**, with their positions."""
+        """Return the paper's **a** and **D**, with the positions of the samples."""
         vectors = self.vectors_n()
         amplitudes = lengths_of(vectors.astype(np.float64))
         directions = vectors / amplitudes[:, None]
@@ -391,8 +433,9 @@ class ForceField(EqualByValue):
         )
 
     def forces_at(self, keys: Int64s) -> Float32s:
-        """The forces of the bricks with these keys (`brick_keys`), zero if not stored, float32 [n, 8, 8, 8,
-        3].
+        """Return the forces of the bricks with these keys, float32 [n, 8, 8, 8, 3].
+
+        `keys` are those of `brick_keys`; bricks that are not stored are zero.
         """
         slot, forces = slots_of(brick_keys(self.grid, self.bricks), keys), zero_forces(len(keys))
         forces[slot >= 0] = self.forces_n[slot[slot >= 0]]
@@ -400,7 +443,7 @@ class ForceField(EqualByValue):
 
     @cached_property
     def mask(self) -> Bools:
-        """Samples of the stored bricks that hold a force, bool [n, 8, 8, 8]."""
+        """Samples of the stored bricks whose force is not zero, bool [n, 8, 8, 8]."""
         holds = self.forces_n[..., 0] != 0
         holds |= self.forces_n[..., 1] != 0
         holds |= self.forces_n[..., 2] != 0
@@ -412,7 +455,9 @@ class ForceField(EqualByValue):
         return int(np.count_nonzero(self.mask))
 
     def sample_n(self, positions_m: ArrayLike) -> Float32s:
-        """Force at points in metres [..., 3] by trilinear interpolation, newtons, float32 [..., 3].
+        """Return the force at points [..., 3] in metres, newtons, float32 [..., 3].
+
+        Forces are interpolated trilinearly.
 
         Beyond the outermost samples the force falls to zero over one spacing.
         """
@@ -426,7 +471,7 @@ class ForceField(EqualByValue):
         return kernels.sample(index, self.grid, keys, self.forces_n).reshape(points.shape)
 
     def scaled(self, factor: float) -> ForceField:
-        """The field with every force multiplied by `factor`."""
+        """Return the field with every force multiplied by `factor`."""
         return ForceField.from_bricks(self.grid, self.bricks, self.forces_n * np.float32(factor))
 
     def __add__(self, other: ForceField) -> ForceField:
@@ -439,7 +484,10 @@ class ForceField(EqualByValue):
         return ForceField.from_bricks(self.grid, bricks_of(self.grid, keys), forces)
 
     def on_grid(self, grid: Grid) -> ForceField:
-        """The same forces on another grid of the same shape (its metres changed, its samples not)."""
+        """Return the same forces on another grid of the same shape.
+
+        The metres of the samples change, their indices do not.
+        """
         if grid.shape != self.grid.shape:
             raise InvalidArgument("grid", f"shape {grid.shape}", f"shape {self.grid.shape}")
         return ForceField(grid, self.bricks, self.forces_n)
@@ -448,7 +496,9 @@ class ForceField(EqualByValue):
 def field_of_points(
     grid: Grid, bricks: Int32s, forces_n: Callable[[Float64s], NDArray[np.floating[Any]]]
 ) -> ForceField:
-    """Evaluate a force function of points in metres, float64 [n, 3], at the samples of ascending bricks.
+    """Evaluate a force function at the samples of ascending bricks.
+
+    `forces_n` is a function of points in metres, float64 [n, 3].
 
     The field is zero outside the bricks, int32 [m, 3]; bricks without a force are dropped.
     """
@@ -467,7 +517,10 @@ def field_of_points(
 
 
 def field_without_empty_bricks(grid: Grid, bricks: Int32s, forces_n: Float32s) -> ForceField:
-    """Return the field of bricks, int32 [n, 3] ascending, without those that have no force."""
+    """Return the field of bricks, without those that have no force.
+
+    `bricks` are int32 [n, 3], ascending.
+    """
     holds = forces_n.any(axis=(1, 2, 3, 4))
     return (
         ForceField(grid, bricks, forces_n)

@@ -1,4 +1,6 @@
-"""A regular lattice, and the placement of a scene in a workspace (from scene metres to hand metres).
+"""Regular lattices, and the placement of a scene in a workspace.
+
+A placement maps scene metres to hand metres.
 
 The paper samples the workspace "with 2^n_w samples per dimension" (section 5.2). Sample (i, j, k) lies at
 ``origin_m + (i, j, k) * spacing_m`` and represents the cell of that size around it, so that the box of a grid
@@ -79,7 +81,7 @@ class Grid:
 
     @classmethod
     def over_box(cls, low_m: ArrayLike, high_m: ArrayLike, shape: tuple[int, int, int]) -> Grid:
-        """The grid whose cells fill the box from `low_m` to `high_m` (metres) exactly."""
+        """Return the grid whose cells fill the box from `low_m` to `high_m`, metres."""
         try:
             low, high, count = (np.asarray(v, float).reshape(3) for v in (low_m, high_m, shape))
         except (TypeError, ValueError):
@@ -98,7 +100,7 @@ class Grid:
 
     @property
     def brick_shape(self) -> tuple[int, int, int]:
-        """Bricks along x, y, z; the last of each axis may reach beyond the grid."""
+        """Number of bricks along x, y, z; the last ones may extend beyond the grid."""
         nx, ny, nz = self.shape
         return (-(-nx // BRICK), -(-ny // BRICK), -(-nz // BRICK))
 
@@ -110,34 +112,37 @@ class Grid:
         return low, low + spacing * np.asarray(self.shape)
 
     def axis_m(self, axis: int) -> Float64s:
-        """Positions of the samples along one axis, metres, float64 [shape[axis]]."""
+        """Return the positions of the samples along an axis, metres, float64 [n]."""
         indices = np.arange(self.shape[axis], dtype=np.float64)
         return np.asarray(self.origin_m[axis] + self.spacing_m[axis] * indices)
 
     def to_m(self, index: ArrayLike) -> Float64s:
-        """Positions in metres, float64 [..., 3], of (fractional) indices [..., 3]."""
+        """Convert (fractional) indices [..., 3] to positions in metres, float64 [..., 3]."""
         return np.asarray(
             np.asarray(self.spacing_m) * np.asarray(index, np.float64) + np.asarray(self.origin_m)
         )
 
     def to_index(self, position_m: ArrayLike) -> Float64s:
-        """Fractional indices, float64 [..., 3], of positions in metres [..., 3]."""
+        """Convert positions in metres [..., 3] to fractional indices, float64 [..., 3]."""
         offset = np.asarray(position_m, np.float64) - np.asarray(self.origin_m)
         return np.asarray(offset / np.asarray(self.spacing_m))
 
     def refined(self, factor: int) -> Grid:
-        """The grid with `factor` samples in place of each one, over the same box."""
+        """Return the grid over the same box with `factor` times the samples per axis."""
         low, high = self.box_m
         nx, ny, nz = self.shape
         return Grid.over_box(low, high, (nx * factor, ny * factor, nz * factor))
 
     def padded(self, margins: tuple[int, int, int]) -> Grid:
-        """The grid with `margins` more samples on both sides of each axis."""
+        """Return the grid with `margins` additional samples at both ends of each axis."""
         x, y, z = (n + 2 * m for n, m in zip(self.shape, margins, strict=True))
         return Grid((x, y, z), self.spacing_m, tuple(self.to_m(np.negative(margins)).tolist()))
 
     def is_close(self, other: Grid) -> bool:
-        """True if both have the same samples, to within a millionth of a spacing of `other`."""
+        """Return True if both grids have the same samples.
+
+        Positions may differ by less than 1e-6 of the spacing of `other`.
+        """
         corners_m = [
             np.stack([grid.origin_m, grid.to_m(np.subtract(grid.shape, 1))]) for grid in (self, other)
         ]
@@ -146,7 +151,7 @@ class Grid:
         )
 
     def moved(self, scale: float, offset_m: ArrayLike) -> Grid:
-        """The grid after x -> scale * x + offset."""
+        """Return the grid after the map x -> scale * x + offset."""
         origin = np.asarray(self.origin_m) * scale + np.asarray(offset_m, float)
         spacing = np.asarray(self.spacing_m) * scale
         return Grid(self.shape, tuple(spacing.tolist()), tuple(origin.tolist()))
@@ -234,12 +239,18 @@ class Placement:
         return f"1 mm of the hand is {length_m / size_m:.4g} {unit} of the scene"
 
     def to_dict(self) -> dict[str, list[float]]:
-        """Return the mapping by its keys in files: x_hand = mapping_scale (x_scene - mapping_offset_m)."""
+        """Return the placement by its names in files.
+
+        x_hand = mapping_scale (x_scene - mapping_offset_m).
+        """
         return {"mapping_scale": [self.scale], "mapping_offset_m": list(self.offset_m)}
 
 
 def axis_description(axes: str, axis: int) -> list[str]:
-    """Return the description of one axis of a medium, ["y", "down"] of "x right, y down"; [] if missing."""
+    """Return the words that describe one axis of a medium.
+
+    The result for axis 1 of "x right, y down" is ["y", "down"]; it is [] if the axis is not described.
+    """
     parts = axes.lower().split(",")
     return parts[axis].split() if axis < len(parts) else []
 

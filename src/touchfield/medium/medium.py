@@ -1,7 +1,7 @@
-"""W_t: a haptic medium, a lazy sequence of force fields with metadata (paper section 4).
+"""Haptic media: lazy sequences of force fields with metadata (paper section 4).
 
-"The static W representation becomes a timeseries W_t." Frames are computed on access and not cached: a
-medium of a thousand frames takes no more memory than the frames that the caller keeps.
+In the paper's words, "the static W representation becomes a timeseries W_t". Frames are computed on access
+and not cached: a medium of a thousand frames takes no more memory than the frames that the caller keeps.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from touchfield.medium.pose_track import PoseTrack
 if TYPE_CHECKING:
     from touchfield.medium.cells import PlacedFields
 
-_AT_A_FRAME = 1e-6  # fraction of a frame period: a time this near to a frame is that of the frame
+_AT_A_FRAME = 1e-6  # fraction of a frame period within which a time counts as that of the frame
 MAX_FREQUENCY_HZ: Final = 10000.0  # as in ISO/IEC 23090-31
 
 
 @dataclass(frozen=True)
 class VibrationFrame:
-    """One instant of a vibration: the samples that vibrate, in raster order (x slowest, z fastest).
+    """One instant of a vibration: amplitude and frequency of the samples that vibrate.
 
-    positions : int32 [L, 3]; indices into the grid, each once, in raster order.
+    positions : int32 [L, 3]; indices into the grid, distinct, in raster order (x slowest, z fastest).
     amplitudes_n : float32 [L]; amplitude of the sine, newtons, positive.
     frequencies_hz : float32 [L]; above 0, up to `MAX_FREQUENCY_HZ`.
     Raises `InvalidArgument` if shapes or types are wrong, or a number is out of range.
@@ -71,7 +71,7 @@ class VibrationFrame:
 
     @classmethod
     def empty(cls, grid: Grid) -> VibrationFrame:
-        """The frame in which nothing vibrates."""
+        """Return the frame in which nothing vibrates."""
         none = np.zeros(0, np.float32)
         return cls(grid, np.zeros((0, 3), np.int32), none, none)
 
@@ -79,8 +79,9 @@ class VibrationFrame:
         return len(self.positions)
 
     def as_field(self) -> ForceField:
-        """The same as a sparse field whose three numbers are amplitude, frequency and zero: for looking it
-        up.
+        """Return a sparse field whose components are amplitude, frequency and zero.
+
+        It serves to look up the vibration at samples.
         """
         both = np.stack([self.amplitudes_n, self.frequencies_hz, np.zeros_like(self.amplitudes_n)], axis=1)
         return ForceField.from_support(self.grid, self.positions, both)
@@ -92,13 +93,13 @@ def _later(make: Callable[[int], Any], start: int, index: int) -> Any:
 
 @dataclass(frozen=True)
 class Segments:
-    """Runs of frames that were coded independently of earlier frames.
+    """Segments: runs of frames that are coded independently of earlier frames.
 
-    Raises `InvalidArgument` if the starts are none or out of order.
+    Raises `InvalidArgument` if there is no start, the first is not 0, or they do not ascend.
     """
 
-    starts: tuple[int, ...]  # the first frame of each, ascending from 0
-    k: float  # every force F of the source was decoded within max(F_0, k |F|) of it
+    starts: tuple[int, ...]  # first frame of each segment, ascending from 0
+    k: float  # every force F of the source is decoded with an error of at most max(F_0, k |F|)
     f0_n: float
 
     def __post_init__(self) -> None:
@@ -123,16 +124,16 @@ class HapticMedium(Picklable):
 
     grid : Grid; the lattice of every frame.
     rate_hz : float; frames a second.
-    make_frame : callable; ``make_frame(i) -> ForceField`` on `grid`, 0 <= i < frame_count; the same for the
-        same i.
-    axes : str; what x, y, z mean, for example "x right, y down, z forward".
+    make_frame : callable; ``make_frame(i) -> ForceField`` on `grid`, 0 <= i < frame_count; it returns equal
+        fields for equal i.
+    axes : str; directions of x, y, z, for example "x right, y down, z forward".
     friction, damping_n_s_per_m : float; coefficients mu and b, rendered by the receiver (paper section 3.2).
     tags : tuple of str; media tags of figure 1: "direct" or "symbolic".
-    provenance : mapping of str to str; where the medium comes from and what was done to it.
-    vibration : callable or None; ``vibration(i) -> VibrationFrame`` on `grid`, what vibrates beside the force
-        of a frame (paper section 6.4).
-    segments : Segments or None; of a medium whose coder keeps a mask; a receiver makes no step where one
-        starts.
+    provenance : mapping of str to str; source of the medium and the processing steps applied to it.
+    vibration : callable or None; ``vibration(i) -> VibrationFrame`` on `grid`: the vibration that accompanies
+        the forces of frame i (paper section 6.4).
+    segments : Segments or None; segments of a medium whose coder guarantees an error bound; a receiver
+        renders no step at the start of a segment.
     """
 
     grid: Grid
@@ -169,7 +170,9 @@ class HapticMedium(Picklable):
     def from_array(
         cls, forces_n: ArrayLike, grid: Grid, rate_hz: float = 30.0, axes: str = "x, y, z"
     ) -> HapticMedium:
-        """A medium of newtons [frame, nx, ny, nz, 3], or of one frame without the first axis.
+        """Make a medium of a dense array, newtons [frame, nx, ny, nz, 3].
+
+        The first axis may be missing for a single frame.
 
         Raises `InvalidArgument` if the shape is not the grid's, or a force is not finite.
         """
@@ -235,7 +238,9 @@ class HapticMedium(Picklable):
         )
 
     def at(self, time_s: float) -> ForceField:
-        """The field at a time in seconds: linear between two frames, the first or the last one beyond them.
+        """Return the field at a time in seconds, interpolated linearly between frames.
+
+        Before the first and after the last frame it is that frame.
 
         Raises `InvalidArgument` if the time is not finite.
         """
@@ -245,9 +250,10 @@ class HapticMedium(Picklable):
         return self[first].scaled(1 - weight) + self[second].scaled(weight)
 
     def sample_n(self, positions_m: ArrayLike, time_s: float = 0.0) -> Float32s:
-        """Force at points in metres [..., 3] and a time in seconds, newtons, float32 [..., 3]; see `at`.
+        """Return the force at points [..., 3] in metres, newtons, float32 [..., 3].
 
-        For many times take `touchfield.FieldSampler`, which keeps its frames.
+        `time_s` is in seconds; see `at`. `touchfield.FieldSampler`, which caches frames, is faster for many
+        times.
         """
         first, second, weight = self._frames_at(time_s)
         sampled = self[first].sample_n(positions_m)
@@ -268,7 +274,7 @@ class HapticMedium(Picklable):
     # filters and plots belong to higher packages, which register these functions (`touchfield.hooks`)
 
     def filtered(self, *filters: str) -> HapticMedium:
-        """Apply haptic filters given as text, such as "gaussian:sigma=2mm", one after the other.
+        """Apply haptic filters given as text, such as "gaussian:sigma=2mm", in order.
 
         Raises `InvalidArgument` if a filter is unknown or its text is invalid.
         """
@@ -276,7 +282,9 @@ class HapticMedium(Picklable):
         return medium
 
     def to_xarray(self) -> Any:
-        """Convert to an `xarray.Dataset`: ``forces_n`` float32 [t, x, y, z, component], axes in s and m.
+        """Convert to an `xarray.Dataset`.
+
+        It has ``forces_n``, float32 [t, x, y, z, component], with axes in s and m.
 
         Raises `MissingExtra` without xarray; `InvalidArgument` if the dense frames exceed
         `memory_budget_bytes`.
@@ -299,7 +307,9 @@ class HapticMedium(Picklable):
         return html
 
     def plot(self, path: str | Path | None = None) -> Any:
-        """Draw the forces from the front, the side and above as a matplotlib figure; also a PNG at `path`.
+        """Draw the forces from the front, the side and above, with matplotlib.
+
+        Returns the figure, and writes a PNG if `path` is given.
 
         Raises `MissingExtra` if matplotlib is not installed.
         """
@@ -308,10 +318,10 @@ class HapticMedium(Picklable):
 
 @dataclass(frozen=True)
 class HapticObject:
-    """A field in its body frame, and the pose of that frame over time."""
+    """A force field in its body frame, and the pose of that frame over time."""
 
     name: str
-    medium: HapticMedium  # one frame for a rigid object; a frame for each of the scene for one that deforms
+    medium: HapticMedium  # one frame for a rigid object; for a deforming one, as many as the scene
     track: PoseTrack  # scene from body, one pose for each frame of the scene
 
     @property
@@ -326,16 +336,16 @@ class HapticObject:
 
 @dataclass(frozen=True)
 class HapticScene(Picklable):
-    """Haptic objects and empty space over time.
+    """Haptic objects over time; the space between them is empty.
 
-    grid : Grid; the device's lattice over the workspace, for `voxelise`; objects may reach beyond it.
+    grid : Grid; lattice of the device over the workspace, used by `voxelise`; objects may extend beyond it.
     force_max_n : float; F_max, to which the sum of overlapping objects is clipped.
-    surface_damping_n_s_per_m : float; b of a moving surface: where an object has a force, b times the
-        velocity of the body there is added to it (with the receiver's damping b this makes F_d = -b (v_hand -
-        v_surface)).
-    axes, friction, damping_n_s_per_m, tags, provenance; As of `HapticMedium`.
-    file_bytes : int or None; the length of the file that it comes from, bytes: it bounds what `voxelise` does
-        on the scene's own grid.
+    surface_damping_n_s_per_m : float; damping b of a moving surface: where an object has a force, b times the
+        velocity of the body at that point is added to it. With the receiver's damping b this gives F_d = -b
+        (v_hand - v_surface).
+    axes, friction, damping_n_s_per_m, tags, provenance; as in `HapticMedium`.
+    file_bytes : int or None; length of the file that the scene was read from, bytes; it limits the work of
+        `voxelise` on the scene's own grid.
     """
 
     grid: Grid
@@ -383,7 +393,8 @@ class HapticScene(Picklable):
     def between(self, start: int, stop: int) -> HapticScene:
         """Return frames start to stop - 1 as a scene.
 
-        Velocities follow from its own poses: one-sided at the first and last frame, zero for a single frame.
+        Velocities are computed from the poses of the new scene: one-sided at its first and last frame, zero
+        for a single frame.
         """
 
         def cut(scene_object: HapticObject) -> HapticObject:
@@ -395,19 +406,19 @@ class HapticScene(Picklable):
         return replace(self, objects=tuple(map(cut, self.objects)))
 
     def sample_n(self, frame: int, positions_m: ArrayLike) -> Float32s:
-        """Force at points of the scene in metres [..., 3], newtons, float32 [..., 3]: the receiver's own
-        query.
+        """Return the force at points of the scene, newtons, float32 [..., 3].
 
-        Each object's field is interpolated in its own frame as `ForceField.sample_n` does.
+        `positions_m` [..., 3] is in metres. This is the query that a receiver makes. The field of each object
+        is interpolated in its body frame, as `ForceField.sample_n` does.
         """
         return self._placed.sample_n(frame, positions_m)
 
     def voxelise(self, grid: Grid | None = None) -> HapticMedium:
-        """The voxel representation: a lazy medium on `grid` (by default the scene's own).
+        """Return the voxel representation: a lazy medium on `grid`.
 
-        Each sample is `sample_n` at its point. On its own grid a frame of a scene from a file raises
-        CorruptFile where its objects reach more bricks than the bytes of the file justify
-        (docs/format/objects.md).
+        The default is the scene's own grid. Each sample equals `sample_n` at its position. For a scene from a
+        file, on its own grid, a frame raises `CorruptFile` if its objects reach more bricks than the size of
+        the file justifies (docs/format/objects.md).
         """
         lattice, placed = self.grid if grid is None else grid, self._placed
         file_bytes = self.file_bytes if lattice == self.grid else None

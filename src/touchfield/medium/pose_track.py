@@ -1,7 +1,9 @@
-"""The motion of a rigid body: one pose a frame (paper section 4.3, the "object" source model).
+"""The motion of a rigid body: one pose for each frame (paper section 4.3).
 
-A pose takes points of the body's own frame into the scene: x_scene = R x_body + t. Rotations are unit
-quaternions (w, x, y, z) or matrices, vectorised, computed by SciPy's `Rotation`.
+This is the paper's "object" source model.
+
+A pose maps points from the body frame to the scene: x_scene = R x_body + t. Rotations are unit quaternions
+(w, x, y, z) or matrices, vectorised, computed by SciPy's `Rotation`.
 """
 
 from __future__ import annotations
@@ -16,16 +18,17 @@ from touchfield.arrays import EqualByValue, Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import frozen
 
-_UNIT = 1e-3  # tolerance of a quaternion's length: what three digits in a text file give
+_UNIT = 1e-3  # tolerance of a quaternion's length: the rounding of three digits in a text file
 
 
 @dataclass(frozen=True, eq=False)
 class PoseTrack(EqualByValue):
-    """Rigid poses over time, one a frame.
+    """Rigid poses over time, one for each frame.
 
-    quaternions : float64 [n, 4]; unit quaternions (w, x, y, z) of the rotations R; made exactly unit, and of
-        two that mean the same rotation the one nearer to the frame before (the first has w >= 0).
-    positions_m : float64 [n, 3]; t, where the body's origin lies, metres.
+    quaternions : float64 [n, 4]; unit quaternions (w, x, y, z) of the rotations R. They are normalised, and
+        of the two quaternions of a rotation the one nearer to the previous frame is stored (the first has w
+        >= 0).
+    positions_m : float64 [n, 3]; t, position of the body's origin in the scene, metres.
     Raises `InvalidArgument` if shapes differ, a number is not finite, or a quaternion is not of length 1 +-
     0.001.
     """
@@ -76,25 +79,26 @@ class PoseTrack(EqualByValue):
         return bool((poses == poses[0]).all())
 
     def rotation(self, frame: int) -> Float64s:
-        """R of one frame, float64 [3, 3]."""
+        """Return R of one frame, float64 [3, 3]."""
         return rotation_matrices(self.quaternions[frame])
 
     def rotations(self, frames: slice = slice(None)) -> Float64s:
-        """R of each frame, float64 [n, 3, 3]."""
+        """Return R of each frame, float64 [n, 3, 3]."""
         return rotation_matrices(self.quaternions[frames])
 
     def to_scene(self, points_m: ArrayLike, frame: int) -> Float64s:
-        """Points of the body [..., 3] in the scene, metres."""
+        """Convert points [..., 3] from the body frame to the scene, metres."""
         return np.asarray(np.asarray(points_m, np.float64) @ self.rotation(frame).T + self.positions_m[frame])
 
     def to_body(self, points_m: ArrayLike, frame: int) -> Float64s:
-        """Points of the scene [..., 3] in the body's frame, metres."""
+        """Convert points [..., 3] from the scene to the body frame, metres."""
         return np.asarray((np.asarray(points_m, np.float64) - self.positions_m[frame]) @ self.rotation(frame))
 
     def velocities(self, rate_hz: float) -> tuple[Float64s, Float64s]:
-        """Velocity of the body's origin, m/s, and angular velocity in the scene, rad/s, each float64 [n, 3].
+        """Return linear and angular velocity in the scene, each float64 [n, 3].
 
-        Central differences; one-sided at both ends, zero for a single frame.
+        The velocity is that of the body's origin, m/s; the angular velocity is in rad/s. They are central
+        differences, one-sided at both ends, and zero for a single frame.
         """
         n = len(self)
         if n == 1:
@@ -106,17 +110,20 @@ class PoseTrack(EqualByValue):
         return velocity, rotations / dt[:, None]
 
     def scaled(self, scale: float, offset_m: ArrayLike = (0.0, 0.0, 0.0)) -> PoseTrack:
-        """The track after x -> scale * (x - offset), the body's own frame scaled alike."""
+        """Return the track after x -> scale * (x - offset).
+
+        The body frame is scaled by the same factor.
+        """
         return PoseTrack(self.quaternions, scale * (self.positions_m - np.asarray(offset_m, np.float64)))
 
     def between(self, start: int, stop: int) -> PoseTrack:
-        """Frames start to stop - 1."""
+        """Return frames start to stop - 1."""
         if not 0 <= start < stop <= len(self):
             raise InvalidArgument("frames", f"{start}:{stop}", f"a range within 0:{len(self)}")
         return PoseTrack(self.quaternions[start:stop], self.positions_m[start:stop])
 
 
-_ORTHONORMAL: Final = 1e-6  # tolerance of R^T R against the unit matrix
+_ORTHONORMAL: Final = 1e-6  # tolerance of the difference of R^T R and the identity
 
 
 def _rotation(quaternions: Float64s) -> Any:
@@ -126,7 +133,9 @@ def _rotation(quaternions: Float64s) -> Any:
 
 
 def slerp(first: Float64s, second: Float64s, weight: Float64s) -> Float64s:
-    """Interpolate unit quaternions [n, 4] along the shorter arc at constant angular velocity, float64 [n, 4].
+    """Interpolate unit quaternions [n, 4] along the shorter arc, float64 [n, 4].
+
+    The angular velocity is constant.
 
     `weight` float64 [n] is 0 at the first and 1 at the second. The order of the components does not matter.
     """
@@ -138,25 +147,31 @@ def slerp(first: Float64s, second: Float64s, weight: Float64s) -> Float64s:
 
 
 def rotation_vectors(before: Float64s, after: Float64s) -> Float64s:
-    """Return the rotation vectors from quaternions to others, float64 [n, 3]: axis times angle, rad."""
+    """Return the rotation vectors (axis times angle, rad) between quaternions."""
     return np.asarray((_rotation(after) * _rotation(before).inv()).as_rotvec())
 
 
 def rotation_matrices(quaternions: Float64s) -> Float64s:
-    """The matrices R of unit quaternions float64 [..., 4], float64 [..., 3, 3]."""
+    """Return the matrices R of unit quaternions [..., 4], float64 [..., 3, 3]."""
     matrices: Float64s = _rotation(quaternions.reshape(-1, 4)).as_matrix()
     return matrices.reshape(*quaternions.shape[:-1], 3, 3)
 
 
 def quaternions_of(matrices: Float64s) -> Float64s:
-    """The inverse of `rotation_matrices` but for the sign, float64 [n, 4], of rotations float64 [n, 3, 3]."""
+    """Return unit quaternions of rotation matrices [n, 3, 3], float64 [n, 4].
+
+    This is the inverse of `rotation_matrices` up to the sign of each quaternion.
+    """
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(matrices).as_quat(scalar_first=True))
 
 
 def checked_rotation(matrix: ArrayLike, where: str = "rotation") -> Float64s:
-    """A rotation, float64 [3, 3]; `InvalidArgument` for any other matrix."""
+    """Return a checked rotation matrix, float64 [3, 3].
+
+    Raises `InvalidArgument` if the matrix is not a rotation.
+    """
     turn = np.asarray(matrix, np.float64)
     if turn.shape != (3, 3) or not np.isfinite(turn).all():
         raise InvalidArgument(where, f"shape {turn.shape}", "a finite matrix of 3 by 3")

@@ -11,7 +11,10 @@ from touchfield.medium.medium import HapticMedium
 
 
 def evenly_spaced(count: int, maximum: int) -> list[int]:
-    """Return at most `maximum` indices below `count`, evenly spaced, with the first and the last."""
+    """Return at most `maximum` indices below `count`, evenly spaced.
+
+    The first and the last index are included.
+    """
     indices: list[int] = np.unique(
         np.linspace(0, count - 1, min(maximum, count)).round().astype(int)
     ).tolist()

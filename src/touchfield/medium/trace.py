@@ -1,18 +1,18 @@
 """A recorded interaction: positions of a probe over time, and its text file.
 
-No standard exists, so the file is comma-separated text as every tool writes it. Its first line names the
-columns, with units, in any order; other columns are ignored::
+There is no standard format, so the file is comma-separated text. Its first line names the columns, with
+units, in any order; other columns are ignored::
 
     t_s,x_m,y_m,z_m,force_n
     0.000,0.0112,-0.0340,0.0051,0.42
     0.001,0.0113,-0.0341,0.0051,0.44
 
 A recorded contact also has the force on the probe: ``fx_n``, ``force_x_n`` or ``field_x_n`` and so on, in N
-or mN; if there are several, as in the log of a play, the field's is used. Columns ``qw,qx,qy,qz``, all four
-or none, are the orientation of the probe: a quaternion, normalised when read.
-``x_mm``, ``x [mm]`` and ``x (mm)`` mean the same, as do ``t_s`` and ``time_s``; lengths in m, cm, mm or um,
-time in s, ms, us or ns. Time may be left out. Semicolons or tabs may stand for the commas; empty lines, and
-lines that begin with ``#``, are skipped.
+or mN; if there are several, as in the log of a playback, ``field_...`` is used. Columns ``qw,qx,qy,qz``, all
+four or none, are the orientation of the probe: a quaternion, normalised when read. ``x_mm``, ``x [mm]`` and
+``x (mm)`` mean the same, as do ``t_s`` and ``time_s``; lengths in m, cm, mm or um, time in s, ms, us or ns.
+Time may be left out. Semicolons or tabs may separate columns instead of commas; empty lines, and lines that
+begin with ``#``, are skipped.
 """
 
 from __future__ import annotations
@@ -55,10 +55,12 @@ _FORCE: Final = re.compile(r"(f|force|field)_?([xyz])(?:[_ \[(]+(m?n)[ \])]*)?")
 class Trace(EqualByValue):
     """A probe's path over time, in the axes of the field.
 
-    times_s : float64 [n]; seconds, never falling; 0 is the beginning of the medium.
+    times_s : float64 [n]; seconds, not decreasing; 0 is the start of the medium.
     positions_m : float64 [n, 3]
-    quaternions : float64 [n, 4] or None; how the probe was turned, w, x, y, z of length 1; None: not at all.
-    Raises `InvalidArgument` if there is no sample, shapes differ, a number is out of range, or time falls.
+    quaternions : float64 [n, 4] or None; orientation of the probe, unit quaternions (w, x, y, z); None if it
+        is not rotated.
+    Raises `InvalidArgument` if there is no sample, shapes differ, a number is out of range, or time
+    decreases.
     """
 
     times_s: Float64s
@@ -92,7 +94,7 @@ class Trace(EqualByValue):
 
     @classmethod
     def regular(cls, positions_m: ArrayLike, rate_hz: float = HAPTIC_RATE_HZ) -> Trace:
-        """From positions [n, 3] in metres at equal distances in time, the first at 0 s."""
+        """Make a trace of positions [n, 3], metres, at a constant rate from 0 s on."""
         p = np.asarray(positions_m, np.float64)
         require_positive(rate_hz=rate_hz)
         return cls(np.arange(len(p)) / rate_hz, p)
@@ -121,8 +123,9 @@ def read_trace(path: Path | str, rate_hz: float = HAPTIC_RATE_HZ) -> Trace:
     """Read a trace of the form above.
 
     rate_hz : float; samples per second of a file without a time column.
-    Raises `SourceError` if the file cannot be read, a column or a unit is missing, a line holds something
-    else than finite numbers or goes back in time, or there is no sample or more than 2^24. It names the line.
+    Raises `SourceError` if the file cannot be read, a column or a unit is missing, a line contains anything
+    but finite numbers or goes back in time, or there is no sample or more than 2^24. The error names the
+    line.
     """
     where = Path(path)
     require_positive(rate_hz=rate_hz)
@@ -151,9 +154,9 @@ def read_trace(path: Path | str, rate_hz: float = HAPTIC_RATE_HZ) -> Trace:
 
 
 def read_contacts(path: Path | str) -> ContactTrace:
-    """Read positions and forces of a trace of the form above; times do not matter.
+    """Read positions and forces of a trace of the form above; times are ignored.
 
-    Raises `SourceError` as `read_trace`, and if a column of force is missing.
+    Raises `SourceError` as `read_trace` does, or if a column of force is missing.
     """
     rows, _, columns = _table(Path(path), _FORCES)
     values = rows * columns.factors
@@ -161,7 +164,7 @@ def read_contacts(path: Path | str) -> ContactTrace:
 
 
 def has_forces(path: Path) -> bool:
-    """True if the first line of a file names positions and forces as a trace does."""
+    """Return True if the first line of a file names columns of positions and forces."""
     try:
         with path.open(encoding="utf-8-sig", errors="replace", newline=None) as file:
             _columns(next(_lines(file, str(path)), None), str(path), _FORCES)
@@ -171,7 +174,7 @@ def has_forces(path: Path) -> bool:
 
 
 def _table(where: Path, forces: tuple[str, ...]) -> tuple[Float64s, Int64s, _Columns]:
-    """The wanted columns, the line of each row, and what the columns are."""
+    """Return the required columns, the line number of each row, and their description."""
     require_plain(where, "a trace file")
     with (
         readable(where, "a trace file", "Check path and rights."),
@@ -273,7 +276,7 @@ def _numbers(chunk: list[tuple[int, str]], columns: _Columns, where: str) -> Flo
 
 
 def _fault(chunk: list[tuple[int, str]], columns: _Columns, where: str) -> SourceError:
-    """The error of the first line of a chunk that is wrong."""
+    """Return the error for the first invalid line of a chunk."""
     for number, text in chunk:
         location, cells = f"{where} line {number}", text.split(columns.delimiter)
         if len(cells) <= max(columns.columns):

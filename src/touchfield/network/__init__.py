@@ -1,4 +1,4 @@
-"""Streams over the network: files from a server, live with loss, and beside sound and picture."""
+"""Streams over the network: served files, live streams, and movies with touch."""
 
 from touchfield._lazy import lazy_attributes
 

@@ -1,6 +1,4 @@
-"""Who may read over the network, and how a web application here is run; the same for files and for what is
-live.
-"""
+"""Access control and operation of web servers, for files and for live streams."""
 
 from __future__ import annotations
 
@@ -31,7 +29,7 @@ _PAGE_HEADERS: Final = {
     "X-Frame-Options": "SAMEORIGIN",
 }
 _PATIENCE_S: Final = 10.0
-_ENDING_S: Final = 2.0  # half of what answers that are under way may take once a server ends
+_ENDING_S: Final = 2.0  # half of the time that running answers may take when a server ends
 _CONNECTION_LIMIT: Final = 1 << 15
 _MAX_BUSY: Final = 4096
 """Maximum number of concurrent answers and live receivers; further requests get status 503."""
@@ -39,22 +37,22 @@ _MAX_BUSY: Final = 4096
 
 @dataclass(frozen=True)
 class Access:
-    """Address of a server, and who may read.
+    """Address of a server, and the clients that may read.
 
     Raises InvalidArgument if a non-loopback address requires no token, or a value is out of range.
 
     Parameters
     ----------
     host : str
-        Address to listen at; beyond loopback only with a token, or open to all.
+        Address to listen at. An address that is not loopback needs a token or `is_open`.
     port : int
-        0 takes a free one.
+        Port; 0 selects a free one.
     token : str or None
-        Word that a client must bring: ``?token=WORD``, or as a bearer.
+        Secret that a client must send, as ``?token=WORD`` or as a bearer token.
     is_open : bool
         Whether anyone who reaches the address may read, without a token.
     origins : tuple of str
-        Web pages elsewhere that may read too (CORS), such as https://example.org; "*" for all.
+        Origins whose web pages may also read (CORS), such as https://example.org; "*" for all.
     """
 
     host: str = "127.0.0.1"
@@ -94,13 +92,16 @@ class Access:
         }
 
     def is_stranger(self, request: web.Request) -> bool:
-        """Return True for a WebSocket request of an origin that may not read (CORS does not cover it)."""
+        """Return True for a WebSocket request of an origin that may not read.
+
+        The check is needed because CORS does not cover WebSockets.
+        """
         origin = request.headers.get("Origin", "")
         return bool(origin) and urlsplit(origin).netloc != request.host and not self.cors(request)
 
 
 def guarded(access: Access) -> web.Application:
-    """Return a web application that refuses unauthorised requests and limits concurrent answers."""
+    """Return a web application that checks access and limits concurrent answers."""
     busy = 0
 
     @web.middleware
@@ -111,7 +112,7 @@ def guarded(access: Access) -> web.Application:
         if busy >= _MAX_BUSY:
             return web.Response(status=503, text="busy", headers={"Retry-After": "1"})
         if _is_loopback(access.host) and not _is_loopback(request.url.host or ""):
-            return web.Response(status=403, text="this name is not that of this machine")  # a name bound anew
+            return web.Response(status=403, text="this name is not that of this machine")  # DNS rebinding
         if "Upgrade" in request.headers and access.is_stranger(request):
             return web.Response(status=403, text="a page elsewhere, which may not read")
         if request.method == "OPTIONS":
@@ -129,7 +130,10 @@ def guarded(access: Access) -> web.Application:
 
 @asynccontextmanager
 async def dropped_unless_read(request: web.BaseRequest, seconds: float) -> AsyncIterator[None]:
-    """A client that is left, with `ClientDropped`, where it takes longer to read what is sent within."""
+    """Disconnect a client that takes longer than `seconds` to read what the block sends.
+
+    Raises `ClientDropped` in that case.
+    """
     try:
         async with asyncio.timeout(seconds):
             yield
@@ -144,7 +148,10 @@ class ClientDropped(ConnectionResetError):
 
 
 class Pages(NamedTuple):
-    """Pages for a browser: `outer` fetches from its server what `inner`, in its frame, shows."""
+    """Pages for a browser.
+
+    `outer` fetches data from its server, and `inner`, in a frame of it, shows them.
+    """
 
     outer: str
     inner: str
@@ -168,7 +175,7 @@ def add_pages(application: web.Application, pattern: str, pages: Pages | None) -
 async def run(
     application: web.Application, access: Access, ready: Callable[[str], None], stop: asyncio.Event
 ) -> None:
-    """Run a web application until the event `stop`; `ready` gets its address.
+    """Run a web application until the event `stop`; `ready` is called with its address.
 
     A connection without a request within ten seconds is closed. At most seven eighths of the file descriptors
     of the process are used; further connections are closed immediately.
@@ -199,7 +206,7 @@ async def run(
             return _Refusal()
         connection = answering()
         newcomers.append(connection)
-        loop.call_soon(newcomers.popleft)  # and next to it the connection is among the others
+        loop.call_soon(newcomers.popleft)  # by then the connection is in `answering.connections`
         loop.call_later(_PATIENCE_S, leave, connection)
         return connection
 
@@ -222,12 +229,12 @@ async def run(
 
 
 class Background(ABC):
-    """A web application that runs in a thread of its own while a block lasts.
+    """A web application that runs in its own thread; a context manager.
 
     Attributes
     ----------
     address : str
-        Host and port, once it is entered.
+        Host and port, once the context is entered.
     """
 
     def __init__(self, access: Access, pages: Pages | None = None) -> None:
@@ -250,7 +257,7 @@ class Background(ABC):
 
     @abstractmethod
     def _application(self) -> web.Application:
-        """The web application."""
+        """Return the web application."""
 
     def _run(self) -> None:
         try:
@@ -267,7 +274,7 @@ class Background(ABC):
 
 
 class _Refusal(asyncio.Protocol):
-    """A connection beyond the limit."""
+    """A connection that exceeds the limit."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Close it."""
@@ -279,7 +286,7 @@ def _max_connections() -> int:
     """Return the maximum number of connections: seven eighths of the open files that a process may have."""
     try:
         import resource
-    except ImportError:  # of a system that has no such limit
+    except ImportError:  # Windows has no such limit
         return 8192
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     unbounded = resource.RLIM_INFINITY

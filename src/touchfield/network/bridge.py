@@ -1,4 +1,4 @@
-"""Server of a page that shows a hand on a device: the file it plays, and its position at 60 Hz."""
+"""Server of a page that shows a file and the hand that plays it, at 60 Hz."""
 
 from __future__ import annotations
 

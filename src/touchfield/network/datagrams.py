@@ -1,9 +1,9 @@
-"""Messages over an unreliable network: interleaved datagrams with forward error correction.
+"""Messages as interleaved datagrams with forward error correction.
 
 A message (`touchfield.network.live`) is cut into symbols, to which RaptorQ (RFC 6330) adds repair symbols.
-Any set of as many symbols as the original, rarely one or two more, restores it. The datagrams of a message
-are spread over the time of the following messages, so that a burst of losses takes a few of each. This module
-uses no sockets.
+Any set of as many symbols as the message has, rarely one or two more, restores it. The datagrams of a message
+are spread over the time of the following messages, so that a burst of losses hits only a few of each. This
+module uses no sockets.
 
 A datagram: magic, stream u32, number u32, bytes of the message u32, bytes of a symbol u16, CRC-32 of the rest
 u32, then RaptorQ's packet of 4 bytes and a symbol.
@@ -44,20 +44,20 @@ MAX_OPEN: Final = 24
 """Maximum number of incomplete messages."""
 
 _MAX_WAITING_BYTES: Final = 1 << 27
-"""Maximum size of the incomplete messages in bytes; beyond it the oldest is given up."""
+"""Maximum total size of the incomplete messages in bytes; above it the oldest is given up."""
 
 _SILENT_S: Final = 2.0
 
 
 class Datagrams:
-    """The sending end.
+    """Sending end: converts messages to datagrams.
 
     Parameters
     ----------
     stream : int
-        Names this stream among others that may come to the same place, 0 to 2^32 - 1.
+        Identifier of this stream among others that may reach the same receiver, 0 to 2^32 - 1.
     repair : float
-        Repair symbols, share of the others; InvalidArgument if it is not 0 to 4.
+        Number of repair symbols as a fraction of the other symbols; InvalidArgument if it is not 0 to 4.
     """
 
     def __init__(self, stream: int, repair: float = 0.22) -> None:
@@ -67,7 +67,10 @@ class Datagrams:
         self._waiting: deque[list[list[bytes]]] = deque()
 
     def add(self, message: bytes) -> list[bytes]:
-        """Add a message; return the datagrams to be sent now: some of it, and some of earlier messages."""
+        """Add a message; return the datagrams to be sent now.
+
+        These are parts of this message and of earlier ones.
+        """
         if not 0 < len(message) <= MAX_BYTES:
             raise InvalidArgument("message", f"{len(message)} bytes", f"1 to {MAX_BYTES}")
         symbol = min(max(-(-len(message) // _SYMBOLS), _MIN_SYMBOL), _MAX_SYMBOL) // 8 * 8
@@ -89,7 +92,7 @@ class Datagrams:
     def _due(self) -> list[bytes]:
         turns = zip_longest(
             *(parts.pop(0) for parts in self._waiting)
-        )  # one of each in turn: bursts are shared
+        )  # interleaved, so that messages share bursts of losses
         datagrams = [datagram for turn in turns for datagram in turn if datagram is not None]
         while self._waiting and not self._waiting[0]:
             self._waiting.popleft()
@@ -125,9 +128,9 @@ class _Part:
 class Gathering:
     """The receiving end of one stream: datagrams in, messages out in order.
 
-    The first stream received is followed; if none of its datagrams has come for two seconds, another stream
-    may replace it. A single forged datagram costs one message: a switch to another stream, or to a number
-    more than `_SPREAD` above the newest or `MAX_OPEN` below it, must be confirmed by a second datagram, and a
+    The first stream received is used; another stream may replace it after two seconds without any of its
+    datagrams. A single forged datagram costs one message: a switch to another stream, or to a number more
+    than `_SPREAD` above the newest or `MAX_OPEN` below it, must be confirmed by a second datagram, and a
     stream has one opening. If the forged datagram is the first of all, it costs as many messages as may be
     incomplete, or the first two seconds.
 
@@ -136,14 +139,14 @@ class Gathering:
     max_open : int
         Maximum number of incomplete messages, 1 to 24; fewer if another layer covers losses.
     clock_s : callable
-        Seconds.
+        Clock; returns seconds.
 
     Attributes
     ----------
     refused : int
         Number of datagrams that were damaged or of another stream.
     lost : int
-        Messages that were given up.
+        Number of messages that were given up.
     """
 
     def __init__(self, max_open: int = MAX_OPEN, clock_s: Callable[[], float] = time.monotonic) -> None:

@@ -65,7 +65,7 @@ class Opened:
 
 @dataclass(frozen=True)
 class LiveSegment:
-    """Frames that can be decoded: the body of a segment, and its vibration."""
+    """A segment that can be decoded: its body, and its vibration."""
 
     first_frame: int
     frame_count: int
@@ -74,13 +74,13 @@ class LiveSegment:
 
     @property
     def stop(self) -> int:
-        """The first frame behind it."""
+        """The frame after its last one."""
         return self.first_frame + self.frame_count
 
 
 @dataclass(frozen=True)
 class Lost:
-    """Frames that had not come when later ones did."""
+    """Frames that were missing when later ones arrived."""
 
     first_frame: int
     frame_count: int
@@ -104,7 +104,7 @@ Event = Opened | LiveSegment | Lost | Refused | Ended
 class LiveReceiver:
     """The receiving end of a live stream.
 
-    With `is_open` anyone may send, as with datagrams: then a single message cannot move the position far.
+    With `is_open` anyone may send, as with datagrams; a single message then cannot move the position far.
     """
 
     def __init__(self, is_open: bool = False) -> None:
@@ -115,7 +115,10 @@ class LiveReceiver:
         self._doubted: LiveSegment | None = None
 
     def receive(self, message: bytes) -> list[Event]:
-        """Take a message and return its events; an invalid message is an event too, and nothing is raised."""
+        """Take a message and return its events.
+
+        An invalid message yields the event `Refused`; no error is raised.
+        """
         try:
             return self._events(message)
         except FormatError as error:
@@ -195,9 +198,11 @@ def _read_records(source: ByteSource, offset: int, layouts: tuple[type, ...]) ->
 
 
 def file_of(opening: bytes, message: bytes) -> bytes:
-    """Return a segment as a ``.touch`` file, whose frames start at 0, for decoders that only read files.
+    """Return a segment as a ``.touch`` file, for decoders that only read files.
 
-    Raises FormatError if the opening or the message is at fault.
+    Its frames start at 0.
+
+    Raises FormatError if the opening or the message is invalid.
     """
     live, segment, file = _parse_opening(opening), _parse_segment(message), io.BytesIO()
     with TouchWriter(file) as writer:
@@ -238,7 +243,7 @@ class Subscriber:
 
 
 class LiveSender:
-    """The sending end: takes segments from an encoder and provides messages to any number of receivers.
+    """Sending end: takes segments and provides messages to any number of receivers.
 
     Thread-safe: one thread may encode while another sends.
     """
@@ -296,7 +301,7 @@ class LiveSender:
                 return self.opening or None
             if receiver._next < self._count:
                 oldest = self._latest[0][0]
-                if receiver._next < oldest:  # too slow: on to the newest
+                if receiver._next < oldest:  # too slow: continue with the newest segment
                     receiver.skipped += self._count - 1 - receiver._next
                     receiver._next = self._count - 1
                 message = self._latest[receiver._next - oldest][2]
@@ -308,7 +313,7 @@ class LiveSender:
             return None
 
     def manifest(self) -> dict[str, Any]:
-        """Return the latest segments for HTTP receivers, by stable keys."""
+        """Return the latest segments for HTTP receivers; the keys are stable."""
         with self._lock:
             segments = [
                 {
@@ -341,9 +346,10 @@ def write_message(file: IO[bytes], message: bytes) -> None:
 
 
 def messages(file: IO[bytes], name: str) -> Iterator[bytes]:
-    """Yield the messages of a pipe up to its end, which may come before that of the stream.
+    """Yield the messages of a pipe up to its end.
 
-    Raises SourceError if it ends within a message, or a message is too long to be one.
+    The pipe may end before the stream. Raises SourceError if it ends within a message, or a message exceeds
+    the maximum length.
     """
     while length := read_up_to(file, _LENGTH.size):
         count = _LENGTH.unpack(length)[0] if len(length) == _LENGTH.size else MAX_BYTES + 1

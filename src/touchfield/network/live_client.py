@@ -1,6 +1,8 @@
-"""Client of a live stream: messages by WebSocket, manifest, datagrams or a pipe become a medium.
+"""Client of a live stream, by WebSocket, manifest, datagrams or a pipe.
 
-A connection that ends is made again; what was missed meanwhile is lost and reported.
+It makes a medium of the messages.
+
+The client reconnects when a connection ends; frames that it missed are lost, and this is reported.
 """
 
 from __future__ import annotations
@@ -27,14 +29,14 @@ _POLL_S: Final = 0.05
 _ANSWER_S: Final = 10.0
 _HINT: Final = "Check the address, and that it is on."
 _MAX_MANIFEST_BYTES: Final = 1 << 16
-_COARSE_WAIT_S: Final = 5.0  # so long a coarse layer is waited for, once its stream has opened
+_COARSE_WAIT_S: Final = 5.0  # time to wait for a coarse layer once the stream has opened
 
 
 @contextmanager
 def open_live(
     url: str, report: Callable[[str], None] = lambda note: None, coarse: str | None = None
 ) -> Iterator[LiveStream]:
-    """Open a live stream; it is received in a thread until the block ends.
+    """Open a live stream, which is received in a thread until the block ends.
 
     `coarse` is the address of its coarse layer, which replaces frames of the stream that are lost or late. If
     that layer has not started some seconds after the stream, this is reported and the stream is played alone.
@@ -52,7 +54,7 @@ def open_live(
 
 
 class _Client:
-    """Receives a stream in a thread while a block lasts."""
+    """Receiver of a stream in a thread; a context manager."""
 
     def __init__(
         self, url: str, report: Callable[[str], None], coarse: _Client | None = None, is_layered: bool = False
@@ -76,7 +78,7 @@ class _Client:
     def __exit__(self, *_: object) -> None:
         with suppress(RuntimeError):
             self._loop.call_soon_threadsafe(lambda: self._task and self._task.cancel())
-        self._thread.join(0.1 if self._url == "-" else 5)  # nothing ends the wait for a pipe
+        self._thread.join(0.1 if self._url == "-" else 5)  # waiting for a pipe cannot be interrupted
 
     def stream(self) -> LiveStream:
         """Wait for the first segment and return the stream."""
@@ -93,7 +95,7 @@ class _Client:
         """Return the frames of the coarse layer; None, after a report, if it does not start."""
         if self._has_segment.wait(_COARSE_WAIT_S) and self._frames is not None:
             return self._frames
-        if not isinstance(self._error, SourceError):  # what was asked cannot be
+        if not isinstance(self._error, SourceError):  # the request itself is invalid
             raise self._error
         report(f"without its coarse layer: {self._error}")
         self.__exit__()
@@ -129,7 +131,7 @@ class _Client:
                 elif event.head == self._frames.opened.head:
                     self._report("another programme begins")
                     self._frames.start_programme()
-                else:  # who plays the old one opens anew
+                else:  # a player of the previous programme must open the stream again
                     raise SourceError(
                         self._name, "another programme", "the one that was opened", "Open it again."
                     )
@@ -162,7 +164,7 @@ class _Client:
                     found = reason(error)
                     if isinstance(
                         error, aiohttp.ClientResponseError
-                    ):  # whose text has the address, with its word
+                    ):  # its text contains the address with the token
                         found = f"{error.status} {error.message}"
                 latest_s = -math.inf if self._frames is None else self._frames.received_s
                 silent_s = time.monotonic() - latest_s

@@ -1,9 +1,9 @@
-"""A live stream as a medium that a renderer plays; access to a frame waits until it has come.
+"""A live stream as a medium; access to a frame waits until it has arrived.
 
-Frame 0 is the first of the segment with which the receiver joined. If play falls behind what the sender still
-has, it is moved on to the newest segment. A lost frame has no force, so that the force eases out and in again
-within the renderer's slew limit. If a coarse layer is received too, its frame replaces one that is lost or
-late; the force changes over within the same limit.
+Frame 0 is the first frame of the segment with which the receiver joined. If playback falls behind the
+segments that are kept, it continues with the newest segment. A lost frame has no force; the renderer's slew
+limit makes the force fade out and in again. If a coarse layer is received as well, its frames replace frames
+that are lost or late, and the same limit smooths the change.
 """
 
 from __future__ import annotations
@@ -48,21 +48,21 @@ FORGETTING: Final = 0.2
 repeated delays do."""
 
 RESET_BEYOND_S: Final = 1.0
-"""If a segment comes this much earlier, a clock jumped or a stall is over: the estimate is reset."""
+"""The estimate is reset if a segment is this much earlier, after a jump of a clock or a stall."""
 
 MARGIN_S: Final = 0.03
 """Jitter margin: how much later the next segment may come and still be in time."""
 
 SEEK_BEYOND_S: Final = 0.25
-"""If play lags by more it seeks; otherwise its speed is adjusted."""
+"""Playback seeks if it lags by more; otherwise its speed is adjusted."""
 
 MAX_SPEED_CHANGE: Final = 0.1
 
 MAX_LAYER_LAG_S: Final = 0.25
-"""Maximum lag of a layer behind the other for which play waits."""
+"""Maximum lag of one layer behind the other for which playback waits."""
 
 LAYER_LOST_S: Final = 1.0
-"""A layer this far behind the other is ignored in the timing of play."""
+"""A layer this far behind the other is ignored in the timing of playback."""
 
 _MAX_LOOKAHEAD: Final = 1 << 12
 """Access to a frame this far after the newest raises an error."""
@@ -81,36 +81,39 @@ class _Decoded(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Bytes of its fields."""
+        """Size of its fields in bytes."""
         return sum(field.forces_n.nbytes for field in {id(field): field for field in self.fields}.values())
 
 
 class LiveFrames:
-    """``frames(i) -> ForceField``, from events of a `LiveReceiver`; safe to use from several threads.
+    """Frames of a live stream, from events of a `LiveReceiver`; thread-safe.
+
+    ``frames(i)`` returns the `ForceField` of frame i.
 
     Parameters
     ----------
     opened : Opened
-        The programme; `vibrates` is True once a segment had a vibration.
-    tell : callable
-        ``tell(note)``: what was lost, refused or moved on over.
+        The programme that has started.
+    report : callable ``report(note)`` is called with notes on frames and messages that were lost, refused or
+        skipped.
     clock_s : callable
-        Seconds.
-    under : LiveFrames, optional
-        The coarse layer of the same frames, on half the lattice.
+        Clock; returns seconds.
+    coarse : LiveFrames, optional The coarse layer: the same frames on a lattice of half the resolution.
 
     Attributes
     ----------
     lost : int
-        Frames that did not come, or could not be decoded.
+        Number of frames that did not arrive, or could not be decoded.
     covered : int
-        Frames that were answered from the coarse layer.
+        Number of frames that were replaced by the coarse layer.
     refused : int
-        Messages that were of no use.
+        Number of messages that were refused.
     skipped : int
-        Frames that play was moved on over, because it had fallen behind.
-    came_s : float
-        When the latest segment came, seconds of the clock; before the first, when it was begun to wait.
+        Number of frames that playback skipped because it had fallen behind.
+    received_s : float Time at which the latest segment arrived, seconds of the clock; before the first, the
+        time at which waiting began.
+    vibrates : bool
+        True once a segment had a vibration.
     """
 
     def __init__(
@@ -147,7 +150,7 @@ class LiveFrames:
             coarse._fine, coarse._capacity = (
                 self,
                 2 * MAX_SEGMENTS,
-            )  # the stream over it may be that much later
+            )  # the fine layer may be that much later
 
     def take(self, event: Event) -> None:
         """Take an event; a segment is decoded in this (the receiving) thread."""
@@ -162,11 +165,14 @@ class LiveFrames:
             self.fail(LiveEnd("the sender has ended the stream"))
 
     def start_programme(self) -> None:
-        """Start another programme on the same lattice; its frames follow the latest one received."""
+        """Start another programme on the same lattice.
+
+        Its frames follow the latest one received.
+        """
         self._programmes += 1
 
     def fail(self, error: TouchfieldError) -> None:
-        """Mark that nothing more will come; waiting for a frame then raises the error."""
+        """Mark that no more frames will arrive; waiting for a frame then raises the error."""
         self._error = self._error or error
 
     def _lose(self, frames: int, reason: str) -> None:
@@ -179,7 +185,7 @@ class LiveFrames:
         """Decode a segment frame by frame, so that the first can be played before the last is decoded."""
         received_s, first, fields = self._clock_s(), segment.first_frame, list[ForceField]()
         self.vibrates |= segment.vibration is not None
-        start_s = received_s - first / self._rate_hz  # when the stream's frame 0 would have been in time
+        start_s = received_s - first / self._rate_hz  # time at which frame 0 would have been on time
         try:
             band = (
                 decode_vibration(segment.vibration, self.grid, segment.frame_count)
@@ -206,7 +212,7 @@ class LiveFrames:
         fine = self._fine or self
         if (
             self._programmes > fine._started_programmes
-        ):  # what is there has the numbers of the programme before
+        ):  # the segments that are kept have frame numbers of the previous programme
             fine._base = None if fine._base is None else segment.first + fine._base - fine._newest_stop
             for layer in fine._layers:
                 layer._segments.clear()
@@ -222,7 +228,10 @@ class LiveFrames:
             self._base = segment.first
 
     def due_s(self, rate_hz: float) -> float | None:
-        """Return the time of the medium that is due now, seconds; it follows the later segments."""
+        """Return the time of the medium that is due now, seconds.
+
+        Returns None before the first segment. Segments that arrive late delay it.
+        """
         with self._news:
             start_s = self._zero_s
             if start_s is None or self._base is None:
@@ -230,7 +239,7 @@ class LiveFrames:
             due_s = (
                 min(self._clock_s() - start_s - MARGIN_S, self._newest_stop / rate_hz) - self._base / rate_hz
             )
-            return due_s if self._coarse is None else max(0.0, due_s)  # a layer may have begun later
+            return due_s if self._coarse is None else max(0.0, due_s)  # a layer may have started later
 
     @property
     def _zero_s(self) -> float | None:
@@ -266,7 +275,7 @@ class LiveFrames:
         )
 
     def _is_settled(self, frame: int) -> bool:
-        """Return True if a frame of the stream has come in the layer to be played, or will come in none."""
+        """Return True if a frame has arrived in the layer to be played, or will arrive in none."""
         coarse, is_past = self._coarse, frame < self._stop
         if coarse is None or self._segment_with(frame) is not None:
             return is_past
@@ -276,7 +285,7 @@ class LiveFrames:
         return is_past and (frame < coarse._stop or self._is_due(frame))
 
     def _is_due(self, frame: int) -> bool:
-        """Return True if the player, or one in time, needs the frame to continue from the previous."""
+        """Return True if the player, or a player that is on time, needs the frame now."""
         start_s, now, needed_s = self._zero_s, self._clock_s(), (frame - 1) / self._rate_hz
         noted_s, media_s = self._played
         is_needed = media_s + (self._base or 0) / self._rate_hz + now - noted_s + MARGIN_S >= needed_s
@@ -287,14 +296,14 @@ class LiveFrames:
         self._played = self._clock_s(), media_s
 
     def stream_frame(self, index: int) -> int | None:
-        """Return the sender's number of frame `index` at present; None before the first segment."""
+        """Return the sender's current number of frame `index`; None before the first segment."""
         return None if self._base is None else self._base + index
 
     def __call__(self, index: int) -> ForceField:
         """Wait for a frame and return it; a lost frame has no force.
 
-        Raises LiveEnd if the sender ended the stream before it; SourceError if nothing came for a minute, or
-        the frame is far after the newest.
+        Raises LiveEnd if the sender ended the stream before it; SourceError if nothing arrived for a minute,
+        or the frame is far after the newest.
         """
         frame, segment = self._find_frame(index)
         if segment is not None:
@@ -335,11 +344,11 @@ class LiveFrames:
 
     @property
     def _is_over(self) -> bool:
-        """True if nothing more will come in any layer."""
+        """True if no more frames will arrive in any layer."""
         return all(layer._error is not None for layer in self._layers)
 
     def vibration(self, index: int) -> VibrationFrame:
-        """Vibrations in a frame; see `__call__`."""
+        """Return the vibration of a frame; see `__call__`."""
         frame, segment = self._find_frame(index)
         return (
             segment.band[frame - segment.first]
@@ -369,7 +378,7 @@ class LiveFrames:
                     raise SourceError(
                         "live stream", f"no segment for {PATIENCE_S:g} s", "one that comes in time"
                     )
-                self._news.wait(MARGIN_S)  # becoming due notifies nobody
+                self._news.wait(MARGIN_S)  # polls, since no notification is sent when a frame becomes due
 
 
 class LiveStream(OpenStream):
@@ -384,11 +393,14 @@ class LiveStream(OpenStream):
 
     def __init__(self, name: str, frames: LiveFrames) -> None:
         reader: Any = SimpleNamespace(name=name, has_vibration=False, size=0, **frames.opened.__dict__)
-        super().__init__(reader)  # as much of one as a stream without an end has
+        super().__init__(reader)  # the attributes of a reader that a stream without an end has
         self.frames = frames
 
     def keep_up(self, player: Player) -> bool:
-        """Keep a player at the due time; call it a few times a second. Return True if it sought."""
+        """Keep a player at the due time; return True if it had to seek.
+
+        Call this method a few times a second.
+        """
         due_s = self.frames.due_s(self.reader.head.rate_hz)
         if due_s is None:
             return False
@@ -403,7 +415,7 @@ class LiveStream(OpenStream):
 
     @property
     def medium(self) -> HapticMedium:
-        """The medium; access to its frames waits until they have come."""
+        """The medium; access to a frame waits until it has arrived."""
         vibration = self.frames.vibration if self.frames.vibrates else None
         return HapticMedium(
             grid=self.grid, frame_count=ENDLESS, make_frame=self.frames, vibration=vibration, **self._metadata

@@ -34,9 +34,9 @@ class LiveServer(Background):
     sender : LiveSender
     access : Access
     pages : Pages, optional
-        For browsers, at /view.
+        Pages for browsers, at /view.
     coarse : LiveSender, optional
-        Of the coarse layer, which is at /coarse/live as the stream is at /live.
+        Sender of the coarse layer, which is served at /coarse/live; the stream is at /live.
 
     Attributes
     ----------

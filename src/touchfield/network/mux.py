@@ -1,14 +1,14 @@
 """Mux a stream into a movie as a timed data track, and demux it (paper section 6).
 
-The samples of the track are the file cut after each of its segments, with the time of their first frame;
-index and end are rebuilt on extraction, so that the extracted file equals the original byte for byte. Players
-without touch play the other tracks as before. In MPEG-TS, which receivers join in the middle, each sample
-starts with the head again, and is the value of a KLV triplet (SMPTE 336M): ffmpeg takes some data without a
-registered name for video.
+The samples of the track are the file, divided after each of its segments; the time of a sample is that of its
+first frame. Index and end are rebuilt on extraction, so that the extracted file equals the original byte for
+byte. Players without support for touch play the other tracks as before. Receivers may join an MPEG-TS stream
+at any time. Each sample of it therefore starts with the head, and is the value of a KLV triplet (SMPTE 336M),
+since ffmpeg takes some data without a registered name for video.
 
-A DASH manifest (ISO/IEC 23009-1) has sound and picture as ffmpeg segments them, and the touch as an
-AdaptationSet, whose one Representation is the whole ``.touch`` file, as for captions: receivers read ranges
-of it. A SupplementalProperty gives the second of the movie at which it starts.
+A DASH manifest (ISO/IEC 23009-1) has sound and picture as ffmpeg segments them. The touch is an AdaptationSet
+whose single Representation is the whole ``.touch`` file, as for captions; receivers read ranges of it. A
+SupplementalProperty gives the time of the movie, in seconds, at which the touch starts.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ _MAX_BYTES: Final = 1 << 30
 """Maximum size of the touch that is extracted from a movie."""
 
 _KLV: Final = bytes.fromhex("060e2b34010101010f00") + b"touch\1\x84"
-"""Key of a triplet, and the first byte of its length, which says that four follow, the highest first."""
+"""Key of a triplet, and the first byte of its length: four bytes follow, big-endian."""
 
 _FORMS: Final = (".mp4", ".m4v", ".mov", ".ts", ".mpd")
 
@@ -74,7 +74,7 @@ class Muxed:
     other_tracks: tuple[str, ...] = ()
 
     def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
+        """Return the counts as a dictionary; its keys are stable."""
         return {**self.__dict__, "other_tracks": list(self.other_tracks)}
 
 
@@ -83,16 +83,17 @@ def mux(
 ) -> Muxed:
     """Mux a ``.touch`` file with the tracks of a movie, which are copied unchanged.
 
-    Raises InvalidArgument if the ending of `out` is another, or the form cannot hold a track of the movie;
-    SourceError, FormatError if the movie or the stream cannot be read.
+    Raises InvalidArgument if the suffix of `out` is not supported, or the format cannot contain a track of
+    the movie; SourceError, FormatError if the movie or the stream cannot be read.
 
     Parameters
     ----------
     movie : path
-        Any that ffmpeg reads.
+        A movie that ffmpeg reads.
     stream : path
     out : path
-        .mp4 (fragmented, for streaming), .mov or .ts; or .mpd, a DASH manifest, and the files that it names.
+        .mp4 (fragmented, for streaming), .mov or .ts; or .mpd, a DASH manifest, written with the files that
+        it names.
     at_s : float
         The movie's time at which the touch begins, 0 or later.
     report : callable
@@ -148,7 +149,7 @@ def demux(movie: str | Path, out: str | Path) -> Muxed:
 
 
 _Sample = tuple[float, float, bytes]
-"""The movie's second at which it begins, how long it lasts, and its bytes."""
+"""Start in the movie in seconds, duration in seconds, and bytes."""
 
 
 def _samples(reader: TouchReader, at_s: float, is_ts: bool) -> Iterator[_Sample]:
@@ -229,7 +230,7 @@ def _touch_samples(source: Any, name: str) -> tuple[list[bytes], float]:
         size += packet.size
         if size > _MAX_BYTES:
             raise SourceError(name, f"more than {_MAX_BYTES} bytes of touch", "less")
-        if packet.pts is None and track:  # MPEG-TS tells a long sample in several packets
+        if packet.pts is None and track:  # MPEG-TS stores a long sample in several packets
             track[-1] += bytes(packet)
         else:
             track.append(bytearray(packet)[start:])
@@ -300,13 +301,13 @@ def _write_dash(source: Any, stream: Path, out: Path, at_s: float, rate_bits: fl
                     )
             for path in sorted(
                 Path(folder).iterdir(), key=lambda path: path.suffix == ".mpd"
-            ):  # what it names first
+            ):  # the manifest last, after the files that it names
                 os.replace(path, out.parent / path.name)
     return tuple(track.type for track in tracks)
 
 
 def _add_touch(manifest: Path, at_s: float, rate_bits: float) -> None:
-    """Add the set of the touch to a manifest, which ffmpeg wrote a moment ago, in one period."""
+    """Add the AdaptationSet of the touch to a manifest of one period that ffmpeg wrote."""
     stem = escape(manifest.stem)
     touch = f"""\t<AdaptationSet contentType="application" mimeType="{MEDIA_TYPE}">
 \t\t\t<SupplementalProperty schemeIdUri="{START_SCHEME}" value="{at_s:g}"/>
@@ -315,5 +316,5 @@ def _add_touch(manifest: Path, at_s: float, rate_bits: float) -> None:
 \t\t\t</Representation>
 \t\t</AdaptationSet>
 \t</Period>"""
-    text = manifest.read_text("utf-8").replace(manifest.stem, stem)  # which is told there as it is
+    text = manifest.read_text("utf-8").replace(manifest.stem, stem)  # ffmpeg does not escape the name
     manifest.write_text(text.replace("</Period>", touch), "utf-8")

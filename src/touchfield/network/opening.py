@@ -1,4 +1,4 @@
-"""Open a stream wherever it is: a file, an address, or a live stream."""
+"""Open a stream from a file, an address, or a live sender."""
 
 from __future__ import annotations
 
@@ -16,10 +16,12 @@ from touchfield.pipeline.stream import OpenStream
 def open_stream(
     path: str | Path, on_note: Callable[[str], None] = lambda note: None, coarse: str | None = None
 ) -> Iterator[OpenStream]:
-    """Open a ``.touch`` file, by its path or address, or a live stream; decoding needs no configuration.
+    """Open a ``.touch`` file, by its path or address, or a live stream.
 
-    `on_note` gets notes on the losses of a live stream; `coarse` is the address of its coarse layer, which
-    replaces lost or late segments.
+    Decoding needs no configuration.
+
+    `on_note` is called with notes on the losses of a live stream; `coarse` is the address of its coarse
+    layer, which replaces lost or late segments.
     """
     if isinstance(path, str) and is_live(path):
         from touchfield.network.live_client import open_live  # slow to import

@@ -1,4 +1,4 @@
-"""Web server of a folder of streams: ranges of plain files, and nothing else.
+"""Web server of a folder of streams, which serves plain files and ranges of them.
 
 Requests are untrusted. Only plain files of known types within the folder are served; there is no listing; a
 client that reads too slowly is dropped.
@@ -34,7 +34,7 @@ class _Answer(web.FileResponse):
     """A file or ranges of it, with a time limit that grows with its size."""
 
     async def prepare(self, request: web.BaseRequest) -> AbstractStreamWriter | None:
-        """Send it; drop a client that does not read."""
+        """Send the file; drop a client that does not read."""
         async with dropped_unless_read(request, _PATIENCE_S + self._path.stat().st_size / _SLOWEST):
             return await super().prepare(request)
 
@@ -67,9 +67,10 @@ def serve(
     report: Callable[[str], None] = lambda note: None,
     pages: Pages | None = None,
 ) -> None:
-    """Serve until interrupted; `report` gets the address of each stream once they can be read.
+    """Serve a folder until interrupted.
 
-    Raises InvalidArgument if there is no such folder, or the address cannot be listened at.
+    `report` is called with the address of each stream once the server listens. Raises InvalidArgument if
+    there is no such folder, or the server cannot listen at the address.
     """
     served = application(folder, access, pages)
 

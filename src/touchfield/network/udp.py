@@ -15,23 +15,27 @@ from touchfield.network.live import END, LiveSender
 from touchfield.options import Address, address
 
 _LAST: Final = b"\0"
-"""The end of the stream as a message of one byte, as the empty message cannot be sent."""
+"""Message that marks the end of the stream; an empty message cannot be sent."""
 
 _LAST_S: Final = 2.0
-"""The stream is over when nothing has come for this long after the end."""
+"""Time after the end message without another message, after which the stream is over."""
 
 _OPENED_EVERY: Final = 4
 """The opening is repeated before every fourth segment, for late receivers."""
 
 _LAYERED_OPEN: Final = 11
-"""Maximum number of incomplete messages with another layer: eight, over whose time one is spread, and three
-for reordering."""
+"""Maximum number of incomplete messages if there is another layer.
+
+Eight are those over whose time a message is spread, and three allow for reordering.
+"""
 
 Layer = Literal["alone", "fine", "coarse"]
 
 REPAIR: Final[Mapping[Layer, float]] = {"alone": 0.22, "fine": 0.15, "coarse": 0.4}
-"""Fraction of repair symbols by layer. A coarse layer, a seventh of the bytes, covers losses of the fine one
-and is protected more; both together have no larger a fraction than a single stream."""
+"""Fraction of repair symbols by layer. A coarse layer has a seventh of the bytes, replaces lost frames of the
+fine one and is protected more. Both together have no larger a fraction of repair symbols than a single
+stream.
+"""
 
 
 def _parse_address(text: str) -> Address:
@@ -88,7 +92,9 @@ class _Protocol(asyncio.DatagramProtocol):
 
 
 async def listen(text: str, take: Callable[[bytes], bool], is_layered: bool = False) -> None:
-    """Receive datagrams at an address, until ``take(message)`` returns True: the stream is over.
+    """Receive datagrams at an address until the stream is over.
+
+    That is when ``take(message)`` returns True.
 
     With `is_layered` another layer covers losses, so that lost messages are given up earlier.
     """

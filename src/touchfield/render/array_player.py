@@ -45,7 +45,7 @@ MAX_DEFAULT_RATE_HZ: Final = 100.0
 MAX_RATE_HZ: Final = 2000.0
 
 _MAX_CLOSE_S: Final = 5.0
-"""How long `close` waits for a decoder that is in the middle of a frame."""
+"""Time for which `close` waits for a decoder that is in the middle of a frame."""
 
 
 class DriveFrames(Protocol):
@@ -55,11 +55,11 @@ class DriveFrames(Protocol):
     frame_count: int
 
     def drives(self, frame: int) -> Float32s:
-        """Drives of a frame, float32 [panels, rows, columns], 0 to 1."""
+        """Return the drives of a frame, float32 [panels, rows, columns], 0 to 1."""
         ...
 
     def frequencies(self, frame: int) -> Float32s | None:
-        """Frequencies of a frame in Hz, of the same shape, or None."""
+        """Return the frequencies of a frame in Hz, of the same shape, or None."""
         ...
 
 
@@ -104,7 +104,9 @@ class DrivePrefetcher:
             )
 
     def at(self, position: float) -> DriveSample | None:
-        """Drives and frequencies at a position, linear between frames; None while the feed stalls.
+        """Return drives and frequencies at a position, linear between frames.
+
+        Returns None while the feed stalls.
 
         The frequencies are those of the nearest frame, and of the other frame where it has none. An error of
         the frames is raised once a frame that it prevented is needed.
@@ -157,7 +159,7 @@ class DrivePrefetcher:
                 self._changed.notify_all()
 
     def _next(self) -> int | None:
-        """The next position to decode, or None; drops positions that were passed."""
+        """Return the next position to decode, or None; drops positions that were passed."""
         current = self._needed(self._position)
         later = np.floor(self._position + self._lookahead).astype(np.int64)
         plan = np.unique(np.concatenate([current, later, later + 1]))
@@ -171,7 +173,7 @@ class DrivePrefetcher:
         return next((int(n) for n in plan if int(n) not in self._buffer), None)
 
     def _needed(self, position: float) -> list[int]:
-        """Positions of the frames, one or two, for a position of the player.
+        """Return the positions of the one or two frames for a position of the player.
 
         The last frame of the medium is not blended into another.
         """

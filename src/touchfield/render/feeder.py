@@ -1,11 +1,11 @@
 """The feeder: decodes frames ahead of the servo and writes them to the block.
 
-Frame numbers go on where a medium is looped (*unrolled* frames), and start anew with each seek (a new
-*generation*). A frame is overwritten only after the servo has released it, and the frames of a new generation
-are written only after the servo has accepted that generation.
+In a loop, frame numbers continue through the repeats (*unrolled* frames). Each seek starts a new *generation*
+of frames. A frame is overwritten only after the servo has released it, and the frames of a new generation are
+written only after the servo has accepted that generation.
 
 If decoding a frame takes longer than the frame lasts, frames that cannot be ready in time are dropped
-(`Pace`): the frame before is repeated instead, and the next one is shown at its own time.
+(`Pace`): the previous frame is repeated instead, and the next one is shown at its own time.
 """
 
 from __future__ import annotations
@@ -51,10 +51,10 @@ _SHORTEST_PAUSE_S: Final = 0.001
 class Pace:
     """Measures the cost of decoding, and finds the next frame that can be ready in time.
 
-    To decode a frame in the middle of a segment, all frames must be decoded from the latest one, or from the
-    segment's start (`starts`, as in `FrameSource`). So, where a frame takes longer than it lasts, the start
-    of a later segment may still be reached in time. `frame_s` is the mean time of a frame. It is 0 before the
-    second frame, because the first one also loads or compiles code.
+    To decode a frame in the middle of a segment, all frames from the latest one, or from the segment's start
+    (`starts`, as in `FrameSource`), must be decoded. If decoding a frame takes longer than the frame lasts,
+    the start of a later segment may therefore still be reached in time. `frame_s` is the mean time of a
+    frame. It is 0 before the second frame, because the first one also loads or compiles code.
     """
 
     def __init__(self, starts: Sequence[int], frame_count: int, rate_hz: float) -> None:
@@ -71,9 +71,9 @@ class Pace:
         self._latest = frame
 
     def first_reachable(self, frame: int, stop: int, media_s: float, speed: float) -> int:
-        """The first frame, from `frame` on, that can be ready at its time.
+        """Return the first frame, from `frame` on, that can be ready at its time.
 
-        If there is none before `stop`: `stop` where the medium ends there, else `frame`.
+        If there is none before `stop`, returns `stop` if the medium ends there, else `frame`.
         """
         for candidate in range(frame, min(stop, frame + _MAX_SEARCH)):
             margin_s = (candidate / self._rate_hz - media_s) / speed
@@ -83,7 +83,7 @@ class Pace:
         return stop if stop == self._count else frame
 
     def _decode_count(self, frame: int) -> int:
-        """Number of frames that must be decoded for one."""
+        """Return the number of frames that must be decoded for a frame."""
         if not self._starts:
             return 1
         index = frame % self._count
@@ -93,7 +93,9 @@ class Pace:
 
 
 def arena_word_count(source: FrameSource, memory_bytes: int) -> int:
-    """Words of the arena: what the bound allows, at most what all frames need.
+    """Return the number of words of the arena.
+
+    It is what the bound allows, and at most what all frames need.
 
     Raises an error if the bound is too small for the shared fields.
     """
@@ -106,9 +108,10 @@ class Feeder:
     """Writes frames ahead of the servo.
 
     It works by calls of `step` in the caller's thread, or in its own thread after `start`. ``reserve(words)``
-    makes so many words of the block writable. With `is_timed`, frames that come too late are dropped.
-    ``on_stiffness(k)`` is called with the largest slope of each frame, N/m. `error` is what ended the feed,
-    `decode_s` the times of the latest frames, and `dropped_frames` the number of frames that came too late.
+    makes that many words of the block writable. With `is_timed`, frames that come too late are dropped.
+    ``on_stiffness(k)`` is called with the largest slope of each frame, N/m. `error` is the error that ended
+    the feed, `decode_s` holds the decoding times of the latest frames, and `dropped_frames` the number of
+    frames that came too late.
     """
 
     def __init__(
@@ -152,13 +155,13 @@ class Feeder:
     def step(self) -> bool:
         """Decode and write one frame.
 
-        False if there is nothing to do now, or the feed has failed.
+        Returns False if there is nothing to do now, or the feed has failed.
         """
         if self.error is not None:
             return False
         try:
             return self._step()
-        except Exception as error:  # of any kind: the servo goes to zero, and the player reports it
+        except Exception as error:  # any error: the servo releases the force, the player reports it
             self.error = error
             self._memory.i8[W.FEED_FAILED] = 1
             return False
@@ -196,7 +199,7 @@ class Feeder:
     def _drop_late_frames(self, needed: int) -> bool:
         """Repeat the previous frame in place of those that cannot be ready in time.
 
-        False if no frame is left.
+        Returns False if no frame is left.
         """
         from touchfield.render.kernels.tick import publish
 
@@ -224,7 +227,7 @@ class Feeder:
         self._ring.free_before(needed)
         start = self._ring.take(self._next, ready.word_count)
         if start is None:
-            if self._next <= needed + 1:  # the servo waits for this frame, and so releases none
+            if self._next <= needed + 1:  # the servo waits for this frame and therefore releases none
                 size = f"{W.WORD * ready.word_count / 2**20:.2f} MiB"
                 raise too_little(self._ring.words, f"room for two frames, of which one takes {size}")
             return False
@@ -251,7 +254,7 @@ class Feeder:
 
     @property
     def is_preloaded(self) -> bool:
-        """True if the first two frames are written, or all there are."""
+        """True if the first two frames are written, or all frames if there are fewer."""
         target = (int(self._memory.i8[W.NEEDS]) & _FRAME) + 2
         return self._next >= (target if self._is_loop else min(target, self._source.frame_count))
 
@@ -286,7 +289,7 @@ class Feeder:
 
 
 _WORDS_PER_BRICK: Final = 1200
-"""Upper limit for a brick in the block: cells, support, part of the hash table."""
+"""Upper limit of the words of a brick in the block: cells, support, part of the hash table."""
 _WORDS_PER_FIELD: Final = 1024
 
 
@@ -334,9 +337,9 @@ class FrameSource(FrameParts):
         self.max_word_count = sum(map(_max_field_words, changing)) + self.words
 
     def wall(self) -> Wall | None:
-        """The wall of the first frame, or else of the middle one; for bodies, the stiffest.
+        """Return the wall of the first frame, else of the middle one; for bodies, the stiffest.
 
-        None if those frames cannot be decoded; playback reports the error.
+        Returns None if these frames have no wall or cannot be decoded; playback reports the error.
         """
         for frame in (0, self.frame_count // 2):
             names = [name for name in self.names(frame) if name[0] != VIBRATION]
@@ -356,11 +359,11 @@ class FrameSource(FrameParts):
         return None
 
     def write_shared(self, memory: Memory, at: int) -> None:
-        """Write what all frames share."""
+        """Write the fields that all frames share."""
         write_fields(memory, at, self._rigid, self._offsets)
 
     def is_there(self, frame: int) -> bool:
-        """True if a frame can be prepared now; a frame of a live stream may be missing."""
+        """Return True if a frame can be prepared now; a frame of a live stream may be missing."""
         return self._is_there is None or bool(self._is_there(frame))
 
     def forget(self) -> None:
@@ -384,7 +387,7 @@ class FrameSource(FrameParts):
 
 
 def _segment_starts(medium: HapticMedium | HapticScene) -> tuple[int, ...]:
-    """First frames of the segments.
+    """Return the first frames of the segments.
 
     For a scene, those of the first object that changes: all objects are segmented at the same frames.
     """
@@ -396,5 +399,5 @@ def _segment_starts(medium: HapticMedium | HapticScene) -> tuple[int, ...]:
 
 
 def _max_field_words(grid: Grid) -> int:
-    """Upper limit of a field's size; its cells start one brick before its first."""
+    """Return the upper limit of a field's size in words; its cells start one brick before its first."""
     return _WORDS_PER_FIELD + _WORDS_PER_BRICK * math.prod(n + 1 for n in grid.brick_shape)

@@ -8,9 +8,9 @@ tabulated over the speed of the hand and the force that it presses with. Tables 
         {"name": "wood", "friction": 0.4, "object": "table", "speeds_m_s": [0.05, 0.1], "forces_n": [1],
          "texture_rms_n": [[[0.001, ...]], [[0.002, ...]]]}]}
 
-A table is a file of its own, or travels with a medium as the entry ``materials.json`` of its provenance,
-which every reader of the format allows and only the renderer reads. A medium without that entry is unchanged,
-byte for byte.
+A table is a separate file, or is stored with a medium as the entry ``materials.json`` of its provenance.
+Every reader of the format allows this entry, and only the renderer uses it. A medium without the entry is
+unchanged, byte for byte.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 Levels = tuple[tuple[tuple[float, ...], ...], ...]
 
 
-KEY: Final = "materials.json"  # Of a medium's provenance
+KEY: Final = "materials.json"  # key in the provenance of a medium
 MAX_MATERIALS: Final = 64
-MAX_LEVELS: Final = 32  # Speeds, and forces, of one material
+MAX_LEVELS: Final = 32  # maximum number of speeds, and of forces, of one material
 _MAX_BYTES: Final = 1 << 22
 _MAX_STORED_LENGTH: Final = 4096
 _EVERYWHERE: Final = ((-math.inf,) * 3, (math.inf,) * 3)
@@ -50,7 +50,7 @@ _SINES_PER_BAND: Final = W.MATERIAL_SINES // len(BANDS_HZ)
 class Material:
     """Material of a surface.
 
-    Raises `InvalidArgument` if a number is out of range or not finite, or the table has not the shape
+    Raises `InvalidArgument` if a number is out of range or not finite, or the shape of the table is not
     [speeds, forces, 16].
     """
 
@@ -114,7 +114,10 @@ class Material:
 
 
 def materials_json(materials: Iterable[Material]) -> str:
-    """The table as JSON, levels to four digits, without values equal to the default."""
+    """Return the table as JSON.
+
+    Levels have four digits; values equal to the default are left out.
+    """
     default, entries = Material(""), []
     for material in materials:
         entry = {
@@ -132,7 +135,7 @@ def materials_json(materials: Iterable[Material]) -> str:
 
 
 def _parse_materials(text: str, where: str) -> tuple[Material, ...]:
-    """The materials of a JSON table; `SourceError` that names the entry if it is invalid."""
+    """Parse the materials of a JSON table; `SourceError` names the entry if it is invalid."""
     try:
         table = json_of(text)
         bands, rows = table["bands_hz"], table["materials"]
@@ -148,7 +151,7 @@ def _parse_materials(text: str, where: str) -> tuple[Material, ...]:
 
 
 def _are_expected_bands(bands: Any) -> bool:
-    """True for the list of `BANDS_HZ`, to three digits."""
+    """Return True for the list of `BANDS_HZ`, to three digits."""
     if not isinstance(bands, list):
         return False
     rounded = [f"{band_hz:.3g}" if isinstance(band_hz, float | int) else band_hz for band_hz in bands]
@@ -175,7 +178,7 @@ def _parse_material(row: Any, where: str) -> Material:
 
 
 def _as_tuples(value: Any) -> Any:
-    """Nested lists as nested tuples."""
+    """Convert nested lists to nested tuples."""
     return tuple(_as_tuples(item) for item in value) if isinstance(value, list) else value
 
 
@@ -199,7 +202,7 @@ def write_table(path: str | Path, materials: Iterable[Material]) -> None:
 
 
 def stored_materials(provenance: Mapping[str, str]) -> tuple[Material, ...]:
-    """The materials that travel with a medium; none if there is no such entry.
+    """Return the materials stored with a medium; none if there is no such entry.
 
     Raises `SourceError` if the entry is damaged.
     """
@@ -207,7 +210,10 @@ def stored_materials(provenance: Mapping[str, str]) -> tuple[Material, ...]:
 
 
 def stored_json(materials: Iterable[Material]) -> str:
-    """`materials_json` for the provenance of a file; `InvalidArgument` if it is too long."""
+    """Return `materials_json` for the provenance of a file.
+
+    Raises `InvalidArgument` if it is too long.
+    """
     text = materials_json(materials)
     if len(text) > _MAX_STORED_LENGTH:
         found, expected = f"a table of {len(text)} characters", f"at most {_MAX_STORED_LENGTH}"
@@ -217,7 +223,7 @@ def stored_json(materials: Iterable[Material]) -> str:
 
 
 def material_word_count(materials: Sequence[Material]) -> int:
-    """Words of the block that materials take."""
+    """Return the number of words that materials take in the block."""
     if not materials:
         return 0
     rows = sum(W.MATERIAL_WORDS + len(m.speeds_m_s) + len(m.forces_n) + m.levels_n.size for m in materials)
@@ -231,7 +237,7 @@ def write_materials(
     objects: Sequence[str] = (),
     has_friction: bool = True,
 ) -> tuple[str, ...]:
-    """Write materials at word `start`, with their sines at rest; notes for the user.
+    """Write materials at word `start`, with their sines at rest; return notes for the user.
 
     `objects` are the names of the parts of each frame. If `has_friction` is false, mu is that of the field
     everywhere. Raises `InvalidArgument` if a material belongs to an object that does not exist.
@@ -271,7 +277,7 @@ def write_materials(
 
 
 def _notes(materials: Sequence[Material], rate_hz: float, slew_n_per_s: float) -> tuple[str, ...]:
-    """Notes on the materials, and on what the loop or the device cannot render of them."""
+    """Return notes on the materials, and on the parts that the loop or the device cannot render."""
     notes = [f"materials: {', '.join(material.name for material in materials)}"]
     bands = np.array(BANDS_HZ)
     rendered = 2 * 10**0.05 * bands < rate_hz

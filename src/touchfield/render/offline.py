@@ -1,6 +1,6 @@
-"""Offline rendering: the same cycle without a process, on a virtual clock.
+"""Offline rendering: the same cycle without a servo process, on a virtual clock.
 
-For tests, exports and plots. The same input gives the same forces, and frames are always ready in time.
+It serves tests, exports and plots. The same input gives the same forces, and frames are always ready in time.
 """
 
 from __future__ import annotations

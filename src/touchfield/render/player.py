@@ -111,7 +111,7 @@ class Player:
             memory.i8[W.HEARTBEAT_NS] = time.perf_counter_ns()
             self._watcher = threading.Thread(target=self._watch, name="touchfield-player", daemon=True)
             self._watcher.start()
-            deadline = time.monotonic() + _PRELOAD_S  # so that `play` usually starts at once
+            deadline = time.monotonic() + _PRELOAD_S  # so that `play` usually starts immediately
             while (
                 not self._feeder.is_preloaded and self._feeder.error is None and time.monotonic() < deadline
             ):
@@ -202,7 +202,7 @@ class Player:
             if pause_s <= 0:
                 return False
             time.sleep(pause_s)
-        self._update()  # the watch may not have had its turn since
+        self._update()  # the watcher may not have run since
         if self._error is not None:
             raise self._error
         return True
@@ -230,7 +230,7 @@ class Player:
             return dict(self._statistics)
 
     def log(self) -> NDArray[Any]:
-        """The latest rows of the log, a structured array of `block.COLUMNS`.
+        """Return the latest rows of the log, a structured array of `block.COLUMNS`.
 
         Also available after the end.
         """
@@ -241,7 +241,7 @@ class Player:
             return self._log.rows()
 
     def _watch(self) -> None:
-        """Send the servo a sign of life, drain the log and read the servo's messages."""
+        """Send a heartbeat to the servo, drain the log and read the servo's messages."""
         while not self._is_closing.wait(_WATCH_S):
             self._update()
 
@@ -319,7 +319,7 @@ class Orders:
 
 
 def ramp_limit_s(peak_n: float, slew_n_per_s: float, ramp_s: float) -> float:
-    """Longest time that a force may take to go to zero, with a margin, seconds."""
+    """Return the longest time that a force may take to go to zero, with a margin, seconds."""
     return min(_RAMP_MARGIN_S + ramp_s + 2 * peak_n / slew_n_per_s, _MAX_RAMP_S)
 
 
@@ -369,7 +369,7 @@ class Session:
         return self._notes if self._stability is None else (*self._notes, self._stability.note)
 
     def _wall_of_spec(self) -> Wall | None:
-        """The wall of the proxy; None if the field is rendered as it is."""
+        """Return the wall of the proxy; None if the field is rendered without a proxy."""
         spec = self._spec
         excludes_proxy = spec.coupling_n_per_m or spec.tool is not None
         if spec.render == "field" or spec.deformation is not None:
@@ -384,7 +384,10 @@ class Session:
         return replace(wall, stiffness_n_per_m=spec.wall_n_per_m)
 
     def media_time_s(self, time_s: float) -> float:
-        """The media time for a seek: past the end, it wraps in a loop and else is the end."""
+        """Return the media time for a seek.
+
+        Past the end, it wraps in a loop, and otherwise is the end.
+        """
         if not (is_finite(time_s) and time_s >= 0):
             raise InvalidArgument("time", repr(time_s), "seconds from the start, 0 or more")
         if self.source.frame_count == 1:
@@ -393,13 +396,13 @@ class Session:
         return math.fmod(time_s, seconds) if self.is_loop else min(time_s, seconds)
 
     def frame_at(self, time_s: float) -> int:
-        """The unrolled frame at a media time."""
+        """Return the unrolled frame at a media time."""
         from touchfield.render.kernels.tick import unrolled_frame
 
         return int(unrolled_frame(time_s, self.source.rate_hz))
 
     def set_up(self, memory: Memory, mode: int = W.IDLE) -> None:
-        """Write all that the servo needs before its first tick."""
+        """Write everything that the servo needs before its first tick."""
         source, spec = self.source, self._spec
         self.layout.write(memory, source.frame_count, source.rate_hz, self.is_loop, spec.rate_hz)
         self._notes = write_parameters(
@@ -458,7 +461,7 @@ class Session:
     def feeder(
         self, memory: Memory, reserve: Callable[[int], None] | None = None, is_timed: bool = True
     ) -> Feeder:
-        """The feeder of this block, not yet started."""
+        """Return the feeder of this block, not yet started."""
         first_frame, on_stiffness = self.frame_at(self.orders.start_s), partial(self._adapt, memory)
         return Feeder(
             self.source,
@@ -473,12 +476,12 @@ class Session:
 
 
 def is_over(memory: Memory) -> bool:
-    """True if no frame is left to render and the force is zero.
+    """Return True if no frame is left to render and the force is zero.
 
-    That is so if the medium has ended, or its feed has failed and all that it wrote was shown.
+    This is the case if the medium has ended, or its feed has failed and all frames that it wrote were shown.
     """
     i8 = memory.i8
-    if i8[W.SEQUENCE_SEEN] != i8[W.SEQUENCE]:  # the servo writes this last, after the rest of the order
+    if i8[W.SEQUENCE_SEEN] != i8[W.SEQUENCE]:  # the servo writes this field last, after the rest of the order
         return False
     feed = int(i8[W.FEED])
     is_starved = feed in (W.STALLED, W.WAITING) or i8[W.MODE_NOW] != W.PLAYING

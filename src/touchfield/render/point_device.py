@@ -28,7 +28,7 @@ class PointDevice(ABC):
     """Whether `position_m` waits for the device, and so sets the rate of the loop."""
 
     is_driven: ClassVar[bool] = False
-    """Whether the vendor's driver calls us (`drive`), so that `position_m` is not called."""
+    """Whether the vendor's driver calls the renderer (`drive`), so that `position_m` is not called."""
 
     @abstractmethod
     def open(self) -> None:
@@ -39,7 +39,7 @@ class PointDevice(ABC):
 
     @abstractmethod
     def position_m(self) -> Point:
-        """Position in metres, in the device's own axes.
+        """Return the position in metres, in the device's own axes.
 
         Raises `DeviceError` if the device is late or reports an impossible position.
         """
@@ -52,18 +52,19 @@ class PointDevice(ABC):
         """
 
     def orientation(self) -> Quaternion:
-        """Orientation of the grip at the latest `position_m`.
+        """Return the orientation of the grip at the latest `position_m`.
 
-        A unit quaternion from the grip's axes to the device's. Raises `DeviceError` if it cannot be read.
+        It is a unit quaternion from the grip's axes to the device's. Raises `DeviceError` if it cannot be
+        read.
         """
         return 1.0, 0.0, 0.0, 0.0
 
     def buttons(self) -> int:
-        """Buttons pressed at the latest `position_m`: bit n is button n."""
+        """Return the buttons pressed at the latest `position_m`: bit n is button n."""
         return 0
 
     def gripper_m(self) -> float:
-        """Opening of the gripper at the latest `position_m`, metres."""
+        """Return the opening of the gripper at the latest `position_m`, metres."""
         return 0.0
 
     def put_wrench(self, fx: float, fy: float, fz: float, tx: float, ty: float, tz: float) -> None:
@@ -93,9 +94,10 @@ class PointDevice(ABC):
         raise NotImplementedError
 
     def watch(self) -> None:
-        """Check a driver that calls us; called now and then instead of `position_m`.
+        """Check a driver that calls the renderer.
 
-        Raises `DeviceError` if the driver reports a fault or has stopped calling.
+        The servo calls this method about every 10 ms instead of `position_m`. Raises `DeviceError` if the
+        driver reports a fault or has stopped calling.
         """
         return
 
@@ -128,7 +130,7 @@ _MAX_LENGTH: Final = 256
 
 
 def axes_of_text(text: str) -> Float64s | None:
-    """A signed permutation P, float64 [3, 3], with v_box = P v; None if unreadable.
+    """Parse a signed permutation P, float64 [3, 3], with v_box = P v; None if unreadable.
 
     The text is for example "x right, y up, z towards the user", in any order and case, with or without "the
     user". The determinant is -1 for left-handed axes.
@@ -150,7 +152,7 @@ def axes_of_text(text: str) -> Float64s | None:
 
 
 def axes_matrix(device_axes: str, field_axes: str, up: str = "lattice") -> Float64s:
-    """The signed permutation from the device's axes to the field's, float64 [3, 3].
+    """Return the signed permutation from the device's axes to the field's, float64 [3, 3].
 
     The axes are those of the profile (`touchfield.devices.Device.axes`) and of the medium; `up` is one of
     `UP_CHOICES`. The determinant is -1 if the handedness differs.
@@ -163,7 +165,7 @@ def axes_matrix(device_axes: str, field_axes: str, up: str = "lattice") -> Float
 
 
 def axes_notes(device_axes: str, field_axes: str, up: str = "lattice") -> tuple[str, ...]:
-    """Notes for the user if the text of the axes could not be read."""
+    """Return notes for the user if the text of the axes could not be read."""
     notes = []
     if axes_of_text(device_axes) is None:
         notes.append(f'axes of the device, "{device_axes[:80]}", cannot be read and are taken as {BOX_AXES}')
@@ -173,7 +175,7 @@ def axes_notes(device_axes: str, field_axes: str, up: str = "lattice") -> tuple[
 
 
 def _field_axes(field_axes: str, up: str) -> Float64s | None:
-    """Axes of a medium in the box, or None.
+    """Return the axes of a medium in the box, or None.
 
     With "lattice" only the directions in which the lattice grows count: a diagonal of signs.
     """

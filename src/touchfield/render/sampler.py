@@ -69,7 +69,7 @@ class FieldSampler:
         self._point: Any = None
 
     def force_n(self, time_s: ArrayLike, points_m: ArrayLike) -> Float32s:
-        """Force, newtons, float32 [..., 3], at points float [..., 3], metres.
+        """Return the force, newtons, float32 [..., 3], at points float [..., 3], metres.
 
         The force at a point that is not finite is zero. `time_s`, seconds, is one time for all points or one
         for each point.
@@ -82,9 +82,10 @@ class FieldSampler:
         return self._evaluate(kernels.forces_at_points, times, points_m, 3, np.float32)
 
     def gradient_n_per_m(self, time_s: ArrayLike, points_m: ArrayLike) -> Float64s:
-        """dF_i/dx_j, N/m, float64 [..., 3, 3]: derivative of the interpolated force.
+        """Return dF_i/dx_j, N/m, float64 [..., 3, 3]: derivative of the interpolated force.
 
-        Zeros where no force can be. On a plane of the lattice it is the derivative towards greater indices.
+        It is zero where there can be no force. On a plane of the lattice it is the derivative towards greater
+        indices.
         """
         from touchfield.render.kernels import points as kernels
 
@@ -92,9 +93,9 @@ class FieldSampler:
         return rows.reshape(*rows.shape[:-1], 3, 3)
 
     def vibration(self, time_s: ArrayLike, points_m: ArrayLike) -> tuple[Float32s, Float32s]:
-        """Amplitudes in newtons and frequencies in Hz of the vibration, each float32 [...].
+        """Return amplitude, N, and frequency, Hz, of the vibration, each float32 [...].
 
-        Zeros where there is none.
+        Both are zero where there is no vibration.
         """
         from touchfield.render.kernels import points as kernels
 
@@ -102,7 +103,7 @@ class FieldSampler:
         return both[..., 0], both[..., 1]
 
     def at(self, time_s: float, x_m: float, y_m: float, z_m: float) -> tuple[float, float, float]:
-        """Force at one point, newtons, float64, with as little overhead as possible.
+        """Return the force at one point, newtons, with as little overhead as possible.
 
         The following frames are prepared in the background, for times that increase like a clock.
         """
@@ -139,13 +140,13 @@ class FieldSampler:
         self._high = float(b) if b < self._parts.frame_count - 1 else _UNBOUNDED
 
     def _instant(self, time_s: float) -> tuple[int, int, float]:
-        """The two frames around an instant, and the blend between them."""
+        """Return the two frames around an instant, and the blend between them."""
         firsts, blends = self._instants(time_s, ())
         a, blend = int(firsts[0]), float(blends[0])
         return a, a + (blend > 0.0), blend
 
     def _instants(self, time_s: ArrayLike, shape: tuple[int, ...]) -> tuple[Int64s, Float64s]:
-        """First frames int64 [m] and blends [m] of one time, or of one time for each point."""
+        """Return first frames int64 [m] and blends [m] of one time, or of one time for each point."""
         times = numbers_of("time_s", time_s)
         if times.ndim and times.shape != shape:
             raise InvalidArgument("time_s", f"shape {times.shape}", f"one time, or {shape} as the points")
@@ -160,13 +161,13 @@ class FieldSampler:
         return frames, blends
 
     def _pair(self, a: int, b: int) -> Pair:
-        """Two frames for all queries but `at`; the latest pair is cached."""
+        """Return two frames for all queries but `at`; the latest pair is cached."""
         if self._latest is None or self._latest.frames != (a, b):
             self._latest = self._pairs.take(a, b, self._latest)
         return self._latest
 
     def _voxel_forces_n(self, time_s: float, points: NDArray[Any]) -> Float32s:
-        """Forces of one field, or of two blended ones, at many points of one instant."""
+        """Return the forces of one field, or of two blended ones, at many points of one instant."""
         from touchfield.render.kernels import points as kernels
 
         a, b, blend = self._instant(time_s)
@@ -200,7 +201,7 @@ class FieldSampler:
 
 
 def _points(points_m: ArrayLike, *accepted: type[np.float32]) -> NDArray[Any]:
-    """Points for the kernels: float64 or one of `accepted`, contiguous, writeable."""
+    """Return points for the kernels: float64 or one of `accepted`, contiguous, writeable."""
     dtype = np.float32 if getattr(points_m, "dtype", None) in accepted else np.float64
     points = np.ascontiguousarray(numbers_of("points_m", points_m, dtype))
     if points.ndim == 0 or points.shape[-1] != 3:
@@ -219,7 +220,7 @@ class Pair(NamedTuple):
     fields: dict[FieldName, int]
 
     def weighted_fields(self, blend: float) -> list[tuple[int, float]]:
-        """For frames of voxels, the offset and the weight of the field of each frame."""
+        """Return offset and weight of the field of each frame, for frames of voxels."""
         weighted_frames = ((self.first, 1.0 - blend), (self.second, blend))[: 1 + (blend > 0.0)]
         return [
             (int(self.memory.views[0][frame + W.FRAME_WORDS + W.PART_FIELD]), weight)
@@ -244,7 +245,9 @@ class Pairs:
         self._pending_frames = -1, -1
 
     def take(self, a: int, b: int, reusable: Pair | None = None) -> Pair:
-        """The pair (a, b); it replaces the pair `reusable` in memory if that has all fields.
+        """Return the pair (a, b).
+
+        It replaces the pair `reusable` in memory if that has all fields.
 
         `reusable` must not be used afterwards. Raises InvalidArgument if the pair does not fit into the
         memory.
@@ -300,7 +303,7 @@ class Pairs:
 @cache
 def _pool() -> ThreadPoolExecutor:
     def lower_priority() -> None:
-        """On waking, leave the processor to the requesting thread; taking it costs that thread 4 ms."""
+        """Use SCHED_BATCH, so that this thread does not preempt the requesting one (4 ms)."""
         if hasattr(os, "SCHED_BATCH"):
             with suppress(OSError):
                 os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
@@ -321,7 +324,9 @@ class DeviceSampler:
         self._views: tuple[Any, ...] = ()
 
     def force_n(self, time_s: float, points_m: Any) -> Any:
-        """Force, newtons, float32 [n, 3], on the device, with a ``__cuda_array_interface__``.
+        """Return the force, newtons, float32 [n, 3], in the memory of the GPU.
+
+        It has a ``__cuda_array_interface__``.
 
         The points, float64 [n, 3] in metres, are an array on a GPU of any library (``__dlpack__`` or
         ``__cuda_array_interface__``), or a NumPy array, which is copied to the GPU. Raises `InvalidArgument`

@@ -1,11 +1,11 @@
 """Blending of segments: removes the step at the start of a segment during playback.
 
 Each segment is encoded independently, so that the force of a static world jumps at the start of a segment, by
-less than the mask. Here the last frame of the segment before is blended into the new one by a raised cosine
-of `BLEND_S`, or half the segment if that is shorter. This is done voxel by voxel, where both forces can come
-from one source; elsewhere the new frame is used at once. Where the source does not move, both forces are
-within its mask, which is a ball, and so is every blend of them. A source that moves by less than two masks is
-shown late by `BLEND_S` at most.
+less than the mask. Here the last frame of the previous segment is blended into the new segment by a raised
+cosine over `BLEND_S`, or over half the segment if that is shorter. Voxels are blended if both forces can come
+from the same source force; elsewhere the new frame is used immediately. Where the source does not move, both
+forces are within its mask, which is a ball, and so is every blend of them. A source that moves by less than
+two masks is shown late by `BLEND_S` at most.
 
 The frames depend on what was played before. `HapticMedium` itself, and all that reads it, stays exact.
 """
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
     from touchfield.medium import Segments
 
 BLEND_S: Final = 0.1
-"""Length of a blend, seconds of the medium; half of it makes half of the change.
+"""Length of a blend, seconds of the medium.
 
-At 30 Hz it is three frames, none of which makes more than half of the change; with 0.05 s the first would
-make three quarters. In fast media, the edge of a raised cosine of duration T has at most 1 / (4 f^2 T^2 - 1)
-of the amplitude that a step has at frequency f: 36 dB less at 40 Hz, where the band begins in which a hand
-feels vibration best. A longer blend gained nothing on a room at 30 Hz, and delays what moves by less than the
-mask.
+At 30 Hz it is three frames, none of which makes more than half of the change; with 0.05 s the first frame
+would make three quarters. In fast media, the edge of a raised cosine of duration T has at most 1 / (4 f^2 T^2
+- 1) of the amplitude that a step has at frequency f: 36 dB less at 40 Hz, where the band begins in which a
+hand feels vibration best. A longer blend gained nothing on a room at 30 Hz, and delays what moves by less
+than the mask.
 """
 
 MAX_UNBLENDED_HZ: Final = 20.0
@@ -45,10 +45,11 @@ _CHUNK_BRICKS: Final = 64
 
 
 class SegmentBlend:
-    """The frames of a decoded medium in the order of play; used by one thread.
+    """Blended frames of a decoded medium, in the order of playback; used by one thread.
 
-    A frame that follows the frame requested before neither within its segment nor in a loop is returned as it
-    was decoded, and so are the frames after it, up to the next segment.
+    After a jump, frames are returned as they were decoded, up to the next segment. A jump is a request that
+    does not continue from the previous one within its segment, into the next segment or through the repeat of
+    a loop.
     """
 
     def __init__(self, medium: HapticMedium, segments: Segments) -> None:
@@ -56,7 +57,7 @@ class SegmentBlend:
         self.forget()
 
     def forget(self) -> None:
-        """Start anew: the next frame does not follow the latest one."""
+        """Forget the latest frame: the next one does not follow it."""
         self._latest: tuple[int, ForceField] | None = None
         self._previous: ForceField | None = None
 
@@ -86,10 +87,10 @@ class SegmentBlend:
 def with_blends(
     medium: HapticMedium | HapticScene,
 ) -> tuple[HapticMedium | HapticScene, tuple[SegmentBlend, ...]]:
-    """A medium or a scene that blends its segments, and the blends that do so.
+    """Return a medium or a scene that blends its segments, and the blends that do so.
 
-    The fields must be requested in the order of play. A rigid body has one field, which is encoded once. Of
-    bodies that deform, each field is blended in its own frame of reference.
+    The fields must be requested in the order of play. A rigid body has one field, which is encoded once. The
+    fields of deforming bodies are blended in their body frames.
     """
     if isinstance(medium, HapticMedium):
         return _with_blend(medium)
@@ -109,7 +110,7 @@ def _with_blend(medium: HapticMedium) -> tuple[HapticMedium, tuple[SegmentBlend,
 
 
 def _blend_fields(previous: ForceField, current: ForceField, weight: float, segments: Segments) -> ForceField:
-    """`previous` blended into `current` by a weight, where both can be one source."""
+    """Blend `previous` into `current` by a weight, where both can come from one source force."""
     from touchfield.render.kernels.points import blend_bricks
 
     keys_of_fields = [brick_keys(field.grid, field.bricks) for field in (previous, current)]

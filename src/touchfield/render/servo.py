@@ -1,7 +1,7 @@
-"""The servo: at each tick, from the device's position to its force.
+"""The servo: at each tick, reads the position of the device and sets its force.
 
-However it ends, the device gets forces that go to zero within the slew limit, then zero, and is closed: after
-an order, a signal, the loss of the player, or a failure of the device (as far as it still accepts forces).
+Whether it ends by an order, a signal, the loss of the player or a failure of the device, the force goes to
+zero within the slew limit and the device is closed, as far as the device still accepts forces.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from touchfield.render.block import Block, Memory, words as W
 from touchfield.render.point_device import Point, PointDevice
 
 Opener = Callable[[], PointDevice]
-"""Makes the device, not yet open; can be pickled."""
+"""Callable that makes the device, not yet open; can be pickled."""
 
 _WATCH_S: Final = 0.01
-_MAX_SILENCE_S: Final = 2.0  # without a call for so long, a driver counts as dead
+_MAX_SILENCE_S: Final = 2.0  # time without a call after which a driver counts as dead
 
 
 class WallClock:
@@ -47,13 +47,13 @@ class WallClock:
 
 
 class VirtualClock:
-    """Time that passes only by waiting for it."""
+    """A clock whose time passes only in `sleep_until`."""
 
     def __init__(self) -> None:
         self._now_ns = 0
 
     def now_ns(self) -> int:
-        """Nanoseconds."""
+        """Return the time in nanoseconds."""
         return self._now_ns
 
     def sleep_until(self, deadline_ns: int) -> int:
@@ -99,7 +99,7 @@ class DeviceLink:
 
 
 def serve(memory: Memory, device: PointDevice, clock: Clock, must_stop: Callable[[], bool]) -> None:
-    """Serve a device until a stop has brought the force to zero; always closes it.
+    """Serve a device until a stop has brought the force to zero; it is always closed.
 
     `must_stop` is called before each tick. An error of the device is raised once the force is zero.
     """
@@ -188,13 +188,13 @@ def _supervise(memory: Memory, device: PointDevice, must_stop: Callable[[], bool
 
 
 _START_S: Final = 180.0
-"""Limit for loading interpreter and code; on a new machine the code is compiled first."""
+"""Time limit for loading interpreter and code; on a new machine the code is compiled first."""
 
 _SILENT_S: Final = 0.03
-"""Time without a tick after which a process that waits has a device that hangs."""
+"""Time without a tick after which the device of a waiting process counts as hung."""
 
 _MAX_STARVED_S: Final = 2.0
-"""The same for a process that is runnable, and only did not get the processor."""
+"""The same for a runnable process, which may only lack processor time."""
 
 FIFO_PRIORITY: Final = 50
 """Above all ordinary processes, below the kernel's own threads."""
@@ -266,11 +266,11 @@ def warm_up(memory: Memory) -> None:
 
 
 def make_realtime(is_realtime: bool = True) -> dict[str, str]:
-    """Make this process punctual; reports what was obtained, and raises nothing.
+    """Request real-time behaviour for this process; never raises.
 
     Disables the garbage collector and the grouping of timers. With `is_realtime`, also requests SCHED_FIFO,
-    locked memory, and processors that stay awake until the process ends. ``priority``, ``memory`` and
-    ``processors`` describe what was obtained, or why not.
+    locked memory, and processors that stay awake until the process ends. The entries ``priority``, ``memory``
+    and ``processors`` of the result describe what was obtained, or why not.
     """
     gc.collect()
     gc.disable()
@@ -347,7 +347,7 @@ def zero_by_reconnecting(opener: Opener) -> str:
 
 
 def is_waiting(pid: int) -> bool:
-    """True if no thread of a process is running or runnable, or the system hides it."""
+    """Return True if no thread of a process is running or runnable, or the system hides it."""
     try:
         for thread in Path(f"/proc/{pid}/task").iterdir():
             if (thread / "stat").read_text().rpartition(")")[2].split()[0] == "R":
@@ -360,9 +360,9 @@ def is_waiting(pid: int) -> bool:
 class ServoProcess:
     """The servo's process as seen by its parent.
 
-    The block is laid out before, with the first order in it. `report` is that of `make_realtime`, once the
-    process is ready; `error` is what ended it. `is_done`: it ended as ordered. `is_unreleased`: it ended
-    without bringing the force to zero.
+    The block must be laid out, with the first order in it. `report` is that of `make_realtime`, once the
+    process is ready; `error` is the error that ended it. `is_done` is True if it ended as ordered, and
+    `is_unreleased` if it ended without bringing the force to zero.
     """
 
     def __init__(self, block: Block, opener: Opener, is_realtime: bool) -> None:
@@ -371,7 +371,7 @@ class ServoProcess:
         self._block = block
         try:
             self._opener = ForkingPickler.dumps(opener)
-        except (AttributeError, TypeError, ImportError, PickleError) as error:  # of a local function, say
+        except (AttributeError, TypeError, ImportError, PickleError) as error:  # e.g. of a local function
             raise InvalidArgument(
                 "opener", f"{opener!r} ({error})", "a callable that can be pickled"
             ) from error

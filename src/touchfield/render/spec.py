@@ -45,7 +45,10 @@ PEAK_RISE_S: Final = 0.005
 """Time in which the default slew limit lets the force rise from zero to its peak."""
 
 _MIN_LIMIT_N, _MAX_LIMIT_N = 1e-6, 1e6
-"""Range of limits: others are mistakes, and within it the square of a force does not under- or overflow."""
+"""Range of limits.
+
+Values outside are mistakes; inside, the square of a force does not under- or overflow.
+"""
 
 _NON_NEGATIVE: Final = ("force_scale", "friction", "damping_n_s_per_m", "coupling_n_per_m")
 _CHECKED_NUMBERS: Final = (
@@ -86,7 +89,7 @@ class RenderSpec:
     slew_n_per_s: float | None = option(None, "Limit of |dF/dt|; default: to the peak in 5 ms.")
     # time constant of the heat model that lets the force exceed the continuous limit for a while
     thermal_s: float = 1.0
-    # time in which the force goes to zero when the feed stalls, and comes back
+    # time in which the force goes to zero when the feed stalls, and returns
     ramp_s: float = 0.02
     # cut-off of the low-pass on the velocity, which is estimated from positions
     velocity_cutoff_hz: float = 100.0
@@ -104,9 +107,9 @@ class RenderSpec:
     up: str = option(
         "auto", "Up for the hand: x to -z; auto: as the stream states; lattice: y or -y, as stored."
     )
-    # None: those that travel with the medium
+    # None: the materials stored with the medium
     materials: tuple[Material, ...] | None = None
-    # bends the medium, or lets it yield; rendering is then that of "field"
+    # deformation of the medium; it is then rendered as with "field"
     deformation: Deformation | None = None
 
     def __post_init__(self) -> None:
@@ -140,7 +143,7 @@ def write_parameters(
     medium_damping: float,
     field_axes: str,
 ) -> tuple[str, ...]:
-    """Write the parameters for the servo and reset its state; notes for the user.
+    """Write the parameters for the servo and reset its state; return notes for the user.
 
     Must not be called while a servo runs. mu and b are those of the medium unless `spec` gives them. Raises
     `InvalidArgument` if a limit exceeds the device's, or a coefficient is negative or not finite;
@@ -240,7 +243,7 @@ _MAX_PHASE_SQUARED: Final = 0.4
 _MAX_STEP_N: Final = 0.035
 
 _MIN_STIFFNESS_FRACTION: Final = 0.92
-"""Rendered fraction of a stiffness that Colgate's rule allows for the bare device, at least."""
+"""Minimum rendered fraction of a stiffness that Colgate's rule allows for the bare device."""
 
 
 # For slow movements, a force that is sampled, held and delayed by d equals -K x(t - T/2 - d): a spring with a
@@ -266,7 +269,7 @@ class Stability:
 
 
 def delay_s(device: Device) -> float:
-    """Delay from a reported position to the resulting force, seconds.
+    """Return the delay from a reported position to the resulting force, seconds.
 
     Sampling and hold are not included.
     """
@@ -276,9 +279,9 @@ def delay_s(device: Device) -> float:
 def stability_of(
     device: Device, spec: RenderSpec, medium_damping: float, stiffest_n_per_m: float
 ) -> Stability:
-    """Damper in contact and coupling for a field with this largest slope.
+    """Choose the damper in contact and the coupling for a field with this largest slope.
 
-    Values that `spec` gives are kept.
+    Values that `spec` gives are not changed.
     """
     tick, delay = 1 / spec.rate_hz, delay_s(device)
     scale = spec.scale * spec.force_scale
@@ -306,9 +309,9 @@ def stability_of(
 
 
 def _max_stiffness(device: Device, spec: RenderSpec, k: float, lag: float) -> float:
-    """Largest stable stiffness for a field of stiffness k, N/m of the device.
+    """Return the largest stable stiffness for a field of stiffness k, N/m of the device.
 
-    It is limited by what a damper makes stable, and by the vibration that the encoder's steps cause.
+    It is limited by the stability that a damper gives, and by the vibration that the encoder's steps cause.
     """
     tick, device_damping = 1 / spec.rate_hz, device.damping_n_s_per_m or 0.0
     smoothing = -math.expm1(-2 * math.pi * spec.velocity_cutoff_hz * tick)
@@ -329,13 +332,13 @@ def _max_stiffness(device: Device, spec: RenderSpec, k: float, lag: float) -> fl
 # -- stiffness and walls of a field
 
 _STEEP_FRACTION: Final = 1e-3
-"""Fraction of the cells that push back which may be stiffer: edges, corners, noise."""
+"""Fraction of the resisting cells that may be stiffer: edges, corners, noise."""
 
 
 def stiffest_n_per_m(pools: Iterable[CellPool]) -> float:
-    """Largest slope of a force against its own direction, N/m.
+    """Return the largest slope of a force against its own direction, N/m.
 
-    One cell in a thousand of a field may exceed it.
+    One in a thousand of the resisting cells of a field may exceed it.
     """
     from touchfield.render.kernels.points import BINS, count_slopes, slope_of_bin
 
@@ -354,7 +357,7 @@ def stiffest_n_per_m(pools: Iterable[CellPool]) -> float:
 
 # constants of `wall_of`
 _MAX_SAMPLES: Final = 20_000
-_LARGE_PERCENTILE: Final = 98.0  # percentile of a "large" force: near the limit, which a few overshoot
+_LARGE_PERCENTILE: Final = 98.0  # percentile of a "large" force: near the limit, with few samples above
 _RAMP_FRACTIONS: Final = (0.1, 0.85)  # fractions of a large force between the surface and the limit
 _MIN_COSINE: Final = 0.8  # between the forces of a sample and of the point one sample farther out
 _MAX_RATIO: Final = 0.97  # between the sizes of these two forces
@@ -377,10 +380,10 @@ class Wall:
 
 
 def wall_of(field: ForceField) -> Wall | None:
-    """The wall in a field, or None.
+    """Return the wall in a field, or None.
 
-    A field is a wall if most samples have a force that decreases by K per metre outwards, and is nearly
-    parallel to that of the next sample. A constant pull, for example, is none. The stiffness is that of the
+    A field is a wall if the force of most samples decreases by K per metre outwards, and is nearly parallel
+    to that of the next sample. A constant pull, for example, is not a wall. The stiffness is that of the
     steeper samples, because edges, thin walls and the low-pass decrease it.
     """
     sizes = lengths_of(field.forces_n)
@@ -409,9 +412,9 @@ def wall_of(field: ForceField) -> Wall | None:
 
 
 def stated_n_per_m(provenance: Mapping[str, str]) -> float | None:
-    """Stiffness of walls in the provenance of a medium; None if none is valid.
+    """Return the stiffness of walls in the provenance of a medium; None if none is valid.
 
-    A stream that was encoded again has that of its source, one that was edited none.
+    A stream that was encoded again has the stiffness of its source, and an edited one has none.
     """
     if "edits" in provenance:
         return None

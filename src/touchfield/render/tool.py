@@ -1,14 +1,14 @@
 """Tools: points with normals about the device's point, and their block layout.
 
 The force on a tool is the sum over its points of s max(0, -n . F / |F|) F, with F the field's force at the
-point and n the outward normal of the tool there. So a piece of the tool's surface counts by the area that it
-presents to the force (McNeely, Puterbaugh and Troy 1999 and Barbic and James 2007 use normals similarly), and
-a force from behind, as at the far side of a thin plate, does not pull the tool through.
+point and n the outward normal of the tool there. Each piece of the tool's surface is thus weighted by the
+area that it presents to the force (McNeely, Puterbaugh and Troy 1999 and Barbic and James 2007 use normals
+similarly), and a force from behind, as at the far side of a thin plate, does not pull the tool through.
 
 The weight s of a point is four times its fraction of the tool's area: averaged over all directions, a convex
-body presents a quarter of its area (Cauchy). So the weights of a convex tool in a uniform force add up to 1
-in the mean over its orientations, and for a sphere always: the force on a small sphere is that on a point,
-however many points the sphere has.
+body presents a quarter of its area (Cauchy). The weights of a convex tool in a uniform force therefore add up
+to 1 in the mean over its orientations; for a sphere they always do. The force on a small sphere is that on a
+point, whatever its number of points.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
 MAX_POINTS: Final = 100_000
 SPHERE_POINTS: Final = 1000
 FLOATS_PER_POINT: Final = (
-    6  # float32 for each point, in rows: place and normal in the tool's axes; behind them `SCRATCH_FLOATS`
+    6  # float32 for each point: position and normal in the tool's axes; `SCRATCH_FLOATS` follow
 )
-AT_ONCE: Final = 512  # points that are added up at a time
+AT_ONCE: Final = 512  # points summed at a time
 SCRATCH_FLOATS: Final = (
     9 * AT_ONCE
-)  # float32 for their places in a field, the force there, and the sum over fields
+)  # float32 for their positions in a field, the force there, and the sum over fields
 _MAX_DISTANCE_M: Final = 10.0
 _GOLDEN: Final = (1 + 5**0.5) / 2
 
@@ -73,7 +73,7 @@ class Tool:
 
     @classmethod
     def sphere(cls, radius_m: float, points: int = SPHERE_POINTS) -> Tool:
-        """A sphere about the device's point, with points on a spiral between the poles."""
+        """Make a sphere about the device's point, with points on a spiral between the poles."""
         require_up_to(_MAX_DISTANCE_M, radius_m=radius_m)
         require_between(1, MAX_POINTS, points=points)
         n = np.arange(points)
@@ -88,7 +88,7 @@ class Tool:
     def of_triangles(
         cls, vertices_m: Float64s, triangles: NDArray[np.integer], points: int, name: str
     ) -> Tool:
-        """Points spread evenly over a surface, float64 [n, 3] and int [m, 3].
+        """Make a tool of points spread evenly over a surface, float64 [n, 3] and int [m, 3].
 
         Triangles are counter-clockwise from outside; a closed surface that is inside out is reversed. Raises
         `InvalidArgument` if the surface has no area, or the numbers are invalid for a `Tool`.
@@ -119,7 +119,7 @@ class Tool:
 
 
 def _morton_order(points: Float64s) -> Int64s:
-    """Order along a Morton curve (Morton 1966), int64 [n], of points [n, 3].
+    """Return the order of points [n, 3] along a Morton curve (Morton 1966), int64 [n].
 
     Neighbours in space are near each other in this order.
     """
@@ -134,7 +134,7 @@ def _morton_order(points: Float64s) -> Int64s:
 
 
 def tool_word_count(tool: Tool | None) -> int:
-    """Words of the block that a tool takes."""
+    """Return the number of words that a tool takes in the block."""
     return 0 if tool is None else -(-(FLOATS_PER_POINT * len(tool) + SCRATCH_FLOATS) // 2)
 
 

@@ -1,4 +1,7 @@
-"""Sources: scenes as generators of force fields (`registry` opens them), and force laws (`laws`)."""
+"""Sources: scenes as generators of force fields, and force laws.
+
+`registry` opens scenes, `laws` defines the force laws.
+"""
 
 from typing import TYPE_CHECKING
 

@@ -1,13 +1,13 @@
-"""Pinhole camera, depth sequences independent of their layout on disk, and resampling in time.
+"""Pinhole cameras, depth sequences, and their resampling in time.
 
 The paper (section 5.1, scene 2) makes 800 frames at 1 kHz from 20 depth maps by linear interpolation, without
 a formula. Here frame j shows the source at t = j / rate, and source frame i lies at t = i / source rate, so
 that 20 frames at 25 Hz become 20 / 25 s * 1000 Hz = 800 frames. These span 19 intervals only: after the last
-picture that picture is repeated (the last 40 of those 800).
+picture, that picture is repeated (the last 40 of the 800 frames).
 
 Depth maps are interpolated pixel by pixel, without motion estimation. Where a pixel changes between a near
 and a far object, linear interpolation yields depths in between, a surface that does not exist; "nearest"
-avoids this. A rate below the source's samples in the same way, without a low-pass.
+avoids this. A rate below that of the source takes samples in the same way, without a low-pass filter.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class DepthSequence(ABC):
     intrinsics: Intrinsics
     rate_hz: float
     poses: Float64s | None = None  # [frame_count, 4, 4], camera to world, metres
-    is_captured = False  # a frame is captured when it is requested; old ones are gone
+    is_captured = False  # live source: a frame is captured on request, and old frames are gone
     notes: tuple[str, ...] = ()  # messages for the user
 
     @abstractmethod
@@ -91,7 +91,9 @@ class DepthSequence(ABC):
 
 
 def noise_step_per_m(depth_m: Float32s) -> float:
-    """Estimate the step g, 1/m, up to which neighbouring inverse depths belong to one surface.
+    """Estimate the noise step g, 1/m, of a depth map.
+
+    Neighbouring inverse depths that differ by at most g belong to one surface.
 
     2.5 times the upper quartile of the second differences of w = 1/z along about 16 rows. Measured: 0.0073
     for a Kinect (TUM fr1; its quantum is 0.0029) and 0.0005 for rendered depth in millimetres (ICL-NUIM);
@@ -232,7 +234,9 @@ class InterpolatedSequence(DepthSequence):
 
 
 def interpolate_depth(before_m: Float32s, after_m: Float32s, fraction: float) -> Float32s:
-    """Interpolate depth, metres, float32 [height, width]: before + fraction (after - before).
+    """Interpolate depth maps, metres: before + fraction (after - before).
+
+    All are float32 [height, width].
 
     As in the paper. A pixel that is unknown (0) in either frame is unknown.
     """

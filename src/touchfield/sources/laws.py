@@ -1,9 +1,10 @@
-"""Force laws: how a surface pushes, guides or attracts a point (paper section 4; its [21] has no formula).
+"""Force laws: how a surface pushes, guides or attracts a point (paper section 4).
 
-Every law acts along the outward surface normal n and depends on the signed distance phi alone (negative
-inside, d = -phi the penetration depth), so that F = f(phi) n. f is piecewise linear and may jump. Kernels
-evaluate such pieces, so a new law needs no new kernel. Lengths of a law are metres of *hand* motion: a wall
-of 500 N/m feels the same whether the scene is a room or a coin. Laws can be summed: ``penalty+proximity``.
+The paper gives no formula, nor does its reference [21]. Every law acts along the outward surface normal n and
+depends on the signed distance phi alone (negative inside, d = -phi the penetration depth), so that F = f(phi)
+n. f is piecewise linear and may jump. Kernels evaluate such pieces, so a new law needs no new kernel. Lengths
+of a law are metres of *hand* motion: a wall of 500 N/m feels the same whether the scene is a room or a coin.
+Laws can be summed: ``penalty+proximity``.
 """
 
 from __future__ import annotations
@@ -26,9 +27,9 @@ class ForceProfile:
 
     pieces : tuple of (low_m, high_m, intercept_n, slope_n_per_m); A piece applies to low_m < phi <= high_m.
         The pieces are in ascending order and do not overlap; the first low_m may be -inf.
-    surface_damping_n_s_per_m : float; b of a moving surface: where f acts, b times the velocity of the
-        surface is added to the force, so that with the receiver's own damping b (paper section 3.2) F_d = -b
-        (v_hand - v_surface). A static scene adds nothing.
+    surface_damping_n_s_per_m : float; Damping b of a moving surface: where f acts, b times the velocity of
+        the surface is added to the force, so that with the receiver's own damping b (paper section 3.2) F_d =
+        -b (v_hand - v_surface). A static scene adds nothing.
     """
 
     pieces: tuple[tuple[float, float, float, float], ...]
@@ -72,7 +73,10 @@ class ForceProfile:
         return np.array(self.pieces, np.float64)
 
     def rescaled(self, scale: float) -> ForceProfile:
-        """Return the profile g(phi) = f(scale * phi), for distances in a space `scale` times smaller."""
+        """Return the profile g(phi) = f(scale * phi).
+
+        It is for distances in a space that is `scale` times smaller.
+        """
         pieces = tuple((a / scale, b / scale, c, s * scale) for a, b, c, s in self.pieces)
         return ForceProfile(pieces, self.surface_damping_n_s_per_m * scale)
 
@@ -103,7 +107,7 @@ class LawSpec:
     thickness_m : float or None; Thickness of a wall behind the surface; ``inf`` for a solid; None for
         the default of the source.
     band_m : float; Reach of the proximity and magnetic laws, metres.
-    surface_damping_n_s_per_m : float; b of a moving surface, see `ForceProfile`; 0 for none.
+    surface_damping_n_s_per_m : float; Damping b of a moving surface (see `ForceProfile`); 0 for none.
     """
 
     law: str = "penalty"
@@ -140,7 +144,10 @@ class LawSpec:
 
 
 def penalty(spec: LawSpec, thickness_m: float) -> ForceProfile:
-    """F = min(K d, F_max) n for 0 < d < thickness: a wall that pushes a penetrating point out."""
+    """Return the law of a wall: F = min(K d, F_max) n for 0 < d < thickness.
+
+    It pushes a penetrating point out.
+    """
     k, f_max, knee = spec.stiffness_n_per_m, spec.force_max_n, spec.saturation_m
     ramp = (-min(knee, thickness_m), 0.0, 0.0, -k)
     if thickness_m <= knee:
@@ -149,13 +156,18 @@ def penalty(spec: LawSpec, thickness_m: float) -> ForceProfile:
 
 
 def proximity(spec: LawSpec, thickness_m: float) -> ForceProfile:
-    """F = F_max/4 (1 - phi/band) n for 0 < phi < band: a gentle guide in front of the surface."""
+    """Return a guide in front of a surface: F = F_max/4 (1 - phi/band) n.
+
+    It acts for 0 < phi < band.
+    """
     peak = spec.force_max_n / 4
     return ForceProfile(((0.0, spec.band_m, peak, -peak / spec.band_m),))
 
 
 def magnetic(spec: LawSpec, thickness_m: float) -> ForceProfile:
-    """F = -min(K |phi|, F_max) sgn(phi) n, fading to 0 at |phi| = band: attraction from both sides.
+    """Return an attraction from both sides: F = -min(K |phi|, F_max) sgn(phi) n.
+
+    It fades to 0 at |phi| = band.
 
     The force is zero on the surface, grows like a spring up to half the band (or up to F_max, if that is
     nearer) and falls linearly to zero at the edge of the band, as does the magnet of CHAI3D.

@@ -18,34 +18,34 @@ class SourceOptions:
     kind : str or None; Name of a source kind; None to recognise it.
     depth_scale : float or None; Stored depth units in one metre (1000 for millimetres, 5000 for TUM).
     intrinsics : str or None; "fx,fy,cx,cy" in pixels, or the path of an intrinsics file.
-    poses : str or None; Of a depth sequence: path of its camera poses
-        (`touchfield.sources.depth.frame_poses`); None to search for them.
-    frame : str; "world": camera poses are used if there are any, so that the scene of a moving camera is
-        static; "camera": the workspace moves with the camera.
-    world : str; Of a depth sequence in world coordinates: "fused" (one world of all frames), "causal" (of
-        the frames so far) or "frames" (each frame alone, as in the paper).
-    reading : str; Of a depth map: "camera" (back-projected, perspective, a wall of some thickness) or
-        "height" (the paper's height map: everything behind the surface is solid).
-    shell : str; Of an open mesh: "one" sided (the wall lies behind the faces), "two" sided, or "auto".
-    holes : str; Which holes of a mesh are closed: "small" ones, all ("close") or none ("leave").
-    cell_size_m : float or None; Of a height map: metres between neighbouring samples.
-    height_scale : float or None; Of a height map: metres of one stored unit.
-    exaggeration : float; Of a height map: factor on heights (1 is honest).
-    unit_m : float or None; Of a mesh: metres of one unit of its coordinates.
+    poses : str or None; Depth sequences: path of the camera poses (`touchfield.sources.depth.frame_poses`);
+        None to search for them.
+    frame : str; Depth sequences: "world" uses the camera poses, if there are any, so that the scene of a
+        moving camera is static; with "camera" the workspace moves with the camera.
+    world : str; Depth sequences in world coordinates: "fused" (one world from all frames), "causal" (one
+        world from the frames so far) or "frames" (each frame alone, as in the paper).
+    reading : str; Depth maps: "camera" (back-projected with perspective; the surface is a wall with a
+        thickness) or "height" (the height map of the paper: everything behind the surface is solid).
+    shell : str; Open meshes: "one" sided (the wall lies behind the faces), "two" sided, or "auto".
+    holes : str; Meshes: close the "small" holes, all holes ("close") or none ("leave").
+    cell_size_m : float or None; Height maps: metres between neighbouring samples.
+    height_scale : float or None; Height maps: metres of one stored unit.
+    exaggeration : float; Height maps: factor on heights; 1 keeps the true proportions.
+    unit_m : float or None; Meshes: metres of one unit of the coordinates.
     rate_hz : float or None; Frames a second of the medium. A formula or a simulation is evaluated at this
         rate; a depth sequence of known rate is interpolated in time. If neither the source nor
-        `source_rate_hz` gives the rate of the source, this is its rate, too.
-    seconds : float or None; Of a simulation: its duration.
+        `source_rate_hz` gives the rate of the source, `rate_hz` is also taken as the rate of the source.
+    seconds : float or None; Simulations: duration.
     source_rate_hz : float or None; Frames a second of the source, if the source does not state it.
-    interpolation : str; Of a depth sequence between two of its frames: "linear" (the paper's) or "nearest"
-        (the frame nearest in time).
-    animation : str or None; Of an animated model: name or number of the animation; None for the first.
-    relative_depth : str or None; Of a picture or video: path of its relative depth.
-    near_m, far_m : float or None; Of a relative depth: metres of its nearest and of its farthest value.
-    segment : str or None; Of a depth sequence in the object representation: the rule of its segmentation, as
-        `touchfield.sources.depth.segmentation` reads it; None for its default.
-    baseline_m, disparity_offset_px : float or None; Of a disparity map: depth = fx * baseline_m /
-        (disparity + disparity_offset_px).
+    interpolation : str; Depth sequences: how depth between two frames is computed, "linear" (as in the paper)
+        or "nearest" (the frame nearest in time).
+    animation : str or None; Animated models: name or number of the animation; None for the first.
+    relative_depth : str or None; Pictures and videos: path of the relative depth.
+    near_m, far_m : float or None; Relative depth: metres of the nearest and of the farthest value.
+    segment : str or None; Depth sequences in the object representation: segmentation rule (see
+        `touchfield.sources.depth.segmentation`); None for the default rule.
+    baseline_m, disparity_offset_px : float or None; Disparity maps: depth = fx * baseline_m / (disparity +
+        disparity_offset_px).
     allow_outside : bool; Whether a model or scene file may name files outside its own folder. Never read from
         a ``.touch`` file.
     """

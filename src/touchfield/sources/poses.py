@@ -76,7 +76,9 @@ def read_text(path: Path, max_bytes: int = _MAX_TEXT_BYTES) -> str:
 
 
 def split_lines(text: str, where: str, separator: str | None = None) -> list[tuple[str, list[str]]]:
-    """Split a text into lines of tokens: (location, tokens) of each line that is not empty.
+    """Split a text into lines of tokens.
+
+    Returns (location, tokens) of each line that is not empty.
 
     Tokens are separated by blanks, or by `separator`; ``#`` starts a comment.
     """
@@ -109,10 +111,12 @@ def _refuse(is_bad: Any, where: str, found: str, expected: str) -> None:
 
 
 def checked_poses(matrices: Float64s, where: str) -> Float64s:
-    """Check matrices, metres, float64 [n, 3, 4] or [n, 4, 4], and return poses float64 [n, 4, 4].
+    """Check matrices and return poses, float64 [n, 4, 4].
+
+    `matrices` are float64 [n, 3, 4] or [n, 4, 4], with positions in metres.
 
     Rotations are made orthonormal. Raises `SourceError`, which names the entry, if a number is not finite, a
-    fourth row is not 0 0 0 1, or a rotation has an error of more than 1 % or mirrors.
+    fourth row is not 0 0 0 1, or a rotation has an error of more than 1 % or is a reflection.
     """
     poses = np.tile(np.eye(4), (len(matrices), 1, 1))
     poses[:, : matrices.shape[1]] = matrices
@@ -132,7 +136,10 @@ def checked_poses(matrices: Float64s, where: str) -> Float64s:
 
 
 def poses_of_quaternions(quaternions: Float64s, positions_m: Float64s, where: str) -> Float64s:
-    """Convert unit quaternions (x, y, z, w), float64 [n, 4], and positions [n, 3] to poses [n, 4, 4]."""
+    """Convert unit quaternions and positions to poses, float64 [n, 4, 4].
+
+    Quaternions (x, y, z, w) are float64 [n, 4], positions float64 [n, 3].
+    """
     _refuse(
         ~(np.abs(quaternions) < 2).all(axis=1), where, "a quaternion that is not finite and small", "norm 1"
     )
@@ -145,7 +152,10 @@ def poses_of_quaternions(quaternions: Float64s, positions_m: Float64s, where: st
 
 
 def seconds(stamps: Float64s) -> Float64s:
-    """Convert time stamps to seconds: larger than seconds since 1970 are milli-, micro- or nanoseconds."""
+    """Convert time stamps to seconds.
+
+    Stamps that are too large for seconds since 1970 are taken as milli-, micro- or nanoseconds.
+    """
     size = float(np.abs(stamps).max(initial=0.0))
     units = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3))
     unit = next((unit for threshold, unit in units if threshold <= size < 1e20), 1.0)
@@ -155,7 +165,7 @@ def seconds(stamps: Float64s) -> Float64s:
 def nearest_in_time(times_s: Float64s, query_s: Float64s, tolerance_s: float) -> Int64s:
     """Return the index of the time nearest to each of `query_s`, int64 [m].
 
-    Returns -1 beyond the tolerance.
+    The index is -1 if no time is within the tolerance.
 
     `times_s` float64 [n] ascending.
     """
@@ -287,7 +297,9 @@ def _is_number(token: str) -> bool:
 def interpolate_poses(
     quaternions: Float64s, positions_m: Float64s, indices: Float64s
 ) -> tuple[Float64s, Float64s]:
-    """Interpolate quaternions float64 [m, 4] and positions float64 [m, 3] at fractional `indices`.
+    """Interpolate poses at fractional `indices`.
+
+    `quaternions` are float64 [m, 4], `positions_m` float64 [m, 3].
 
     Positions are interpolated linearly, rotations along the shortest arc at constant speed (slerp).
     """
@@ -312,7 +324,10 @@ def track_at_rate(trace: Trace, rate_hz: float, frame_count: int) -> PoseTrack:
 
 
 def quaternion_of_euler(rotation_deg: Triple) -> Float64s:
-    """Return the quaternion w, x, y, z of rotations about the fixed x, then y, then z axis, float64 [4]."""
+    """Return the quaternion (w, x, y, z) of Euler angles, float64 [4].
+
+    The rotations are about the fixed x, then y, then z axis.
+    """
     from scipy.spatial.transform import Rotation
 
     quaternion: Float64s = Rotation.from_euler("xyz", rotation_deg, degrees=True).as_quat(scalar_first=True)

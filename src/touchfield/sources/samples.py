@@ -1,4 +1,7 @@
-"""Sample scenes that need no download: data of well-known libraries, and Scene 1 of the paper."""
+"""Sample scenes that need no download.
+
+They are data of well-known libraries, and Scene 1 of the paper.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ def sample(name: str, options: SourceOptions | None = None) -> Scene:
     Topography Mission); "motorcycle" is the Middlebury 2014 stereo pair from scikit-image, as a depth map.
     "falling-4" and "falling-7" are Scene 1 of the paper (section 5.1), bodies of low complexity that fall on
     the ground, 2000 frames in 2 s: four as in its text, seven as in its figure 5. The ground itself exerts no
-    force. The paper gives no shapes and positions; those here are ours.
+    force. The paper gives no shapes and positions; those of these samples are our choice.
 
     Raises `InvalidArgument` if there is no such sample, or the library that contains or simulates it is not
     installed.

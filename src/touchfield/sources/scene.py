@@ -1,7 +1,7 @@
 """Base class of scenes: generators of force fields, evaluated on any lattice.
 
 A scene keeps its geometry (depth maps, triangles, a formula) and is never voxelised as a whole: the device
-filter requests the field on the lattice that it needs (design: "keep the generator").
+filter requests the field on the lattice that it needs.
 """
 
 from __future__ import annotations
@@ -31,7 +31,9 @@ DEPTH_UNIT: Final = ("--depth-scale", 0.02, 200.0)
 
 
 def find_bricks_by_block(may_hold: Callable[[Int32s, int], Bools], grid: Grid) -> Int32s:
-    """Find bricks that may hold a force, int32 [n, 3] ascending, by halving blocks of bricks.
+    """Find bricks that may have a force, by halving blocks of bricks.
+
+    The bricks are int32 [n, 3], ascending.
 
     ``may_hold(blocks, size)`` returns bool [n]: whether each block may hold a force. `blocks` int32 [n, 3]
     are positions in units of `size`, the number of bricks along each edge of a block.
@@ -49,7 +51,9 @@ def find_bricks_by_block(may_hold: Callable[[Int32s, int], Bools], grid: Grid) -
 
 
 def find_bricks_by_sphere(may_hold: Callable[[Float64s, float], Bools], grid: Grid) -> Int32s:
-    """Find bricks that may hold a force, int32 [n, 3] ascending, by a test of spheres.
+    """Find bricks that may have a force, by a test of spheres.
+
+    The bricks are int32 [n, 3], ascending.
 
     ``may_hold(centres, radius_m)`` returns bool [n]: whether a force may lie within `radius_m` of each of the
     points float64 [n, 3].
@@ -82,8 +86,7 @@ class Scene(ABC):
         something else.
     exaggeration : float; Factor already applied to the heights (z) of a height map.
     is_captured : bool; Frames are captured when they are requested (`touchfield.sources.depth.capture`).
-    stored : HapticMedium or None; The field that the scene is, if its forces are stored; None if they are
-        computed.
+    stored : HapticMedium or None; The stored force field of the scene; None if the forces are computed.
     has_gpu : bool; Forces are computed on a GPU if one is selected (`touchfield.compute.cuda.computing`).
     report : callable; ``report(done, total)`` is called while the scene prepares its first field; callers may
         set it.
@@ -107,7 +110,10 @@ class Scene(ABC):
 
     @abstractmethod
     def bounds_m(self) -> Float64s:
-        """Return the box of the surface over all frames, metres, float64 [2, 3]: low and high corner."""
+        """Return the box of the surface over all frames, metres, float64 [2, 3].
+
+        The rows are its low and its high corner.
+        """
 
     def bounds_between_m(self, start: int, stop: int) -> Float64s:
         """Return the box over frames start to stop - 1.
@@ -125,7 +131,10 @@ class Scene(ABC):
 
     @property
     def is_of_bodies(self) -> bool:
-        """True if the scene consists of rigid bodies: the representation "auto" then means objects."""
+        """True if the scene consists of rigid bodies.
+
+        The representation "auto" then means objects.
+        """
         return False
 
     def bodies(self) -> tuple[Body, ...]:
@@ -133,7 +142,10 @@ class Scene(ABC):
         return (Body("scene", self, PoseTrack.constant(self.frame_count)),)
 
     def restrict_frames(self, start: int, stop: int) -> None:  # noqa: B027  (most scenes have nothing to prepare)
-        """Restrict the scene to frames start to stop - 1: a fused scene, for example, is built from these."""
+        """Restrict the scene to frames start to stop - 1.
+
+        A fused scene, for example, is then built from these frames.
+        """
 
     def late_notes(self) -> tuple[str, ...]:
         """Return notes that are known only after fields were computed; by default none."""
@@ -177,7 +189,10 @@ class MovingScene(Scene):
 
 
 def size_note(extent_m: NDArray[np.floating[Any]], unit_m: float | None, when: str = "") -> str:
-    """Describe the sides of a mesh, metres [3], with the requested unit, or metres if there is none."""
+    """Describe the sides of a mesh, metres [3], and its unit.
+
+    `unit_m` is the requested unit; None stands for metres.
+    """
     extent = " x ".join(f"{side:.4g}" for side in extent_m)
     if unit_m is not None:
         return f"One unit is {unit_m:g} m: {extent} m{when}."

@@ -1,4 +1,4 @@
-"""Tasks: the functions behind the commands that are more than one step of the pipeline, by group."""
+"""Tasks: functions behind the commands that consist of several pipeline steps."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""Deformation of a stream: the tracks of an animated model, or a lattice that yields to force (paper 6.3)."""
+"""Deformations of streams: tracks of an animated model, or compliance (paper 6.3)."""
 
 from __future__ import annotations
 
@@ -22,13 +22,16 @@ _LAYER_SPACINGS: Final = 2.0  # depth of a second layer of points below the surf
 
 
 def control_lattice(low_m: Float64s, high_m: Float64s, controls: int, **yields: float) -> Deformation:
-    """Control points over a box and a margin around it, at rest."""
+    """Return control points at rest over a box and a margin around it."""
     margin = _MARGIN * float((high_m - low_m).max())
     return Deformation.at_rest(low_m - margin, high_m + margin, controls, **yields)
 
 
 def body_points_m(scene: AnimatedMeshScene, frame: int, depth_m: float) -> Float64s:
-    """Vertices of a frame, and as many points at a depth below them along the normals, [n, 3]."""
+    """Return the vertices of a frame, and as many points below them, [n, 3].
+
+    Those points are `depth_m` below the vertices along the normals.
+    """
     vertices, triangles = scene.vertices_m(frame), scene.surface(frame).triangles
     a, b, c = (vertices[triangles[:, n]] for n in range(3))
     faces, normals = np.cross(b - a, c - a), np.zeros_like(vertices)
@@ -49,11 +52,12 @@ def tracks_of(
     relax_s: float = 0.05,
     report: Progress = silent,
 ) -> Result:
-    """Write the deformation of a stream: the motion of a model that it shows at rest, and its compliance.
+    """Write the deformation of a stream: the motion of its model, and its compliance.
 
-    A motion far from rest folds the lattice; divide a long motion into parts with a rest frame each. Without
-    a motion the lattice covers the samples with a force of the first frame. InvalidArgument if neither a
-    model nor a compliance is given, or the stream has objects; SourceError if the model has no animation.
+    The stream shows the model at rest. A motion far from rest folds the lattice; divide a long motion into
+    parts with a rest frame each. Without a motion, the lattice covers the samples of the first frame that
+    have a force. InvalidArgument if neither a model nor a compliance is given, or the stream has objects;
+    SourceError if the model has no animation.
     """
     require_ending(out, "DEFORMATION.npz")
     if motion is None and not compliance_m_per_n:
@@ -101,7 +105,7 @@ def tracks_of(
     figures = {
         "frames": len(deformation),
         "control_points": list(deformation.displacement_m.shape[1:4]),
-        "rms_mm": 1e3 * rms,  # distance of the points of the surface from where the model has them
+        "rms_mm": 1e3 * rms,  # distance of the points of the body from their positions in the model
         "min_determinant": deformation.min_determinant()[0],
         "compliance_m_per_n": deformation.compliance_m_per_n,
         "file_bytes": size,

@@ -1,4 +1,4 @@
-"""Editing stored media: within regions, in time, on another lattice, in levels of detail (paper section 4).
+"""Edit stored media: regions, time, lattice and levels of detail (paper section 4).
 
 Every result is a new file, coded like any medium; its provenance records the edits.
 """
@@ -70,7 +70,7 @@ KERNELS: Final = (*LOW_PASSES, "trilinear")
 def read_medium(path: str | Path, spec: EncodeSpec | None = None) -> Prepared:
     """Prepare a ``.touch`` file, or a stored field on its own lattice.
 
-    SourceError if it cannot be read; InvalidArgument for a scene or a sample.
+    Raises SourceError if it cannot be read; InvalidArgument for a scene or a sample.
     """
     if is_stream(path):
         return prepare(path, spec)
@@ -81,7 +81,10 @@ def read_medium(path: str | Path, spec: EncodeSpec | None = None) -> Prepared:
 
 
 def fidelity_of(prepared: Prepared, received: HapticMedium) -> FidelityMeter:
-    """Compare a few evenly spaced frames of a medium with a received one, by the coder's mask."""
+    """Compare some evenly spaced frames of a medium with a received one.
+
+    The mask is that of the coder.
+    """
     meter, medium = FidelityMeter(prepared.spec.k, prepared.spec.f0_n or EncodeSpec().f0_n), prepared.medium
     for n in evenly_spaced(len(medium), _COMPARED_FRAMES):
         decoded = received[n]
@@ -90,13 +93,14 @@ def fidelity_of(prepared: Prepared, received: HapticMedium) -> FidelityMeter:
 
 
 def change_rate(medium: HapticMedium, rate_hz: float) -> HapticMedium:
-    """The medium at another rate, linear between its frames; the duration changes by at most half a frame."""
+    """Return the medium at another rate, interpolated linearly between frames.
+
+    The duration changes by at most half a frame.
+    """
     if medium.rate_hz == rate_hz:
         return medium
     require_positive(rate_hz=rate_hz)
-    cached = replace(
-        medium, make_frame=lru_cache(2)(medium.__getitem__)
-    )  # a frame serves several that are asked for
+    cached = replace(medium, make_frame=lru_cache(2)(medium.__getitem__))  # several output frames use a frame
     count = max(1, round(len(medium) * rate_hz / medium.rate_hz))
     provenance = add_note(medium.provenance, "resampled", f"{medium.rate_hz:g} Hz to {rate_hz:g} Hz")
     timed = replace(
@@ -106,7 +110,10 @@ def change_rate(medium: HapticMedium, rate_hz: float) -> HapticMedium:
 
 
 def change_lattice(medium: HapticMedium, grid: Grid, kernel: str = "spline") -> HapticMedium:
-    """The medium on another lattice, through a low-pass or by trilinear interpolation."""
+    """Return the medium on another lattice.
+
+    It is resampled through a low-pass or by trilinear interpolation.
+    """
     require_one_of("kernel", kernel, KERNELS)
     if grid == medium.grid:
         return medium
@@ -123,7 +130,10 @@ def change_lattice(medium: HapticMedium, grid: Grid, kernel: str = "spline") -> 
 def match_medium(
     medium: HapticMedium, like: HapticMedium, kernel: str = "spline", name: str = "the medium"
 ) -> tuple[HapticMedium, tuple[str, ...]]:
-    """Bring a medium to the axes, lattice and rate of another one; the result and notes on the changes."""
+    """Bring a medium to the axes, lattice and rate of another one.
+
+    Returns the result and notes on the changes.
+    """
     notes: list[str] = []
     result = medium
     permutation = axes_matrix(medium.axes, like.axes)
@@ -153,7 +163,10 @@ def match_medium(
 
 
 def lattice_of(grid: Grid, nw: int | None, shape: Sequence[int] | None, spacing_m: float | None) -> Grid:
-    """A lattice over the box of `grid`: with 2^nw samples per axis, of a shape, or of a spacing."""
+    """Return a lattice over the box of `grid`.
+
+    It has 2^nw samples per axis, a given shape, or a given spacing.
+    """
     if sum(option is not None for option in (nw, shape, spacing_m)) > 1:
         raise InvalidArgument("lattice", "more than one of nw, shape and spacing", "one of them")
     low, high = grid.box_m
@@ -170,7 +183,7 @@ def lattice_of(grid: Grid, nw: int | None, shape: Sequence[int] | None, spacing_
 
 
 _HISTORY_KEYS: Final = ("edits", "splices", "resampled")
-_MAX_HISTORY: Final = 1000  # characters of a history in a file's provenance
+_MAX_HISTORY: Final = 1000  # maximum characters of a history in a file's provenance
 _COMPARED_FRAMES: Final = 8
 
 
@@ -190,7 +203,11 @@ def write_result(
     report: Progress,
     **extra_figures: Any,
 ) -> WrittenMedium:
-    """Write a medium that was derived from `like`, coded by its spec, with the notes of the coder."""
+    """Write a medium that was derived from `like`, coded by its spec.
+
+    `sources` are the files it was made of, which are not overwritten. `extra_figures` are added to the
+    figures of the result, whose notes are those of the coder.
+    """
     out = Path(to)
     refuse_overwriting(out, *sources)
     require_ending(out, "OUT.touch", "FIELD.npz", "FIELD.vti")
@@ -227,7 +244,9 @@ def edit(
     spec: EncodeSpec | None = None,
     report: Progress = silent,
 ) -> WrittenMedium:
-    """Apply operators to a region of a medium, in order; samples outside the region are unchanged.
+    """Apply operators to a region of a medium, in order.
+
+    Samples outside the region are unchanged.
 
     `region` and `operators` have the syntax of `region_of` and `operator_of`. `feather_m` is the width in
     metres of the transition outside the region, `frames` the (start, stop) of the edited frames, `spec` that
@@ -323,8 +342,8 @@ def resample_file(
 ) -> WrittenMedium:
     """Write a medium on another lattice over its box (`lattice_of`), or at another rate.
 
-    The figures have the error of a receiver that interpolates it back. Raises TouchfieldError; no file `out`
-    is then left.
+    The figures include the error of a receiver that interpolates back to the old lattice. Raises
+    TouchfieldError; no file `out` is then left.
     """
     prepared = read_medium(source, spec)
     grid = lattice_of(prepared.medium.grid, *lattice)
@@ -356,12 +375,12 @@ def levels_of_detail(
     spec: EncodeSpec | None = None,
     report: Progress = silent,
 ) -> Result:
-    """Write each level of detail of a medium as a file, with its size and its error for a receiver.
+    """Write each level of detail of a medium as a file; report its size and error.
 
     `out` is a folder for level-0.touch, level-1.touch, ..., or OUT.zarr, a store of all levels (extra
     ``zarr``); without it the levels are only measured. `levels` is the number of times that the lattice is
-    halved (default: until 8 samples are left). In the result ``levels`` has a row of figures per level, the
-    finest first, and ``level`` is the finest of `max_bytes` or less.
+    halved (default: until 8 samples are left). In the result, ``levels`` has a row of figures for each level,
+    the finest first, and ``level`` is the finest level of `max_bytes` or less.
     """
     prepared = read_medium(source, spec)
     medium, max_level = prepared.medium, max_levels(prepared.medium.grid)
@@ -412,7 +431,7 @@ def levels_of_detail(
 
 
 def detail_level(medium: HapticMedium, level: int) -> HapticMedium:
-    """The medium on its lattice halved `level` times."""
+    """Return the medium on its lattice halved `level` times."""
     if level == 0:
         return medium
     grid = reduce(lambda g, _: half_grid(g), range(level), medium.grid)
@@ -429,7 +448,7 @@ REGIONS: Final[Mapping[str, tuple[str, Callable[..., Region]]]] = {
     "ball": ("LLLL", lambda *v: Ball(v[:3], v[3])),
     "half-space": ("NNNLLL", lambda *v: HalfSpace(v[:3], v[3:])),
 }
-"""Form of a region's numbers, as `_numbers` reads them, and the function that makes the region of them."""
+"""For each region, the form of its numbers (see `_numbers`), and the function that makes it."""
 
 
 def region_of(text: str) -> Region:
@@ -437,7 +456,8 @@ def region_of(text: str) -> Region:
 
     ``everywhere``; ``box:X,Y,Z,X,Y,Z``, low and high corner; ``ball:X,Y,Z,RADIUS``;
     ``half-space:NX,NY,NZ,X,Y,Z``, the side that the normal points to, and a point; ``force:LOW..HIGH``
-    newtons. Lengths have a unit: 2mm, -0.5cm; bounds of a box may be inf. InvalidArgument for any other text.
+    newtons. Lengths have a unit: 2mm, -0.5cm; bounds of a box may be inf. Raises InvalidArgument for any
+    other text.
     """
     for sign in "|&":
         parts = text.split(sign)
@@ -467,7 +487,7 @@ OPERATORS: Final[Mapping[str, tuple[tuple[str, ...], Callable[..., EditOperator]
     "turn": (("NNNN", "NNNNLLL"), lambda *v: Move(RigidMotion.turn(v[:3], v[3], v[4:] or (0.0, 0.0, 0.0)))),
     "mirror": (("NNN", "NNNLLL"), lambda *v: Move(RigidMotion.mirror(v[:3], v[3:] or (0.0, 0.0, 0.0)))),
 }
-"""Forms of the numbers of an operator, and the function that makes the operator of them."""
+"""For each operator, the forms of its numbers (see `_numbers`), and the function that makes it."""
 
 
 def operator_of(text: str, like: Prepared) -> EditOperator:
@@ -477,7 +497,7 @@ def operator_of(text: str, like: Prepared) -> EditOperator:
     ``mirror:NX,NY,NZ``, each with a point ``,X,Y,Z`` that stays; ``over:FILE``, ``add:FILE``, ``max:FILE`` or
     ``replace:FILE``, another medium, frame by frame or of one frame; or a haptic filter,
     ``gaussian:sigma=2mm``. `like` is the medium to be edited; another medium is brought to its lattice.
-    InvalidArgument for any other text.
+    Raises InvalidArgument for any other text.
     """
     name, _, values = text.strip().partition(":")
     if name == "erase" and not values:

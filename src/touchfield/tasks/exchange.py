@@ -1,14 +1,16 @@
-"""Export of streams to other formats, and import of effects (paper figure 1: symbolic media).
+"""Export of streams to other formats, and import of effects.
+
+Imported effects are symbolic media (paper figure 1).
 
 stream -> array of actuators -> drives -> .hjif, .tact, .wav, .haptic, .ahap      `export`
 stream + trajectory of a probe -> force over time -> .hjif, .wav                  `export`
 stream -> the page in the browser -> .html                                        `export`
 .hjif, .hmpg, .ahap -> drives -> symbolic medium -> stream                        `import_effect`
 
-The force over time is that of the field at the probe, at every tick of the file, a thousand per second
-(fewer beyond 65 s). The probe moves in a straight line from one sample to the next, and waits at the first.
-Friction, damping and device limits, which the receiver adds, depend on the hand; only a force above the peak
-is clipped to it.
+The force over time is that of the field at the probe, at every tick of the file: a thousand per second, or
+fewer for more than 65 s. The probe moves in a straight line from one sample to the next, and waits at the
+first. Friction, damping and device limits depend on the hand and are left to the receiver; only forces above
+the peak are clipped to it.
 """
 
 from __future__ import annotations
@@ -74,16 +76,16 @@ def export(
     full_scale_n: float = 1.0,
     against: Source | None = None,
 ) -> Result:
-    """Write a stream in another format, chosen by the ending of `out`.
+    """Write a stream in another format, chosen by the suffix of `out`.
 
-    ``.hjif`` (ISO/IEC 23090-31) and ``.wav`` (a channel an actuator) hold the drives of an array, or with
-    `trajectory`, where the probe is over time (`touchfield.medium.trace.read_trace`), a force over time;
-    ``.tact`` is for a vest of bHaptics; ``.haptic`` (Meta) and ``.ahap`` (Apple) have one track; ``.html`` is
-    the page that contains the stream. `device_name` is the profile of an array, or with `trajectory` of a
-    point: by default the device that the stream was made for, and for ``.tact`` a TactSuit X40 if that is no
-    vest. `panel` is that of an array, "front" or "back". `against` is the source to show in the page.
-    `full_scale_n` is the force in newtons that ``.hjif`` has as 1; with 1 the values are newtons.
-    Raises TouchfieldError; no file `out` is then left.
+    ``.hjif`` (ISO/IEC 23090-31) and ``.wav`` (one channel for each actuator) contain the drives of an array.
+    With `trajectory`, the positions of a probe over time (`touchfield.medium.trace.read_trace`), they contain
+    a force over time. ``.tact`` is for a vest of bHaptics; ``.haptic`` (Meta) and ``.ahap`` (Apple) have one
+    track; ``.html`` is the page that contains the stream. `device_name` is the profile of an array, or with
+    `trajectory` of a point: by default the device that the stream was made for; for ``.tact`` a TactSuit X40
+    if that is not a vest. `panel` is that of an array, "front" or "back". `against` is the source to show in
+    the page. `full_scale_n` is the force in newtons that ``.hjif`` stores as 1; with 1 the values are
+    newtons. Raises TouchfieldError; no file `out` is then left.
     """
     path = Path(out)
     kind = path.suffix.lower()
@@ -117,12 +119,12 @@ def import_effect(
 ) -> Encoded:
     """Import an effect as a ``.touch`` file: a symbolic medium for an array of actuators.
 
-    A stream has the drive as a force, within the error bound of its coder, and as a vibration with the
-    frequency in whole hertz and the drive to within a ninth (`touchfield.codec.vibration`); a receiver
+    A stream stores the drive as a force, within the error bound of its coder, and as a vibration, with the
+    frequency in whole hertz and the drive to within a ninth (`touchfield.codec.vibration`). A receiver
     renders the greater of the two. `source` is ``.hjif``, ``.hmpg`` (its binary form) or ``.ahap``. Of `spec`
     the coder, haptic filters, frames and vibration are used; the device is that of the effect. `rate_hz` is
-    the number of frames per second, and `force_max_n` the force of a full drive: None is that of the file,
-    or else 3.3 N. Raises TouchfieldError; no file `out` is then left.
+    the number of frames per second, and `force_max_n` the force of a full drive: None is that of the file, or
+    else 3.3 N. Raises TouchfieldError; no file `out` is then left.
     """
     options = spec or EncodeSpec()
     if force_max_n is not None and not 0 < force_max_n <= 1e6:
@@ -200,7 +202,7 @@ def _export_array(
 
 
 def _target_array(stream: OpenStream, kind: str, device_name: str | None) -> Device:
-    """The requested array; else that of the stream; for a vest else the default vest."""
+    """Return the requested array, else that of the stream, or the default vest for ``.tact``."""
     if device_name is not None:
         return device(device_name)
     head = stream.reader.head
@@ -275,7 +277,7 @@ def _export_force(
 
 
 def _ticks_per_second(trace: Trace) -> int:
-    """A thousand, or fewer if that would not fit into one effect."""
+    """Return a thousand ticks a second, or fewer if that would not fit into one effect."""
     seconds = float(trace.times_s[-1])
     ticks = min(round(HAPTIC_RATE_HZ), math.floor(MAX_SPAN_TICKS / max(seconds, 1.0)))
     if ticks < 1:

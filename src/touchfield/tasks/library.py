@@ -1,7 +1,7 @@
-"""Comparison of media (paper section 4): search of a folder, similarity, correlation with a video.
+"""Comparison of media: search, similarity, correlation with a video (section 4).
 
-The file of a library is that of `MediumIndex` with one more array: the size, time and CRC-32 of each file,
-and the fault of those that cannot be described.
+A library is stored as the file of `MediumIndex` with an additional array: size, time and CRC-32 of each file,
+and the fault of files that cannot be described.
 """
 
 from __future__ import annotations
@@ -50,15 +50,18 @@ from touchfield.sources.registry import open_source
 from touchfield.sources.scene import CAMERA_AXES
 from touchfield.tasks.editing import match_medium
 
-MAX_PENDING_BYTES: Final = 1 << 24  # no further file is started while those in work take more, compressed
-SAVE_EVERY_S: Final = 5.0  # most work that a kill loses; longer if saving takes more than a twentieth of it
+MAX_PENDING_BYTES: Final = 1 << 24  # limit of the compressed bytes of files in progress
+SAVE_EVERY_S: Final = 5.0  # interval between saves; longer if saving takes more than a twentieth of it
 _UNREAD: Final = -1
 _MAX_STATE_BYTES: Final = 1 << 29
 
 
 @dataclass(frozen=True)
 class Entry:
-    """State of a file when it was described; `fault` is the reason why it could not be, or ""."""
+    """State of a file when it was described.
+
+    `fault` is the reason why it could not be described, or "".
+    """
 
     size: int
     mtime_ns: int
@@ -68,7 +71,10 @@ class Entry:
 
 @dataclass
 class Library:
-    """Index of a folder: `entries` of all its files, and `rows`, the descriptors of those that have one."""
+    """Index of a folder.
+
+    `entries` are those of all files, `rows` the descriptors of those that have one.
+    """
 
     entries: dict[str, Entry] = field(default_factory=dict)
     rows: dict[str, Float64s] = field(default_factory=dict)
@@ -77,7 +83,7 @@ class Library:
     def load(cls, path: Path) -> Library:
         """Read a file that `save` wrote.
 
-        SourceError if it is another file, is damaged, or has another version of the descriptor.
+        Raises SourceError if it is not such a file, is damaged, or has another version of the descriptor.
         """
         index, archive = MediumIndex.load(path), NpzArchive(path)
         where, expected = f"{path}, array files", "what `touchfield index` wrote"
@@ -94,7 +100,7 @@ class Library:
         return cls(entries, rows)
 
     def store(self, name: str, entry: Entry, row: Float64s | None) -> None:
-        """Store the entry of a file and its descriptor, if any, in place of the former ones."""
+        """Store the entry of a file and its descriptor, if any, replacing the previous ones."""
         self.forget(name)
         self.entries[name] = entry
         self.rows |= {} if row is None else {name: row}
@@ -105,7 +111,7 @@ class Library:
         self.rows.pop(name, None)
 
     def index(self) -> MediumIndex:
-        """The descriptors as a searchable index."""
+        """Return the descriptors as a searchable index."""
         index = MediumIndex()
         for name in sorted(self.rows):
             index.add(name, Descriptor(self.rows[name]))
@@ -123,7 +129,10 @@ class Library:
 
 
 def library_path(folder: Path, path: Path | None = None) -> Path:
-    """The file of a folder's library: `path`, or FOLDER.index.npz next to the folder."""
+    """Return the path of a folder's library.
+
+    It is `path`, or FOLDER.index.npz next to the folder.
+    """
     resolved = folder.resolve()
     if not resolved.is_dir():
         raise InvalidArgument(str(folder), "no folder", "a folder of .touch files")
@@ -146,13 +155,14 @@ class Indexed(Result):
 def index_folder(
     folder: str | Path, path: Path | None = None, report: Progress = silent, executor: Executor | None = None
 ) -> Indexed:
-    """Index every .touch file in a folder and its subfolders by its descriptor; decodes only changed files.
+    """Index the .touch files in a folder and its subfolders by their descriptors.
 
-    An entry of the same size and time is kept, and a file of the same bytes takes over the descriptor, even
-    under a new name. The library is saved every few seconds and after an error, so that the next run
-    continues. `path` is the file to write, by default FOLDER.index.npz next to the folder. `report` counts
-    files; with `executor` its workers read them. TouchfieldError if there is no such folder, or the file
-    cannot be read or written. Damaged .touch files are in `faults`.
+    Only changed files are decoded: an entry with the same size and time is kept, and a file with the same
+    bytes, even under a new name, gets the existing descriptor. The library is saved every few seconds and
+    after an error, so that the next run continues. `path` is the file to write, by default FOLDER.index.npz
+    next to the folder. `report` counts files; with `executor` its workers read them. Raises TouchfieldError
+    if there is no such folder, or the file cannot be read or written. Damaged .touch files are listed in
+    `faults`.
     """
     start_s, folder = time.perf_counter(), Path(folder)
     target = library_path(folder, path)
@@ -211,7 +221,7 @@ def index_folder(
 
 
 def describe_file(path: Path) -> tuple[Float64s | None, str]:
-    """The descriptor of a file, or None and its fault."""
+    """Return the descriptor of a file, or None and its fault."""
     try:
         return descriptor(decode(path)).values, ""
     except (TouchfieldError, OSError, MemoryError) as error:
@@ -219,7 +229,7 @@ def describe_file(path: Path) -> tuple[Float64s | None, str]:
 
 
 def _files(folder: Path) -> dict[str, tuple[int, int]]:
-    """Size and time of every .touch file, by name."""
+    """Return size and time of every .touch file, by name."""
     paths = (path for path in folder.rglob("*.touch") if path.is_file())
     return {
         path.relative_to(folder).as_posix(): (path.stat().st_size, path.stat().st_mtime_ns) for path in paths
@@ -231,7 +241,7 @@ def _is_unchanged(entry: Entry | None, size_and_time: tuple[int, int]) -> bool:
 
 
 def _crc(path: Path) -> int:
-    """CRC-32 of a file's bytes; `_UNREAD` if it cannot be read, which `describe_file` then reports."""
+    """Return the CRC-32 of a file; `_UNREAD` if it cannot be read, which `describe_file` then reports."""
     crc = 0
     try:
         with path.open("rb") as stream:
@@ -253,8 +263,8 @@ def search(
 
     `like` is a .touch file, in the folder or not, or a medium; a file is not compared with itself. `weights`
     are those of the parts of the descriptor (`MediumIndex.query`; `touchfield.measure.retrieval.ANY_POSE` for
-    any pose), and `path` is the library's file. TouchfieldError if the folder was not indexed, or `like`
-    cannot be described.
+    any pose), and `path` is the library's file. Raises TouchfieldError if the folder was not indexed, or
+    `like` cannot be described.
     """
     folder, target = Path(folder), library_path(Path(folder), path)
     if count < 1:
@@ -298,14 +308,14 @@ def similar(
     frames: int = 8,
     report: Progress = silent,
 ) -> Result:
-    """Measure the similarity of two media: by their symbols at equal positions, and by their descriptors.
+    """Measure the similarity of two media, by their symbols and by their descriptors.
 
-    The second is brought to the lattice and the rate of the first; ``descriptor_distance`` is the distance by
-    which `search` ranks. Each is a path, a scene, a medium or a field; `spec` has the options by which a
-    scene becomes a medium. `quantiser` is Q as text, fitted to both together, and coarse, so that a small
-    coding error does not count. `over` ("voxel" or "object") is mu of NMI and VI; `frames` is the number of
-    frames to compare, evenly spaced over those that both have. InvalidArgument if one of them has no force,
-    or an option is unknown.
+    Symbols are compared at equal positions, after the second medium is brought to the lattice and the rate of
+    the first. ``descriptor_distance`` is the distance by which `search` ranks. Each medium is a path, a
+    scene, a medium or a field; `spec` has the options that make a medium of a scene. `quantiser` is Q as
+    text, fitted to both media together; it is coarse, so that a small coding error does not count. `over`
+    ("voxel" or "object") is mu of NMI and VI; `frames` is the number of frames to compare, evenly spaced over
+    those that both have. Raises InvalidArgument if one of them has no force, or an option is unknown.
     """
     if frames < 1:
         raise InvalidArgument("frames to look at", f"{frames}", "1 or more")
@@ -349,17 +359,19 @@ def correlate(
     source_rate_hz: float | None = None,
     report: Progress = silent,
 ) -> Result:
-    """Measure I(V;A) of a video's luma and the |F| behind each pixel, at a few times, with a test.
+    """Measure the mutual information of a video's luma and |F| behind each pixel.
 
-    The test is against chance, one for each time.
+    The quantity is I(V;A).
+
+    It is measured at a few times, each with a test against chance.
 
     The picture covers the lattice as seen from the front. With `intrinsics` it is the picture of a camera at
     the origin of the scene, and |F| is taken along the ray of each pixel. `video` is a video, a GIF, a
     picture or a folder of pictures, `source_rate_hz` its rate if it states none. `frames` is the number of
     times, evenly spaced over the common duration; `reading` is "first" or "peak"
     (`touchfield.measure.correlation`); `intrinsics` are fx, fy, cx, cy in pixels of the video.
-    InvalidArgument or SourceError if a file cannot be read, the picture meets no force, or the camera does
-    not match the medium.
+    Raises InvalidArgument or SourceError if a file cannot be read, the picture meets no force, or the camera
+    does not match the medium.
     """
     if frames < 1:
         raise InvalidArgument("frames to look at", f"{frames}", "1 or more")
@@ -394,7 +406,7 @@ def _rays(
     placement: Placement,
     intrinsics: tuple[float, float, float, float] | None,
 ) -> tuple[Float64s, Float64s]:
-    """Start and end of the ray of each pixel of the reduced picture, in hand metres."""
+    """Return start and end of the ray of each pixel of the reduced picture, in hand metres."""
     height, width = shape
     v, u = np.mgrid[:height, :width] + 0.5
     low, high = (np.asarray(corner) for corner in medium.grid.box_m)

@@ -1,9 +1,10 @@
-"""Live streaming of a source: frames are made in real time, coded in segments, and sent to all receivers.
+"""Live streaming of a source: frames are made in real time, coded and sent.
 
-The delay of a segment is its own length and the coding of its last frame. If making or coding frames is too
-slow, frames are skipped and counted; time goes on. A coarse layer is a separate stream with the same frames
-on half the lattice, within a mask twice as wide, in a seventh of the bytes. (Coding the fine stream as the
-difference to it would take half as many bytes again as the fine stream alone.)
+Frames are coded in segments, which are sent to all receivers. The delay of a segment is its length plus the
+coding time of its last frame. If making or coding frames is too slow, frames are skipped and counted; the
+clock does not wait. A coarse layer is a separate stream with the same frames on half the lattice, within a
+mask twice as wide, in a seventh of the bytes. (Coding the fine stream as the difference to the coarse one
+would take half as many bytes again as the fine stream alone.)
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ from touchfield.tasks.editing import detail_level
 Send = Callable[[LiveSegment], bytes | None]
 
 _MAX_PENDING: Final = 2
-"""Segments that may be in work at a time."""
+"""Maximum number of segments in progress at a time."""
 
 
 @dataclass(frozen=True)
@@ -63,10 +64,12 @@ class LiveSpec:
 
 @dataclass
 class Sent:
-    """Counts of a broadcast; `left_out` were too late to be made or coded.
+    """Counts of a broadcast.
 
-    All but `coarse_bytes` are without the coarse layer. `worst_mask_ratio` is the largest error of all voxels
-    sent, in units of the error bound; None if the mode has no bound, or nothing was sent.
+    `left_out` counts frames that were too late to be made or coded.
+
+    Only `coarse_bytes` counts the coarse layer. `worst_mask_ratio` is the largest error of all voxels sent,
+    in units of the error bound; None if the mode has no bound, or nothing was sent.
     """
 
     frames: int = 0
@@ -90,11 +93,11 @@ class Sent:
             on_note(f"{reason}: {self.left_out} frames are skipped so far")
 
     def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
+        """Return the counts as a dictionary; its keys are stable."""
         return dict(self.__dict__)
 
     def error_bound(self, prepared: Prepared) -> dict[str, Any]:
-        """Keys of the error bound of all segments that were sent."""
+        """Return the keys of the error bound of all segments that were sent."""
         has_bound = self.worst_mask_ratio is not None
         keys = bound_keys(CODER.bound_rule(prepared.coding), {"promise_kept": has_bound})
         if not self.segments:
@@ -103,7 +106,10 @@ class Sent:
 
 
 def open_sender(source: Source, spec: EncodeSpec) -> tuple[Prepared, LiveSender]:
-    """Prepare a source as voxels, and open its sender; InvalidArgument for a coder other than `touch`."""
+    """Prepare a source as voxels, and open its sender.
+
+    Raises InvalidArgument for a coder other than `touch`.
+    """
     require_one_of("coder of a live stream", spec.coder, ("touch",))
     # a live stream has no time for a search
     spec = replace(spec, representation="voxel", touch=replace(spec.touch, effort="fast"))
@@ -122,8 +128,8 @@ def _sender(source: Source, prepared: Prepared, **extra_provenance: str) -> Live
 def coarse_layer(source: Source, prepared: Prepared) -> tuple[Prepared, LiveSender]:
     """Prepare the coarse layer of a prepared source, and open its sender.
 
-    Its provenance has the error of the layer alone on the first frame. InvalidArgument if the lattice cannot
-    be halved.
+    Its provenance states the error of the layer alone on the first frame. Raises InvalidArgument if the
+    lattice cannot be halved.
     """
     fine, spec = prepared.medium, prepared.spec
     if max(fine.grid.shape) < 2:
@@ -152,18 +158,20 @@ def broadcast(
     coarse: tuple[Prepared, Send] | None = None,
     on_start: Callable[[], None] = lambda: None,
 ) -> Sent:
-    """Make, code and send frames in real time, until the source or the time ends, or an interrupt.
+    """Make, code and send frames in real time.
 
-    ``send(segment) -> message`` must not block; ``on_note(note)`` gets notes on skipped frames. `coarse` is a
-    coarse layer (`coarse_layer`) and the function that sends its segments. ``on_start()`` is called when time
-    starts.
+    Ends with the source, after the requested time, or at an interrupt.
+
+    ``send(segment) -> message`` must not block; ``on_note(note)`` is called with notes on skipped frames.
+    `coarse` is a coarse layer (`coarse_layer`) and the function that sends its segments. ``on_start()`` is
+    called when the clock starts.
     """
     lanes = [_Layer(prepared, send, clock_s)]
     if coarse is not None:
         lanes.append(_Layer(*coarse, clock_s, _coarse))
     sent = lanes[0].sent
     try:
-        for lane in lanes:  # load or compile code before time starts
+        for lane in lanes:  # load or compile code before the clock starts
             lane.warm(prepared.medium[0])
         start_s = clock_s()
         frame, rate_hz = prepared.medium[0], prepared.medium.rate_hz
@@ -224,13 +232,16 @@ class _Layer:
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="touchfield-live")
 
     def warm(self, frame: ForceField) -> float:
-        """Code two frames that are not sent; the seconds of one."""
+        """Code two frames that are not sent; return the seconds that one takes."""
         start_s, frames = self._clock_s(), [self._make(frame)] * 2
         self._encoder.encode_segment(frames, self._encoder.key_frame(*frames), self._force_max_n)
         return (self._clock_s() - start_s) / 2
 
     def start_segment(self, first: int, band: list[VibrationFrame]) -> SimpleQueue[ForceField | None]:
-        """Start a segment; returns the queue for its frames and a final None. Raises an earlier error."""
+        """Start a segment; return the queue for its frames and a final None.
+
+        Raises the error of an earlier segment.
+        """
         while self._pending and self._pending[0].done():
             self._pending.popleft().result()
         queue: SimpleQueue[ForceField | None] = SimpleQueue()
@@ -240,12 +251,15 @@ class _Layer:
         return queue
 
     def _deliver(self, first: int, queue: SimpleQueue[ForceField | None], band: list[VibrationFrame]) -> None:
-        """Code and send the frames of a queue; nothing if it has none, as the source ended before."""
+        """Code and send the frames of a queue.
+
+        Sends nothing if the queue has no frame, because the source has ended.
+        """
         frames = map(self._make, iter(queue.get, None))
         first_frame = next(frames, None)
         if first_frame is None:
             return
-        self._key_frame = self._encoder.key_frame(first_frame, self._key_frame)  # of a world that stands
+        self._key_frame = self._encoder.key_frame(first_frame, self._key_frame)  # of a static world
         coded = self._encoder.encode_segment(chain([first_frame], frames), self._key_frame, self._force_max_n)
         count, vibration, sent = len(coded.frames), encode_vibration(band) if band else None, self.sent
         segment = LiveSegment(first, count, coded.body, vibration)
@@ -267,7 +281,10 @@ def _timed_segments(
     clock_s: Callable[[], float],
     pause: Callable[[float], None],
 ) -> Iterator[tuple[int, Iterator[ForceField], list[VibrationFrame]]]:
-    """Yield each segment at its time: index of its first frame, its frames in real time, its vibrations."""
+    """Yield each segment at its time.
+
+    Each item is the index of the first frame, an iterator of the frames in real time, and the vibrations.
+    """
     medium, count = prepared.medium, len(prepared.medium)
     length = max(1, min(round(spec.segment_s * medium.rate_hz), 4096))
     last = ENDLESS - 1 if spec.loop else count

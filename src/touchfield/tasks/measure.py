@@ -1,4 +1,6 @@
-"""Measure a medium, and its rendering by devices, in bits (paper sections 3 and 3.1, equations 1 to 3).
+"""Measure a medium, and its rendering by devices, in bits.
+
+See the paper, sections 3 and 3.1, equations 1 to 3.
 
 medium -> Q -> S -> entropies, coding limits, time      the medium as an information source
 medium -> M of a device -> Q -> C, WMR, HIL             the information that a device renders and loses
@@ -58,14 +60,15 @@ _IN_TIME: Final[tuple[tuple[Callable[..., Quantity], str], ...]] = (
 class Measurement:
     """The result of `measure_medium`.
 
-    `quantiser` is Q as text; `alphabet` is K, the number of its symbols with "no force". `voxels` counts
-    those of one frame, `supported_voxels` those of all frames with a force after Q. `entropy` is H(S) with
-    the requested weighting, `voxel` over all voxels and `object` over the object alone: for the plug-in
-    estimates H_voxel = h2(p) + p H_object holds exactly. `corrected` is `voxel` with the correction of Miller
-    and Madow, which shows how reliable the estimate is. `per_frame` is H(W), H_voxel times the voxels of a
-    frame. `in_time` is of consecutive frames, over voxels: H(S_t | S_t-1), I(S_t; S_t-1), normalised, and the
-    variation of information; empty for one frame. `capacities` are by device, `passivity` is that of the
-    frame with the largest support, `file_bits` counts all bits of the ``.touch`` file.
+    `quantiser` is Q as text; `alphabet` is K, the number of its symbols with "no force". `voxels` is the
+    number of voxels of one frame, `supported_voxels` the number of voxels with a force after Q in all frames.
+    `entropy` is H(S) with the requested weighting, `voxel` over all voxels and `object` over the object
+    alone: for the plug-in estimates H_voxel = h2(p) + p H_object holds exactly. `corrected` is `voxel` with
+    the correction of Miller and Madow, which shows how reliable the estimate is. `per_frame` is H(W), H_voxel
+    times the voxels of a frame. `in_time` has the quantities of consecutive frames, over voxels: H(S_t |
+    S_t-1), I(S_t; S_t-1), NMI and the variation of information; it is empty for one frame. `capacities` are
+    by device, `passivity` is that of the frame with the largest support, `file_bits` counts all bits of the
+    ``.touch`` file.
     """
 
     name: str
@@ -88,11 +91,11 @@ class Measurement:
 
     @cached_property
     def occupancy(self) -> float:
-        """p, the share of voxels whose quantised force is not zero."""
+        """p, the fraction of voxels whose quantised force is not zero."""
         return self.supported_voxels / (self.frames * self.voxels)
 
     def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs."""
+        """Return the results as a dictionary; its keys are stable."""
         return {
             "medium": self.name,
             **{key: getattr(self, key) for key in ("quantiser", "alphabet", "frames")},
@@ -112,7 +115,7 @@ class Measurement:
         }
 
     def draw(self, path: str | Path) -> None:
-        """Write the picture, PNG: bits of the medium, limits of its coding, and each device's fraction."""
+        """Draw the bits of the medium, its coding limits, and each device's fraction, as PNG."""
         title = (
             f"{self.name}: {self.frames} frame{'s' * (self.frames > 1)} of {self.voxels:,} voxels, "
             f"{self.occupancy:.2%} with a force; Q {self.quantiser}, H(W) = {self.per_frame.value:,.0f} "
@@ -121,7 +124,7 @@ class Measurement:
         draw_information(Path(path), title, "bits per supported voxel", self._bars(), self.capacities)
 
     def _bars(self) -> list[Bar]:
-        """Bits per supported voxel, from raw numbers to the best limit, with the cost of the support."""
+        """Return bits per supported voxel, from raw numbers to the best limit, with the support's cost."""
         voxels_per_supported = self.frames * self.voxels / self.supported_voxels
         i = self.voxel.interval
         interval = None if i is None else (i.low * voxels_per_supported, i.high * voxels_per_supported)
@@ -144,13 +147,13 @@ class Measurement:
 class MeasureSpec:
     """Options of `measure_medium`; InvalidArgument if one is invalid.
 
-    `quantiser` None takes "distinct" for a ``.touch`` file of coder `paper`, whose decoder made the
-    codewords, and "weber:0.1" for all else (coder `touch` has none, and the receiver interpolates between
-    those of an object) and whenever a device is named. `devices` are the profiles whose capacity, WMR and HIL
-    are measured; `limits` turns on the coding limits, which take most of the time. `encode` has the options
-    that make a medium of a scene; its device is the reference space in which W is sampled. `density` None is
-    that of the device's data sheet, and no finer than W. The paper's W of 10^12 samples has 5 per sample of
-    its device, of 8 10^9.
+    `quantiser` None selects "distinct" for a ``.touch`` file of coder `paper`, whose forces are codewords,
+    and "weber:0.1" otherwise and whenever a device is named. (Coder `touch` has no codewords, and a receiver
+    interpolates between those of an object.) `devices` are the profiles whose capacity, WMR and HIL are
+    measured; `limits` turns on the coding limits, which take most of the time. `encode` has the options that
+    make a medium of a scene; its device is the reference space in which W is sampled. `density` is the number
+    of samples of W per axis for one sample of a point device; None is that of the data sheet, no finer than
+    W. The paper's W of 10^12 samples has 5 per sample of its device, of 8 10^9.
     """
 
     quantiser: str | None = option(
@@ -185,11 +188,11 @@ def measure_medium(
 
     A ``.touch`` file and a medium are measured as they are; a scene is first made a medium by
     ``spec.encode``. Every entropy is of one random variable, the symbol of a voxel of any frame; `in_time`
-    pairs a voxel with itself one frame later. `report` gets ``(done, total)`` in steps of the work.
+    pairs a voxel with itself one frame later. ``report(done, total)`` is called after each step.
     """
     spec = spec or MeasureSpec()
     for profile_name in spec.devices:
-        device(profile_name)  # what cannot be is said before the work
+        device(profile_name)  # unknown devices are reported before the work starts
     kind, _, trace = spec.over.partition(":")
     probe = read_trace(trace) if kind == "interaction" else None
     medium, name, notes, file_bits, is_of_codewords = _medium(source, spec)
@@ -228,14 +231,14 @@ def measure_medium(
             range_, rate_hz = spec.encode.frames, medium.rate_hz
             moved = Trace(
                 probe.times_s - (range_[0] if range_ else 0) / rate_hz, probe.positions_m
-            )  # since the source
-            is_static = len(frames) == 1 and range_ is None  # there at all times
+            )  # times relative to the first measured frame
+            is_static = len(frames) == 1 and range_ is None  # a static medium exists at all times
             visited, clock_hz = (frames[0], None) if is_static else (frames, rate_hz)
             entropy_over = interaction_entropy(moved, visited, spec.estimator, rate_hz=clock_hz)
         on_step()
         in_time = {}
         if len(frames) > 1:
-            both = field_counts(frames[1:], frames[:-1], ("voxel",))["voxel"]  # each beside the one before
+            both = field_counts(frames[1:], frames[:-1], ("voxel",))["voxel"]  # pairs of frames
             in_time = {
                 quantity.__name__: quantity(both, estimator=spec.estimator).of(name=label)
                 for quantity, label in _IN_TIME
@@ -264,16 +267,16 @@ def measure_medium(
 def _medium(
     source: str | Path | Scene | HapticMedium, spec: MeasureSpec
 ) -> tuple[HapticMedium, str, tuple[str, ...], int | None, bool]:
-    """W, its name, notes, the bits of its file, and whether its forces are the coder's codewords."""
+    """Return W, its name, notes, the bits of its file, and whether its forces are codewords."""
     if isinstance(source, HapticMedium):
         return source, "medium", (), None, False
     stream = StreamScene(source) if isinstance(source, str | Path) and is_stream(source) else None
     if stream is not None and not spec.encode.changed_options():
-        stream.notes = ()  # of options that do nothing
+        stream.notes = ()  # drop notes on options that have no effect
     prepared = prepare(stream or source, spec.encode)
     name = Path(source).name if isinstance(source, str | Path) else "scene"
     if stream is not None:
-        # a part of the frames does not take all of the file
+        # some of the frames do not take the whole file
         file_bits = None if spec.encode.frames else 8 * stream.file_bytes
         return prepared.medium, name, prepared.notes, file_bits, coder(stream.head.coder).has_codewords
     note = (
@@ -290,7 +293,7 @@ def _capacity(
     quantiser: FieldQuantiserSpec,
     spec: MeasureSpec,
 ) -> tuple[Capacity, tuple[str, ...]]:
-    """Equations 1 to 3 for one device."""
+    """Evaluate equations 1 to 3 for one device."""
     on_device = map_to_device(reference.medium, name, quantiser, spec.encode, spec.density)
     quantise = on_device.quantiser.fit(on_device.medium, on_device.device.force_max_n)
     frames = SymbolFrames(on_device.medium, quantise)

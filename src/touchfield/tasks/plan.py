@@ -1,10 +1,11 @@
-"""Search for the lattice and coder settings that make the best use of a budget: min R + lambda D (section 4).
+"""Search for the best lattice and coder settings within a budget (paper section 4).
 
-A moving medium has a bit rate: R is that of a long stream, estimated from a few pairs of consecutive frames
-spread over the scene. The first frame of a pair gives the cost of a frame alone, the second that of a frame
-that follows. A static medium is sent once, and has a size in bytes. D is the NMSE on the lattice of the
-largest n_w: a coarser stream is decoded and interpolated there, as by a receiver, so that the loss of a
-coarse lattice counts. The mask is the same for all settings, whatever k a coder used.
+The search minimises R + lambda D. A moving medium has a bit rate: R is that of a long stream, estimated from
+a few pairs of consecutive frames spread over the scene. The first frame of a pair gives the cost of an
+independent frame, the second that of a predicted frame. A static medium is sent once, and has a size in
+bytes. D is the NMSE on the lattice of the largest n_w: a coarser stream is decoded and interpolated to it, as
+a receiver does, so that the loss of a coarse lattice counts. The mask is the same for all settings, whatever
+k a coder uses.
 """
 
 from __future__ import annotations
@@ -46,14 +47,12 @@ _BUDGET: Final = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*(?:(bit|kbit|Mbit|B|kB)/s|
 _PAIRS: Final = 3
 _SEGMENT_BYTES: Final = 60  # frame, checksum and index entry of a segment
 _FILE_BYTES: Final = 1340  # head, provenance and end of a file, about
-_MIN_MASK_FRACTION: Final = (
-    0.95  # where fewer of the voxels are within the mask, the choice is offered with a word on it
-)
+_MIN_MASK_FRACTION: Final = 0.95  # with fewer voxels within the mask, the choice has a note
 
 
 @dataclass(frozen=True)
 class Budget:
-    """A budget: bits per second of a moving medium, or bytes of the whole file; one of the two."""
+    """A budget, in bits per second of a moving medium or in bytes of the whole file."""
 
     bits_per_s: float | None = None
     bytes: float | None = None
@@ -64,7 +63,10 @@ class Budget:
             raise InvalidArgument("budget", repr(self), "bits a second or bytes, one of both, above 0")
 
     def of(self, frames: int, rate_hz: float) -> tuple[float, str]:
-        """The amount and its unit: "bytes" for a single frame (of a rate: those of 1 s), else "bit/s"."""
+        """Return the amount and its unit: "bytes" for a single frame, else "bit/s".
+
+        For a single frame, a budget in bits per second is that of one second.
+        """
         is_static = frames == 1
         seconds = 1.0 if is_static else frames / rate_hz
         size = (self.bits_per_s or 0.0) * seconds / 8 if self.bytes is None else self.bytes
@@ -72,7 +74,10 @@ class Budget:
 
 
 def parse_budget(text: str) -> Budget:
-    """A budget such as ``64kbit/s`` (bit/s, kbit/s, Mbit/s, B/s, kB/s) or ``60kB`` (B, kB, MB)."""
+    """Parse a budget such as ``64kbit/s`` or ``60kB``.
+
+    Units are bit/s, kbit/s, Mbit/s, B/s, kB/s, and B, kB, MB.
+    """
     parts = _BUDGET.fullmatch(text.strip())
     if parts is None or not float(parts[1]) > 0:
         units = "bit/s, kbit/s, Mbit/s, B/s, kB/s, or of bytes B, kB, MB"
@@ -85,11 +90,14 @@ def parse_budget(text: str) -> Budget:
 
 @dataclass(frozen=True)
 class PlanGrid:
-    """The settings to try; InvalidArgument if there is no lattice or no setting.
+    """The settings to try.
 
-    n_w of the lattices (an array has its own); Weber fractions of coder `touch`, F_0 in proportion, in the
-    modes "mask" and "mask-direction"; steps of its mode "nmse", newtons; of coder `paper`, every one with
-    every other, codebooks (N_d), Weber fractions and n_q.
+    Raises InvalidArgument if there is no lattice or no setting.
+
+    `nw` are the n_w of the lattices (an array has its own lattice). `k` are Weber fractions of coder `touch`
+    in the modes "mask" and "mask-direction"; F_0 is scaled in proportion. `step_n` are steps of its mode
+    "nmse", newtons. `directions` (codebooks, N_d), `paper_k` (Weber fractions) and `nq` (n_q) are tried in
+    all combinations with coder `paper`.
     """
 
     nw: tuple[int, ...] = (5, 6, 7)
@@ -109,14 +117,20 @@ class PlanGrid:
 
     @property
     def coarsest(self) -> PlanGrid:
-        """The cheapest of these settings: the coarsest lattice, the weakest bound, the largest step."""
+        """The cheapest of these settings.
+
+        It has the coarsest lattice, the weakest bound and the largest step.
+        """
         greatest = {
             name: (max(axis),) for name in ("k", "step_n", "paper_k") if (axis := getattr(self, name))
         }
         return replace(self, nw=(min(self.nw),), nq=self.nq and (min(self.nq),), **greatest)
 
     def specs(self, base: EncodeSpec, fraction: float = 1.0) -> list[EncodeSpec]:
-        """Every setting on the lattice of `base`; of coder `touch` with this share of the Weber fractions."""
+        """Return every setting on the lattice of `base`.
+
+        The Weber fractions of coder `touch` are multiplied by `fraction`.
+        """
         touch = base.touch
         masks = [replace(touch, k=k, f0_n=touch.f0_n * k / touch.k) for k in (fraction * k for k in self.k)]
         coders = [
@@ -138,9 +152,9 @@ class PlanGrid:
 class Trial:
     """One setting, as an argument of `touchfield.pipeline.encode`, and its result.
 
-    `file_bytes` is the file of a static medium, or a segment of `frames` in a long stream of a moving one.
-    Measured on the finest lattice are `nmse`, sum |e|^2 / sum |F|^2, and `mask_fraction`, the fraction of the
-    voxels within the mask.
+    `file_bytes` is the size of the file of a static medium, or of a segment of `frames` in a long stream of a
+    moving one. `nmse`, sum |e|^2 / sum |F|^2, and `mask_fraction`, the fraction of the voxels within the
+    mask, are measured on the finest lattice.
     """
 
     spec: EncodeSpec
@@ -152,17 +166,17 @@ class Trial:
 
     @property
     def bits_per_frame(self) -> float:
-        """R."""
+        """R, bits per frame."""
         return 8 * self.file_bytes / self.frames
 
     @property
     def bits_per_s(self) -> float:
-        """R as a rate."""
+        """R as a rate, bits per second."""
         return self.bits_per_frame * self.rate_hz
 
     @property
     def nmse_db(self) -> float:
-        """The NMSE in decibels; -inf of no error."""
+        """The NMSE in decibels; -inf without error."""
         return 10 * math.log10(self.nmse) if self.nmse > 0 else -math.inf
 
     @property
@@ -180,7 +194,10 @@ class Trial:
         return {name: getattr(self.spec.coding, name) for name in names}
 
     def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs; None for a setting that the coder or its mode lacks."""
+        """Return the trial as a dictionary with stable keys.
+
+        A setting that the coder or its mode does not have is None.
+        """
         return {
             "nw": self.spec.nw,
             "coder": self.spec.coder,
@@ -195,7 +212,7 @@ class Trial:
 
     @property
     def options(self) -> str:
-        """The options of `touchfield encode` for it."""
+        """The options of `touchfield encode` for this setting."""
         options = [] if self.spec.nw is None else [f"--nw {self.spec.nw}"]
         if self.spec.coder == "paper":
             options.append("--coder paper")
@@ -209,10 +226,11 @@ class Trial:
 
 @dataclass(frozen=True)
 class Plan:
-    """All settings that were tried, in the order of the search, and the best within a budget.
+    """All settings that were tried, in order, and the best within a budget.
 
-    `k` and `f0_n` are the mask of `Trial.mask_fraction`; `unit` is the budget's, "bit/s", or
-    "bytes" for a still medium. InvalidArgument if no setting is within the budget; it names the smallest.
+    `k` and `f0_n` are the mask of `Trial.mask_fraction`; `unit` is the unit of the budget: "bit/s", or
+    "bytes" for a static medium. Raises InvalidArgument, which names the cheapest setting, if none is within
+    the budget.
     """
 
     trials: tuple[Trial, ...]
@@ -232,15 +250,18 @@ class Plan:
             raise InvalidArgument(f"--budget of {self.budget:g} {self.unit} is too small: {nearest}")
 
     def cost(self, trial: Trial) -> float:
-        """Bits a second of a trial, or its bytes, as the budget has it."""
+        """Return the cost of a trial in the unit of the budget: bits per second, or bytes."""
         return trial.bits_per_s if self.unit == "bit/s" else float(trial.file_bytes)
 
     def is_within(self, trial: Trial) -> bool:
-        """True if a trial is within the budget."""
+        """Return True if a trial is within the budget."""
         return self.cost(trial) <= self.budget
 
     def front(self) -> tuple[Trial, ...]:
-        """The Pareto front in size and NMSE, the smallest first; of equal settings the first one tried."""
+        """Return the Pareto front in size and NMSE, the smallest first.
+
+        Of equal settings it has the first one tried.
+        """
         front: list[Trial] = []
         for trial in sorted(self.trials, key=lambda t: (t.bits_per_s, t.nmse)):
             if not front or trial.nmse < front[-1].nmse:
@@ -249,7 +270,7 @@ class Plan:
 
     @property
     def choice(self) -> Trial:
-        """The least NMSE within the budget."""
+        """The setting with the least NMSE within the budget."""
         return next(t for t in reversed(self.front()) if self.is_within(t))
 
     @property
@@ -267,7 +288,9 @@ class Plan:
 
     @property
     def multiplier(self) -> float | None:
-        """lambda at the choice, bits per second (or bytes) per unit of NMSE; None if undefined.
+        """lambda at the choice, bits per second (or bytes) per unit of NMSE.
+
+        The value is None if it is undefined.
 
         It is the slope of the front's convex hull: R + lambda D is minimal at both ends of that edge.
         """
@@ -285,7 +308,10 @@ class Plan:
         return 1 / slope(*edges[-1]) if edges else None
 
     def summary(self) -> dict[str, Any]:
-        """Stable keys for people and programs; of a static medium bytes instead of bits per second."""
+        """Return the plan as a dictionary with stable keys.
+
+        A static medium has bytes instead of bits per second.
+        """
         is_rate = self.unit == "bit/s"
         return {
             "source": self.source,
@@ -301,7 +327,7 @@ class Plan:
         }
 
     def draw(self, path: str | Path) -> None:
-        """Write the picture, PNG: NMSE over the cost, the frontier, the budget and the choice."""
+        """Draw NMSE over the cost, the Pareto front, the budget and the choice, as PNG."""
         choice = self.choice
         title = f"{self.source}: {choice.options} for {amount(self.budget, self.unit)}"
         figure = titled_figure("the picture of a plan", title, *_SIZE_INCH)
@@ -350,13 +376,14 @@ def plan(
     report: Progress = silent,
     executor: Executor | None = None,
 ) -> Plan:
-    """Encode a few frames of a source, as voxels, with every setting; choose the best within a budget.
+    """Encode a few frames of a source with every setting; choose the best within a budget.
 
-    `budget` is a number of bits per second, or text such as "64kbit/s" (`parse_budget`). `spec` is of coder
-    `touch`: its k and F_0 are the reported mask, and its effort is that of every trial. `report` gets
-    ``(done, total)`` in settings; with `executor` its workers try them. TouchfieldError if a setting is
-    impossible, the frames have no force, or no setting is within the budget; the message then names the
-    cheapest. The cheapest settings are tried first, so that this is reported early.
+    Frames are encoded as voxels. `budget` is a number of bits per second, or text such as "64kbit/s"
+    (`parse_budget`). `spec` must have coder `touch`: its k and F_0 are the reported mask, and its effort is
+    that of every trial. ``report(done, total)`` counts settings; with `executor` its workers try them. Raises
+    TouchfieldError if a setting is impossible, the frames have no force, or no setting is within the budget;
+    the message then names the cheapest. The cheapest settings are tried first, so that this is reported
+    early.
     """
     spec, search = spec or EncodeSpec(), search or PlanGrid()
     budget = parse_budget(budget) if isinstance(budget, str) else budget
@@ -394,7 +421,7 @@ def plan(
 
 
 class Lattice(NamedTuple):
-    """The frames to try on one lattice, and the same frames on the finest; can be sent to a worker."""
+    """The frames to try on one lattice, and the same frames on the finest; can be pickled."""
 
     spec: EncodeSpec
     is_array: bool
@@ -405,7 +432,7 @@ class Lattice(NamedTuple):
 
 
 def _lattices(scene: Scene, base: EncodeSpec, nws: Sequence[int]) -> Iterator[Lattice]:
-    """The lattices of several n_w, each made once; an array has only its own."""
+    """Yield the lattices of several n_w; an array has only its own."""
     finest = prepare(scene, replace(base, nw=max(nws)))
     reference = tuple(finest.medium[i] for i in chain.from_iterable(_pairs(len(finest.medium))))
     is_array = finest.device.is_array
@@ -419,7 +446,10 @@ def _lattices(scene: Scene, base: EncodeSpec, nws: Sequence[int]) -> Iterator[La
 
 
 def _pairs(count: int) -> tuple[tuple[int, ...], ...]:
-    """Pairs of consecutive frames, spread over all frames; of a single frame that one."""
+    """Return pairs of consecutive frames, spread over all frames.
+
+    A single frame is returned alone.
+    """
     if count == 1:
         return ((0,),)
     pair_count = min(_PAIRS, count // 2)
@@ -438,8 +468,8 @@ def _trial(setting: tuple[Lattice, EncodeSpec]) -> Trial:
     meter, bits, pairs = FidelityMeter(mask.k, max(mask.f0_n, NO_FLOOR_N)), 0.0, _pairs(lattice.frames)
     for pair in pairs:
         coded = encoder.encode_segment([next(fields) for _ in pair])
-        # a segment of a long stream: a frame alone, as the first of the pair, and others as costly as the
-        # second
+        # a segment of a long stream: one independent frame like the first of the pair, and others with the
+        # cost of the second
         bits += 8 * len(coded.body) + (length - len(pair)) * sum(
             frame.bits.total for frame in coded.frames[1:]
         )
@@ -453,7 +483,7 @@ def _trial(setting: tuple[Lattice, EncodeSpec]) -> Trial:
 
 
 def amount(cost: float, unit: str) -> str:
-    """A cost as text."""
+    """Return a cost as text."""
     if unit == "bytes":
         return f"{cost:,.0f} bytes"
     size, name = next(((s, n) for s, n in ((1e6, "Mbit/s"), (1e3, "kbit/s")) if cost >= s), (1.0, "bit/s"))

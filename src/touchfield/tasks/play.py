@@ -1,7 +1,10 @@
-"""stream -> decoder -> renderer -> device: the receiver's half of figure 4, and the log of a play.
+"""Playback of a stream on a device: the receiver's half of figure 4.
+
+The chain is stream -> decoder -> renderer -> device.
 
 A point device is driven by a servo at 1 kHz or more in its own process, an array by a thread at its own rate.
-A simulated hand may also be played offline, as fast as the machine runs and with the same forces.
+A simulated hand may also be played offline, as fast as the machine allows and with the same forces. The log
+of a playback can be written and drawn.
 """
 
 from __future__ import annotations
@@ -42,26 +45,24 @@ OnNote = Callable[[str], None]
 
 
 _POLL_S: Final = 0.1
-MAX_STALLED_FRACTION: Final = (
-    0.01  # of the ticks of a play: where more had nothing, as frames came too late, it has failed
-)
+MAX_STALLED_FRACTION: Final = 0.01  # playback fails if a larger fraction of its ticks had no frame
 _MIN_S: Final = 0.1
 _MAX_S: Final = 24 * 3600.0
 _MIN_PRESS_N: Final = 0.01
-_PRESS_FRACTION: Final = 0.8  # of the continuous limit, so that friction has room
+_PRESS_FRACTION: Final = 0.8  # fraction of the continuous limit, with a margin for friction
 _MAX_ROWS: Final = 1 << 22  # 70 minutes at 1 kHz, 1 GB
 _DEFAULT_ROWS: Final = 1 << 16
 
 _CHECKED_SEGMENTS: Final = 8
 _LONGEST_CHECK_S: Final = 20.0
 _SPEED_MARGIN: Final = (
-    1.2  # so much quicker than needed the decoder must be: the servo wants its share of the processor
+    1.2  # required speed of the decoder over that needed: the servo also uses the processor
 )
 
 
 @dataclass(frozen=True)
 class PlaySpec:
-    """Options of a play; InvalidArgument if a number is out of range.
+    """Options of a playback; raises InvalidArgument if a number is out of range.
 
     `device` is one of `touchfield.devices.drivers`; the default `profile` of "sim" is that of the stream.
     `trajectory` and `trace` move the simulated hand, which by default approaches, presses, slides and leaves.
@@ -101,10 +102,10 @@ class PlaySpec:
 
 @dataclass(frozen=True)
 class Played:
-    """The result of a play.
+    """The result of a playback.
 
-    `statistics` has stable keys; `rows` has a row per tick of `touchfield.render.block.COLUMNS`, None for an
-    array; `error` is the exception that ended the play early, after the rows.
+    `statistics` has stable keys. `rows` has a row of `touchfield.render.block.COLUMNS` for each tick; it is
+    None for an array. `error` is the exception that ended the playback early, after these rows.
     """
 
     statistics: dict[str, Any]
@@ -115,11 +116,14 @@ class Played:
 
     @property
     def is_starved(self) -> bool:
-        """True if more than `MAX_STALLED_FRACTION` of the ticks had no force because frames were late."""
+        """True if too many ticks had no force because frames were late.
+
+        The limit is `MAX_STALLED_FRACTION`.
+        """
         return bool(self.statistics.get("stalled_share", 0.0) > MAX_STALLED_FRACTION)
 
     def checked(self) -> Played:
-        """Itself; raises the exception that ended the play early."""
+        """Return this result; raise the exception that ended the playback early, if any."""
         if self.error is not None:
             raise self.error
         return self
@@ -158,12 +162,14 @@ def play(
     on_note: OnNote = lambda note: None,
     on_player: Callable[[Player], None] = lambda player: None,
 ) -> Played:
-    """Play a ``.touch`` file on a device until its end, for `seconds`, or until an interrupt.
+    """Play a ``.touch`` file on a device.
 
-    An error during the play is in `Played.error`, with the rows until then. `on_note` gets notes during the
-    play, `on_player` the player of a point device once it is ready. InvalidArgument, DeviceError or
-    FormatError if the device is unknown or missing, the trajectory is unusable, or the file or its first
-    frame cannot be read.
+    Playback lasts until the end, for ``spec.seconds``, or until an interrupt.
+
+    An error during playback is stored in `Played.error`, with the rows until then. `on_note` is called with
+    notes during playback, and `on_player` with the player of a point device once it is ready. Raises
+    InvalidArgument, DeviceError or FormatError if the device is unknown or missing, the trajectory is
+    unusable, or the file or its first frame cannot be read.
     """
     spec = spec or PlaySpec()
     with open_stream(path, on_note, spec.coarse) as stream:
@@ -201,7 +207,7 @@ def _play_point(
     profile = device(profile_name) if profile_name else stream_device(stream)
     if choice.is_simulated:
         profile = replace(profile, axes=medium_or_scene.axes)
-        spec = replace(spec, render=replace(spec.render, up="lattice"))  # it moves in the field's own axes
+        spec = replace(spec, render=replace(spec.render, up="lattice"))  # moves in the axes of the field
         if not trajectory:
             trajectory = _probe(spec, profile, stream.medium[:1] if stream.is_live else medium_or_scene)
         choice = point_device(spec.device, trajectory)
@@ -233,7 +239,7 @@ def _play_point(
 
 
 class _Run(NamedTuple):
-    """What a servo left, with a clock or offline: figures, rows of the log, notes, and its error."""
+    """Results of a servo, with a clock or offline: figures, rows of the log, notes, and its error."""
 
     statistics: dict[str, Any]
     rows: NDArray[Any]
@@ -242,7 +248,7 @@ class _Run(NamedTuple):
 
 
 def _read_trajectory(spec: PlaySpec, stream: OpenStream) -> Trace | None:
-    """The positions of the simulated hand, hand metres, from a file; None if none is named."""
+    """Read the positions of the simulated hand, hand metres; None if no file is named."""
     trajectory = None if spec.trajectory is None else read_trace(spec.trajectory)
     if spec.trace is None:
         return trajectory
@@ -274,7 +280,7 @@ def _run_player(
 
 
 def _point_figures(run: _Run, spec: PlaySpec, profile: Device, friction: float) -> dict[str, Any]:
-    """Stable keys of a play on a point device."""
+    """Return the figures of a playback on a point device; the keys are stable."""
     rows = run.rows
     force_n, has_contact = np.linalg.norm(rows["force_n"], axis=1), rows["field_force_n"].any(axis=1)
     return {
@@ -291,7 +297,7 @@ def _point_figures(run: _Run, spec: PlaySpec, profile: Device, friction: float) 
 def _interaction_view(
     name: str, rows: NDArray[Any], spec: PlaySpec, profile: Device, stream: OpenStream
 ) -> InteractionView:
-    """The content of the picture of a play."""
+    """Return the content of the picture of a playback."""
     render, medium = spec.render, stream.medium
     background = medium[0 if stream.is_live else len(medium) // 2] if spec.is_drawn else None
     ticks = f"{len(rows)} ticks of {1e3 / render.rate_hz:g} ms"
@@ -302,7 +308,7 @@ def _interaction_view(
 
 
 def _before_end(statistics: dict[str, Any], rows: NDArray[Any]) -> dict[str, Any]:
-    """The statistics without the stalled ticks after the last frame of a live stream."""
+    """Return the statistics without the stalled ticks after the last frame of a live stream."""
     running = np.flatnonzero(rows["flags"] & FLAGS["running"])
     stalled_after_end = (
         int(np.count_nonzero(rows["flags"][running[-1] :] & FLAGS["stalled"])) if len(running) else 0
@@ -319,7 +325,7 @@ def _before_end(statistics: dict[str, Any], rows: NDArray[Any]) -> dict[str, Any
 
 
 def _probe(spec: PlaySpec, profile: Device, field_of: HapticMedium | HapticScene) -> Trace:
-    """The default trajectory of a hand; it presses no harder than the device can sustain."""
+    """Return the default trajectory of a hand, which presses no harder than the device can sustain."""
     continuous_n = spec.render.continuous_n or profile.force_continuous_n or math.inf
     max_press_n = max(_PRESS_FRACTION * continuous_n / max(spec.render.force_scale, 1e-3), _MIN_PRESS_N)
     stiffness = STIFFNESS_N_PER_M if spec.device.strip().lower().endswith(":spring") else math.inf
@@ -381,10 +387,11 @@ def _for_points(option: str) -> InvalidArgument:
 def check_play(
     path: str | Path, speed: float = 1.0, clock_s: Callable[[], float] = perf_counter
 ) -> dict[str, Any]:
-    """Decode up to 8 evenly spaced segments for at most 20 s, and compare with their duration.
+    """Check whether this machine can decode a stream in time.
 
+    Decodes up to 8 evenly spaced segments for at most 20 s, and compares the time with their duration.
     ``greatest_speed`` is the highest speed that can be played in time; ``can_play`` is for the given speed.
-    InvalidArgument if that is not positive, TouchfieldError if the file cannot be read.
+    Raises InvalidArgument if the speed is not positive, TouchfieldError if the file cannot be read.
     """
     require_up_to(MAX_SPEED, speed=speed)
     with open_stream(path) as stream:
@@ -424,10 +431,10 @@ COLUMNS: Final = (
 )  # fmt: skip
 """Columns of the log.
 
-Seconds since the first tick; position and velocity of the hand, force of the field and friction, in the
-field's axes; the force sent to the device, in the device's axes; orientation of the grip, torque of the
+They are: seconds since the first tick; position and velocity of the hand, force of the field and friction, in
+the field's axes; the force sent to the device, in the device's axes; orientation of the grip, torque of the
 field and torque sent to the device, in the device's axes; opening of the gripper; time of the medium; buttons
-(bit n is button n); and the state, words joined by +.
+(bit n is button n); and the state, as words joined by +.
 """
 
 _LOGGED: Final = (

@@ -1,4 +1,6 @@
-"""Reduce a medium to a few modes or points, and remove what no hand can reach (paper section 6.1).
+"""Reduce a medium to a few modes or points (paper section 6.1).
+
+Samples that no hand can reach can be removed.
 
 medium -> modes -> error, held-out frames, degrees of freedom, bits; the reduced medium as a file
 medium -> a hand, a device, a trace -> unreachable samples; the medium without them as a file
@@ -61,7 +63,7 @@ _PUSH_FRACTION: Final = 0.25  # fraction of a device's largest force, if its con
 
 
 def hand_of(device: Device, spec: ReductionSpec) -> Hand:
-    """The requested hand; values that are not given are those of the device."""
+    """Return the requested hand; values that are not given are those of the device."""
     push = device.force_continuous_n or _PUSH_FRACTION * device.force_max_n
     mass = _HAND_KG + (device.inertia_kg or _INERTIA_KG)
     values_and_defaults = (spec.push_n, push), (spec.mass_kg, mass), (spec.speed_m_s, _SPEED_M_S)
@@ -69,7 +71,10 @@ def hand_of(device: Device, spec: ReductionSpec) -> Hand:
 
 
 def without_unreachable(medium: HapticMedium, reachable: Bools) -> HapticMedium:
-    """The medium with forces only at `reachable` samples, bool [nx, ny, nz]; these keep their bits."""
+    """Return the medium with forces only at `reachable` samples, bool [nx, ny, nz].
+
+    These forces are unchanged, bit for bit.
+    """
 
     def make(i: int) -> ForceField:
         return ForceField.from_dense(
@@ -90,7 +95,9 @@ def reduce_medium(
     coder: EncodeSpec | None = None,
     report: Progress = silent,
 ) -> Result:
-    """Reduce a medium to a few modes; report degrees of freedom, their entropy, and unreachable samples.
+    """Reduce a medium to a few modes.
+
+    Reports degrees of freedom, their entropy, and unreachable samples.
 
     `out` is the file rebuilt from the modes, `cull` the medium without the unreachable samples; each is
     written if named. Raises TouchfieldError; neither file is then left.
@@ -155,7 +162,7 @@ def reduce_medium(
 
 
 def _modes(prepared: Prepared, spec: ReductionSpec) -> tuple[ReducedMedium, dict[str, Any]]:
-    """The reduced medium, and the figures of its modes and of the held-out frames."""
+    """Return the reduced medium, and the figures of its modes and of the held-out frames."""
     medium = prepared.medium
     approximation = reduce_to_modes(medium, spec.modes, spec.rank)
     if spec.rank is None:
@@ -185,7 +192,7 @@ def _modes(prepared: Prepared, spec: ReductionSpec) -> tuple[ReducedMedium, dict
 
 
 def _outside(medium: HapticMedium, device: Device) -> Bools:
-    """Samples that are neither in a device's workspace nor next to it, bool [nx, ny, nz]."""
+    """Return the samples neither in a device's workspace nor next to it, bool [nx, ny, nz]."""
     grid, half_m = medium.grid, np.array(device.physical_mm or device.workspace_mm) / 2000
     half_m = np.abs(axes_matrix(BOX_AXES, medium.axes, "lattice")) @ half_m
     inside = [np.abs(grid.axis_m(axis)) <= half_m[axis] + grid.spacing_m[axis] for axis in range(3)]
@@ -229,17 +236,15 @@ class _Domain:
         return np.asarray(np.ravel_multi_index(tuple(field.positions().T.astype(np.int64)), self.grid.shape))
 
     def forces_n(self, field: ForceField) -> Float32s:
-        """Forces of a field at the samples, float32 [m, 3]."""
+        """Return the forces of a field at the samples, float32 [m, 3]."""
         field_keys, forces = self._keys(field), np.zeros((len(self.keys), 3), np.float32)
         nearest = np.minimum(np.searchsorted(self.keys, field_keys), len(self.keys) - 1)
-        is_in_domain = (
-            self.keys[nearest] == field_keys
-        )  # a frame that was not used for learning may have others
+        is_in_domain = self.keys[nearest] == field_keys  # a frame that was not learnt may have other samples
         forces[nearest[is_in_domain]] = field.vectors_n()[is_in_domain]
         return forces
 
     def field(self, forces_n: NDArray[Any], threshold_n: float) -> ForceField:
-        """The field of forces [m, 3], without those below the threshold of a hand."""
+        """Return the field of forces [m, 3], without those below the perception threshold."""
         perceptible = lengths_of(forces_n) >= threshold_n
         return ForceField.from_support(self.grid, self.index[perceptible], forces_n[perceptible])
 
@@ -252,11 +257,12 @@ def fewest_points(
     spec: EncodeSpec | None = None,
     report: Progress = silent,
 ) -> FewestPoints:
-    """Find the `count` points from which a medium or a recording of contacts is rebuilt best.
+    """Find the points from which a medium or a recording of contacts is rebuilt best.
 
     `modes` is the number of modes of a moving medium (default: `count`, or as many as it has). `out` is the
-    rebuilt medium, OUT.touch, FIELD.npz or FIELD.vti, or the points with their forces, OUT.csv (the only form
-    for a recording). `spec` has the coder and the mask. Raises TouchfieldError; no file `out` is then left.
+    file to write: the rebuilt medium as OUT.touch, FIELD.npz or FIELD.vti, or the points with their forces as
+    OUT.csv (the only format for a recording). `spec` has the coder and the mask. Raises TouchfieldError; no
+    file `out` is then left.
     """
     require_between(1, MAX_POINTS, points=count)
     trace = recorded_contacts(Path(source))
@@ -332,7 +338,7 @@ def _points_of_recording(
 
 
 def _best_points(points_m: Float64s, forces_n: Float64s, count: int) -> tuple[Int64s, Kernel, Float64s]:
-    """Best points of a static field, the kernel, and the rebuilt field."""
+    """Return the best points of a static field, the kernel, and the rebuilt field."""
     candidates = np.arange(len(points_m))[:: -(-len(points_m) // max_candidates(count))]
     kernel = best_kernel(points_m[candidates], forces_n[candidates], count)
     indices = candidates[error_points(points_m[candidates], forces_n[candidates], count, kernel)]
@@ -355,7 +361,9 @@ def _by_modes(
 
 
 def next_points(source: str | Path, count: int, measured: str | Path | None = None) -> FewestPoints:
-    """Find where a robot or a hand should record next, each position given those before it.
+    """Find the positions where a robot or a hand should record next.
+
+    Each position takes the previous ones into account.
 
     The candidates are in the box of `source`, a recording, or at the samples with a force of a medium.
     `measured` is a recording of the known forces (default: the source). ``figures["next"]`` has a row for
@@ -416,7 +424,10 @@ def _decibels(ratio: float) -> float | None:
 
 
 def _with_points(result: FewestPoints, out: str | Path | None, forces_n: Float64s) -> FewestPoints:
-    """Write the points and their forces to a file, if one is named; the result with its name."""
+    """Write the points and their forces to a file, if one is named.
+
+    Returns the result with the name of the file.
+    """
     if out is None:
         return result
     with atomic_path(Path(out)) as temporary:

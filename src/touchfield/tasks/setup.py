@@ -46,9 +46,9 @@ LIBRARIES: Final = (
 
 
 def examine(name: str | None = None) -> dict[str, list[Check]]:
-    """Check the libraries, the machine, and each device; or one device alone.
+    """Check the libraries, the machine, and each device; or only the device `name`.
 
-    InvalidArgument if there is no such device.
+    Raises InvalidArgument if there is no such device.
     """
     kinds = {kind.name: kind.checks for kind in point_kinds()} | {
         kind.name: kind.checks for kind in array_kinds()
@@ -63,7 +63,7 @@ def examine(name: str | None = None) -> dict[str, list[Check]]:
 
 
 def library_checks() -> list[Check]:
-    """The libraries that touchfield needs, and those of its extras; none is imported."""
+    """Check the libraries of touchfield and of its extras, without importing them."""
     python = Check(
         "python", sys.version_info >= (3, 11), platform.python_version(), "Install Python 3.11 or newer."
     )
@@ -73,7 +73,7 @@ def library_checks() -> list[Check]:
 
 
 def host_checks() -> list[Check]:
-    """Checks of the machine for a loop of 1 kHz."""
+    """Check whether the machine is suitable for a loop of 1 kHz."""
     cores = worker_count()
     hint = "Allow the process a second core."
     checks = [Check("two cores, one of them for the servo", cores > 1, f"{cores}", hint), _realtime()]
@@ -136,7 +136,7 @@ def _measures() -> None:
 
 
 GROUPS: Final[Mapping[str, Callable[[], None]]] = {**TOUCH, "filters": _filters, "measures": _measures}
-"""Groups of kernels that are compiled together, by a small run."""
+"""Groups of kernels that are compiled together, each by a small run."""
 
 
 def warm_up(report: Progress = silent) -> None:

@@ -1,4 +1,7 @@
-"""Materials from recorded vibrations, and their storage in a stream (`touchfield.render.material`)."""
+"""Materials from recorded vibrations, and their storage in a stream.
+
+See `touchfield.render.material`.
+"""
 
 from __future__ import annotations
 
@@ -20,13 +23,14 @@ def texture_of(
     name: str = "recorded",
     friction: float | None = None,
 ) -> Material:
-    """The material of accelerations of a tool that slid, one recording for each speed at each force.
+    """Compute a material from recorded accelerations of a sliding tool.
 
-    speeds_m_s, forces_n : float [recordings]; of the tool along the surface, and with which it pressed.
-    The three axes become one (`dft321`), that the force that shakes a hand with a stylus likewise
-    (`handle_force_n`), and that its rms in thirds of an octave.
-    Raises `InvalidArgument` if a speed at a force is missing or there twice, or a recording is shorter than
-    0.5 s.
+    speeds_m_s, forces_n : float [recordings]; speed of the tool along the surface, and force with which it
+        pressed, for each recording.
+    There must be one recording for each speed at each force. The three axes are reduced to one (`dft321`),
+    converted to the force that shakes a hand with a stylus in the same way (`handle_force_n`), and measured
+    as rms in thirds of an octave. Raises `InvalidArgument` if a combination of speed and force is missing or
+    given twice, or a recording is shorter than 0.5 s.
     """
     if not recordings or not len(recordings) == len(speeds_m_s) == len(forces_n):
         found = f"{len(recordings)} recordings, {len(speeds_m_s)} speeds and {len(forces_n)} forces"
@@ -44,15 +48,15 @@ def texture_of(
 
 
 def merge_materials(*tables: Sequence[Material]) -> tuple[Material, ...]:
-    """The materials of all tables; of those with one name the last."""
+    """Return the materials of all tables; of materials with the same name, the last."""
     return tuple({material.name: material for table in tables for material in table}.values())
 
 
 def store_materials(stream: str | Path, materials: Sequence[Material], out: str | Path) -> None:
-    """Copy a stream with these materials in its provenance; nothing is decoded or changed otherwise.
+    """Copy a stream with these materials in its provenance.
 
-    Raises `InvalidArgument` if the table is longer than 4096 letters, `FormatError` of the stream,
-    `SourceError` if the system refuses.
+    Nothing is decoded, and nothing else is changed. Raises `InvalidArgument` if the table is longer than 4096
+    characters, `FormatError` if the stream is invalid, `SourceError` if the file cannot be written.
     """
     require_ending(out, "OUT.touch")
     text = stored_json(materials)

@@ -1,4 +1,4 @@
-"""Views of media: the page in the browser, one HTML file, and pictures."""
+"""Views of media: the page for browsers, which is one HTML file, and pictures."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ from touchfield.viewer.browser import page_of
 from touchfield.viewer.page import write_png
 from touchfield.viewer.picture import shadows
 
-_MAX_FRAMES: Final = 30  # of a medium in memory, which is coded for the page
+_MAX_FRAMES: Final = 30  # frames of a medium in memory that are coded for the page
 _HEIGHT_PX: Final = 640
 _MOVIES: Final = {".mp4": "video/mp4", ".m4v": "video/mp4", ".mov": "video/mp4"}
 _DRAWN_FRAMES: Final = 3  # the first, the middle one and the last
-MAX_SOURCE_BYTES: Final = 1 << 25  # of the source within a page
+MAX_SOURCE_BYTES: Final = 1 << 25  # maximum size of the source within a page
 _ERROR_FRACTIONS: Final = (0.1, 0.3)
 _MIN_K: Final = 1e-3
 _SUMMARY_KEYS: Final = ("mode", "masking", "promise_kept", "worst_mask_ratio", "worst_frame", "worst_voxel")
@@ -49,7 +49,10 @@ _COMPARISON_KEYS: Final = (
 
 @dataclass(frozen=True)
 class Page:
-    """A page that shows a file, and additional figures; a notebook displays it as a cell's last value."""
+    """A page that shows a file, and additional figures.
+
+    A notebook displays it as the last value of a cell.
+    """
 
     html: str
     figures: Mapping[str, Any]
@@ -71,7 +74,10 @@ class Page:
         return Path(path)
 
     def open(self, path: str | Path | None = None) -> Path:
-        """Show the page in the browser, from the file `path` or a temporary one; returns its path."""
+        """Show the page in the browser; return the path of its file.
+
+        The file is `path`, or a temporary one.
+        """
         page_path = (
             Path(path) if path else self.save(Path(tempfile.mkdtemp(prefix="touchfield-")) / "page.html")
         )
@@ -85,12 +91,13 @@ def view(
     report: Progress = silent,
     devices: tuple[str, ...] = (),
 ) -> Page:
-    """The page of a ``.touch`` file, of a movie with touch, or of the first 30 frames of a medium.
+    """Return the page of a ``.touch`` file, of a movie with touch, or of a medium.
 
-    `against` is the encoded path, scene, medium or field: the page then contains it, shows it and the
-    difference, and has the NMSE and the vibration of the coding. `devices` are profiles whose capacity, WMR
-    and HIL are shown with the entropy of the medium; with a source and no profile, that of the stream.
-    TouchfieldError if the file cannot be read, or the page does not support its coder.
+    Of a medium, the first 30 frames are shown. `against` is the source that was encoded: a path, scene,
+    medium or field. The page then contains it, shows it and the difference, and states the NMSE and the
+    vibration of the coding. `devices` are profiles whose capacity, WMR and HIL are shown with the entropy of
+    the medium; with a source and no profile, that of the stream. Raises TouchfieldError if the file cannot be
+    read, or the page does not support its coder.
     """
     with tempfile.TemporaryDirectory() as folder:
         if isinstance(medium, HapticMedium):
@@ -151,13 +158,13 @@ def _page(
 
 
 def draw_preview(prepared: Prepared, path: str | Path) -> None:
-    """Write a PNG of the forces in the workspace: seen from the viewer, from the side and from above.
+    """Write a PNG of the forces in the workspace, from the viewer, the side and above.
 
-    MissingExtra if matplotlib is not installed.
+    Raises MissingExtra if matplotlib is not installed.
     """
     medium, placement = prepared.medium, prepared.placement
     x, y, z = placement.offset_m
-    up = "lattice" if prepared.device.is_array else "auto"  # as `play` lays it
+    up = "lattice" if prepared.device.is_array else "auto"  # as `play` places it
     permutation = axes_matrix(BOX_AXES, medium.axes, up)
     where = f"in the workspace of {prepared.device.name}"
     if (permutation != axes_matrix(BOX_AXES, medium.axes)).any():
@@ -167,10 +174,9 @@ def draw_preview(prepared: Prepared, path: str | Path) -> None:
 
 
 def draw_medium(medium: HapticMedium, path: str | Path | None = None) -> Any:
-    """The forces of a medium as a matplotlib figure, as `draw_preview` shows them; a PNG, too, where `path`
-    is given.
+    """Draw the forces of a medium as a matplotlib figure; also a PNG if `path` is given.
 
-    MissingExtra if matplotlib is not installed.
+    The views are those of `draw_preview`. Raises MissingExtra if matplotlib is not installed.
     """
     turn = axes_matrix(BOX_AXES, medium.axes, "auto")
     figure = _shadows(medium, "on the medium's lattice", f"{medium.grid.description}; {medium.axes}", turn)
@@ -180,7 +186,7 @@ def draw_medium(medium: HapticMedium, path: str | Path | None = None) -> Any:
 
 
 def _shadows(medium: HapticMedium, where: str, caption: str, permutation: Float64s) -> Any:
-    """A figure of the first, the middle and the last frame of a medium."""
+    """Draw the first, the middle and the last frame of a medium."""
     frames = np.unique(np.linspace(0, len(medium) - 1, _DRAWN_FRAMES).astype(int)).tolist()
     title = (
         f"frame{'s' * (len(frames) > 1)} {', '.join(str(n + 1) for n in frames)} of {len(medium)}, {where} "
@@ -190,16 +196,20 @@ def _shadows(medium: HapticMedium, where: str, caption: str, permutation: Float6
 
 
 class FineSource(NamedTuple):
-    """A source as the bytes of a ``.touch`` file; its error as a fraction of the stream's error bound."""
+    """A source as the bytes of a ``.touch`` file, and its error.
+
+    `error_fraction` is the error bound of the source as a fraction of the stream's error bound.
+    """
 
     data: bytes
     error_fraction: float
 
 
 def fine_source(source: Source, opened: OpenStream, report: Progress = silent) -> FineSource:
-    """Code the source of a stream on its lattice, to a tenth of its mask, or to three tenths if too large.
+    """Code the source of a stream on its lattice, within a tenth of its mask.
 
-    InvalidArgument if the source is elsewhere, has other frames, or takes more than `MAX_SOURCE_BYTES`.
+    If the result is too large, three tenths are used. Raises InvalidArgument if the source has another
+    lattice or other frames, or takes more than `MAX_SOURCE_BYTES`.
     """
     head, original = opened.reader.head, source_medium(source, opened)
     size = 0

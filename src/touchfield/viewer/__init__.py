@@ -1,4 +1,4 @@
-"""Pictures of force fields and of what a coder did to them."""
+"""Pictures of fields, coding errors and measurements, and the page for browsers."""
 
 from touchfield._lazy import lazy_attributes
 

@@ -1,6 +1,7 @@
-"""The page in the browser: one HTML file with a stream, its decoder and its viewer, without network access.
+"""The viewer for browsers: one HTML file with a stream, its decoder and its viewer.
 
-The page itself, `web/page.html`, is built from the folder `web` of the repository (``make web``).
+It needs no network access. The page itself, `web/page.html`, is built from the folder `web` of the repository
+(``make web``).
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ _MEDIUM: Final = '<script type="text/plain" id="given-medium" data-name=""></scr
 
 @cache
 def empty_page() -> str:
-    """The page without a file; the user drops or opens one."""
+    """Return the page without a file; the user drops or opens one."""
     return resources.files("touchfield.viewer").joinpath("web/page.html").read_text(encoding="utf-8")
 
 
 @cache
 def served_page() -> str:
-    """The page that loads a file by name, or the live stream, from its own server."""
+    """Return the page that loads a file by name, or the live stream, from its own server."""
     page = resources.files("touchfield.viewer").joinpath("web/from-server.html").read_text(encoding="utf-8")
     for mark, element in (("@SCRIPT@", "script"), ("@STYLE@", "style")):
         text = page.partition(f"<{element}>")[2].partition(f"</{element}>")[0]
@@ -43,7 +44,7 @@ def page_of(
     movie: tuple[bytes, str, float] | None = None,
     source: bytes = b"",
 ) -> str:
-    """The page with a ``.touch`` file, and optionally a movie on the same clock.
+    """Return the page with a ``.touch`` file, and optionally a movie on the same clock.
 
     `figures` has additional figures by the keys of ``touchfield info --json`` and ``compare --json``. `movie`
     is a file that browsers play, its media type, and its second at which the touch starts. `source` is the
@@ -51,7 +52,7 @@ def page_of(
     """
     figures_json = json.dumps(figures, default=str).replace(
         "<", "\\u003c"
-    )  # no word of a stranger's ends the element
+    )  # untrusted text cannot close the element
     medium = base64.b64encode(data).decode("ascii")
     medium_element = _MEDIUM.replace('data-name=""', f'data-name="{html.escape(name)}"')
     movie_element = _MOVIE

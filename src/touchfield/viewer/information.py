@@ -1,6 +1,6 @@
-"""Picture of a measurement: the bits of a medium, and those that each device renders (paper section 3.1).
+"""Picture of the bits of a medium and of each device's part (paper section 3.1).
 
-Limits have one hue, file sizes another; every value has its number, and intervals are drawn.
+Limits have one hue and file sizes another; every value is printed, and intervals are drawn.
 """
 
 from __future__ import annotations
@@ -19,12 +19,15 @@ if TYPE_CHECKING:
 
 _LIMIT, _ACTUAL, _RENDERED, _LOST = "#0072b2", "#d55e00", "#0072b2", "0.82"
 _WIDTH_INCH = 9.5
-_MAX_LABEL = 40  # of the end, which is the most specific part of a path
+_MAX_LABEL = 40  # characters of the end of a path, its most specific part
 
 
 @dataclass(frozen=True)
 class Bar:
-    """A value and its interval, if any; `is_actual` marks a real size, as opposed to a limit."""
+    """A value and its interval, if any.
+
+    `is_actual` marks a real size, as opposed to a limit.
+    """
 
     label: str
     value: float
@@ -35,7 +38,9 @@ class Bar:
 def draw_information(
     path: Path, title: str, unit: str, bars: Sequence[Bar], capacities: Mapping[str, Capacity] | None = None
 ) -> None:
-    """Write the picture of bars in `unit`, from the top down, and of devices by name, as PNG.
+    """Write the picture of bars and devices as PNG.
+
+    Bars are in `unit` and drawn from the top down; devices are given by name.
 
     `MissingExtra` if matplotlib is not installed.
     """
@@ -51,10 +56,10 @@ def draw_information(
 
 
 def _draw_bars(panel: Any, bars: Sequence[Bar], unit: str) -> None:
-    """Points on a scale of powers: raw numbers and the best limit may lie a factor of a thousand apart."""
+    """Draw points on a logarithmic scale, since values may differ by a factor of a thousand."""
     values = [v for b in bars for v in (b.value, *(b.interval or ())) if v > 0]
     low, high = min(values, default=0.1), max(values, default=1.0)
-    low_edge, high_edge = low / 1.6, high * 1.6 * (high / low) ** 0.15  # room for the last number
+    low_edge, high_edge = low / 1.6, high * 1.6 * (high / low) ** 0.15  # margin for the last number
     for row, bar in enumerate(bars):
         colour = _ACTUAL if bar.is_actual else _LIMIT
         edge = max(bar.value, low_edge)
@@ -62,7 +67,7 @@ def _draw_bars(panel: Any, bars: Sequence[Bar], unit: str) -> None:
             interval = [max(end, low_edge) for end in bar.interval]
             panel.plot(interval, [row, row], color=colour, lw=5, alpha=0.3, solid_capstyle="butt")
             edge = max(edge, interval[1])
-        # no place on this scale is 0: an arrow at its lower end says that the point lies beyond
+        # a logarithmic scale has no 0: an arrow at its lower end stands for it
         shape = "o" if bar.value > 0 else "<"
         panel.plot(max(bar.value, low_edge), row, shape, ms=7, color=colour, clip_on=False)
         number = "none" if bar.value != bar.value else f"{bar.value + 0.0:.4g}"  # no sign on 0
@@ -98,7 +103,7 @@ def _draw_devices(panel: Any, capacities: Mapping[str, Capacity]) -> None:
 
 
 def _finish(panel: Any, names: Sequence[str], label: str) -> None:
-    """A row for each name, from the top down."""
+    """Label a row for each name, from the top down."""
     panel.set_ylim(len(names) - 0.5, -0.5)
     panel.set_yticks(range(len(names)), [n[-_MAX_LABEL:] for n in names], fontsize=8, parse_math=False)
     panel.set_xlabel(label, fontsize=8, parse_math=False)

@@ -1,4 +1,4 @@
-"""Picture of an interaction: position of the hand, force of the field there, and force of the device.
+"""Picture of an interaction: position of the hand, and forces of field and device.
 
 Curves over time are on the left, paths on the right; the background is tinted during contact.
 """
@@ -30,9 +30,9 @@ _PUT, _FIELD, _FRICTION, _CONTACT = "0.1", "#0072b2", "#d55e00", "#f0e442"
 class InteractionView:
     """Content of `draw_interaction`.
 
-    `rows` are those of a play's log: positions of the hand, force of the field there and friction are in the
-    field's axes, described by `axes`; the force sent to the device is in the device's axes. The support of
-    `background` is drawn behind the path.
+    `rows` are those of the log of a playback: positions of the hand, force of the field there and friction
+    are in the field's axes, described by `axes`; the force sent to the device is in the device's axes. The
+    support of `background` is drawn behind the path.
     """
 
     title: str
@@ -129,6 +129,6 @@ def _draw_path(figure: Any, axis: Any, view: InteractionView, horizontal: int, v
     figure.colorbar(drawn, ax=axis, label="|F| put out, N", shrink=0.85)
     names, axis_words = "xyz", view.axes.split(",")
     if vertical < len(axis_words) and "down" in axis_words[vertical].split():
-        axis.invert_yaxis()  # as it was seen
+        axis.invert_yaxis()  # as the viewer sees it
     axis.set_xlabel(f"{names[horizontal]}, mm")
     axis.set_ylabel(f"{names[vertical]}, mm")

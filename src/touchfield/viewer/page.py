@@ -22,10 +22,10 @@ _LETTERS_PER_INCH = 9.0  # of text of that size, with a margin: the mean is 11
 
 
 def titled_figure(purpose: str, title: str, width_inch: float, height_inch: float) -> Figure:
-    """An empty figure with a title; `height_inch` is the height with a title of one line.
+    """Return an empty figure with a title.
 
-    Raises MissingExtra, which names the `purpose` ("the picture of a comparison"), if matplotlib is not
-    installed.
+    `height_inch` is the height of the figure with a title of one line. Raises MissingExtra, which names the
+    `purpose` ("the picture of a comparison"), if matplotlib is not installed.
     """
     import_extra("matplotlib", purpose, "matplotlib", "report")
     from matplotlib.figure import Figure
@@ -38,7 +38,10 @@ def titled_figure(purpose: str, title: str, width_inch: float, height_inch: floa
 
 
 def write_png(figure: Figure, path: Path) -> None:
-    """Write a figure atomically; its file names touchfield as its creator (`is_our_picture`)."""
+    """Write a figure atomically, as PNG.
+
+    The file names touchfield as its creator (see `is_our_picture`).
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     with atomic_path(path) as temporary, temporary.open("wb") as file:  # savefig would draw all twice
@@ -47,12 +50,12 @@ def write_png(figure: Figure, path: Path) -> None:
 
 
 def is_our_picture(path: Path) -> bool:
-    """True if `write_png` wrote a file, and may overwrite it."""
+    """Return True if `write_png` wrote a file, and may overwrite it."""
     with path.open("rb") as file:
         return b"Creator\0touchfield" in file.read(_HEAD_BYTES)
 
 
 def lines_that_fit(text: str, width_inch: float) -> list[str]:
-    """A title in lines for a page width, broken at blanks, and within words longer than a line."""
+    """Break a title into lines for a width, at blanks and within words longer than a line."""
     count = int(_LETTERS_PER_INCH * width_inch)
     return [line for part in text.split("\n") for line in wrap(part, count) or [""]]

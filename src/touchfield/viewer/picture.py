@@ -1,6 +1,7 @@
-"""Pictures of fields: a comparison (source, decoded, error in units of the mask), a field in its workspace.
+"""Pictures of fields: a comparison of two fields, and a field in its workspace.
 
-Colours are perceptually uniform and safe for colour-blind readers; compared panels share a scale with a unit.
+A comparison shows the source, the decoded field, and the error in units of the mask. Colours are perceptually
+uniform and safe for colour-blind readers; compared panels share a scale with a unit.
 """
 
 from __future__ import annotations
@@ -39,10 +40,10 @@ def draw_comparison(
 ) -> None:
     """Write a PNG that compares two fields on one grid.
 
-    Rows: first contact of a hand that comes from the viewer's side; |F| on a slice along the line of sight;
-    the direction on the same slice; of an array of actuators, |F| of each. Columns: source, decoded, error.
-    `axes` are those of the medium, such as "x right, y down, z forward"; `mask` is (k, F_0) of max(F_0, k
-    |F|). `MissingExtra` if matplotlib is not installed.
+    The rows show the first contact of a hand that comes from the viewer's side, |F| on a slice along the line
+    of sight, and the direction on the same slice; for an array of actuators, the single row shows |F| of
+    each. The columns are source, decoded and error. `axes` are those of the medium, such as "x right, y down,
+    z forward"; `mask` is (k, F_0) of max(F_0, k |F|). `MissingExtra` if matplotlib is not installed.
     """
     panels = _Panels(original, decoded, axes, mask)
     rows = [panels.draw_amplitudes]
@@ -91,7 +92,7 @@ class _Panels:
     # -- geometry of the page -------------------------------------------------------------------------------
 
     def row_heights(self) -> list[float]:
-        """Height over width of the front view and of the slice, twice; within reason."""
+        """Return height over width of the front view and of the slice (twice), limited."""
         width, height, depth = (n * h for n, h in zip(self.shape, self.step_mm, strict=True))
         return [float(np.clip(side / width, 0.35, 1.3)) for side in (height, depth, depth)]
 
@@ -118,7 +119,7 @@ class _Panels:
     # -- rows -----------------------------------------------------------------------------------------------
 
     def draw_contact(self, figure: Any, row: Any) -> None:
-        """First contact of a hand along z, and the largest error behind each point of that surface."""
+        """Draw the first contact of a hand along z, and the largest error along z."""
         depths = [self._contact_mm(force) for force in self.forces]
         both = np.concatenate([d[np.isfinite(d)] for d in depths])
         scale: dict[str, Any] = {"cmap": "cividis" if not self.from_low_z else "cividis_r"}
@@ -149,7 +150,7 @@ class _Panels:
         return f"slice at y = {y_mm:.1f} mm"
 
     def draw_amplitudes(self, figure: Any, row: Any) -> None:
-        """|F| on the slice with the most force, or of each actuator of an array."""
+        """Draw |F| on the slice with the most force, or of each actuator of an array."""
         up, slice_text = _Z, f", {self._slice_name()}"
         cut: tuple[Any, ...] = (slice(None), self.cut)
         if self.is_array:
@@ -163,7 +164,7 @@ class _Panels:
         self._mask_bar(figure, row[2], up, self.error[cut], "error, in units of the mask")
 
     def draw_directions(self, figure: Any, row: Any) -> None:
-        """Direction on the same slice, and its error in degrees."""
+        """Draw the direction on the same slice, and its error in degrees."""
         units = [_unit(v[:, self.cut]) for v in self.vectors]
         for panel, unit, name in zip(row, units, _COLUMNS, strict=False):
             image = self._quiver(panel, unit, f"{name} direction, {self._slice_name()}")
@@ -199,7 +200,7 @@ def _bar(figure: Any, image: Any, panels: Any, label: str, **style: Any) -> None
 
 
 def _span(has_force: Bools, count: int) -> slice:
-    """The range with forces and a margin of a twentieth; the whole range if there is no force."""
+    """Return the range with forces and a margin of a twentieth; without forces, the whole range."""
     indices = np.flatnonzero(has_force)
     if not len(indices):
         return slice(0, count)
@@ -226,7 +227,7 @@ _MARGIN: Final = 0.12  # around the workspace, of its largest side
 
 
 def shadows(fields: Sequence[ForceField], title: str, permutation: Float64s) -> Figure:
-    """A figure of fields on one grid: three projections with the box of the grid, in millimetres.
+    """Draw three projections of fields on one grid, with its box, in millimetres.
 
     `permutation` is the signed permutation [3, 3] from x right, y up, z towards the viewer to their axes.
     """
@@ -276,14 +277,14 @@ def shadows(fields: Sequence[ForceField], title: str, permutation: Float64s) -> 
 
 
 def _seen_axis(permutation: Float64s, direction: tuple[int, int, int]) -> tuple[int, bool]:
-    """The axis of the fields along a direction of the viewer's, and whether it points the opposite way."""
+    """Return the axis of the fields along a direction of the viewer, and whether it is reversed."""
     along = permutation @ np.array(direction, np.float64)
     axis = int(np.argmax(np.abs(along)))
     return axis, bool(along[axis] < 0)
 
 
 def shadow_n(fields: Sequence[ForceField], across: int, up: int) -> Float64s:
-    """Largest force of fields on one grid along the third axis, newtons [shape[across], shape[up]]."""
+    """Return the largest |F| along the third axis, newtons [shape[across], shape[up]]."""
     shape = fields[0].grid.shape
     shadow = np.zeros((shape[across], shape[up]))
     for field in fields:

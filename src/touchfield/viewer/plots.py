@@ -1,6 +1,6 @@
 """Pictures of curves: a masked signal (paper figure 2), and textures.
 
-Each is written as PNG; `MissingExtra` where matplotlib is not installed.
+Each picture is written as PNG. The functions raise `MissingExtra` if matplotlib is not installed.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ _QUANTISED, _PERCEPTIBLE = "#0072b2", "#d55e00"
 def draw_masked_signal(
     path: Path, t_s: Float64s, x_n: Float64s, readings: Mapping[str, Float64s], k: float
 ) -> None:
-    """Draw a column for each reading Q(x): above the signal and Q of it, below the error and its mask k x.
+    """Draw each reading Q(x) of a signal x, its error, and the mask k x.
 
-    Times are in seconds, the signal and its readings, by the names above them, in newtons, float64 [n]. An
-    error outside the mask, which is perceptible, is drawn in orange.
+    Each reading has a column, with its name as title. Times are in seconds, the signal and its readings in
+    newtons, float64 [n]. An error outside the mask, which is perceptible, is drawn in orange.
     """
     title = f"a force, quantised; its error, and the mask of {k:g} x"
     figure = titled_figure("the picture of a quantised signal", title, 4.3 * len(readings), 6.0)
@@ -50,7 +50,10 @@ def draw_masked_signal(
 def draw_textures(
     path: Path, bands_hz: tuple[float, ...], rows: dict[str, Float64s], threshold_n: Float64s
 ) -> None:
-    """Draw a line for each row, newtons rms [bands] by label, and the perception threshold, also [bands]."""
+    """Draw vibrations in bands, and the perception threshold.
+
+    `rows` are newtons rms [bands] by label, `threshold_n` newtons [bands].
+    """
     figure = titled_figure("the picture of a texture", "vibration in thirds of an octave", 8.0, 4.5)
     axis = figure.subplots()
     for n, (label, levels_n) in enumerate(rows.items()):

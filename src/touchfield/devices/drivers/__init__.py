@@ -1,4 +1,7 @@
-"""Drivers: one file for each kind of device, imported when it is used; `registry` finds them by name."""
+"""Drivers: one module for each kind of device.
+
+`registry` finds them by name, and imports a driver when it is used.
+"""
 
 from touchfield._lazy import lazy_attributes
 

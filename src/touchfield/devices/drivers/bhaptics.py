@@ -62,9 +62,9 @@ class BHaptics(ArrayDevice):
     Parameters
     ----------
     profile : Device
-        Of one or two panels with 4 columns and 2, 4 or 5 rows; else InvalidArgument.
+        Profile of one or two panels with 4 columns and 2, 4 or 5 rows; others raise InvalidArgument.
     player : (str, int)
-        Where the Player listens.
+        Address at which the Player listens.
     """
 
     def __init__(self, profile: Device, player: Address = PLAYER) -> None:

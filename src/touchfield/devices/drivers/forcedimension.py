@@ -158,7 +158,10 @@ class ForceDimension(PointDevice):
 def quaternion_of_rows(
     a: float, b: float, c: float, d: float, e: float, f: float, g: float, h: float, i: float
 ) -> Quaternion:
-    """The quaternion w, x, y, z of a rotation matrix given by rows; NaN if it is none."""
+    """Return the quaternion (w, x, y, z) of a rotation matrix given by rows.
+
+    Returns NaN if the matrix is not a rotation.
+    """
     squares = (1 + a + e + i, 1 + a - e - i, 1 - a + e - i, 1 - a - e + i)  # four times those of w, x, y, z
     rows = (
         (squares[0], h - f, c - g, d - b),

@@ -156,7 +156,10 @@ class Haply(PointDevice):
             ) from None
 
     def _receive(self, seconds: float) -> Any:
-        """The next message, as JSON; TimeoutError if there is none."""
+        """Return the next message, parsed from JSON.
+
+        Raises TimeoutError if there is none.
+        """
         if self._socket is None:
             raise DeviceError(self._where, "a device that is not open", "an open one")
         try:
@@ -191,7 +194,7 @@ class Haply(PointDevice):
         self._pressed = sum(1 << n for n, name in enumerate("abc") if names.get(name) is True)
 
     def _device_id(self, message: Any) -> str | int:
-        """The id of the first device, from the first message."""
+        """Return the id of the first device, from the first message."""
         devices = message.get("inverse3") if isinstance(message, dict) else None
         if not isinstance(devices, list) or not all(isinstance(entry, dict) for entry in devices):
             raise DeviceError(

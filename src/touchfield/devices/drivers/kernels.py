@@ -1,12 +1,14 @@
 """Compiled code of the drivers: the callback of OpenHaptics, and the simulated hand.
 
-It is imported only when it is needed. **The callback** is called a thousand times a second by the vendor's
-driver, without the interpreter. It gets the address of a box: words of eight bytes, in which the driver class
-writes the address of the player's block, and the callback its results. Pointers are made from those words;
+Import this module only where it is used, since it imports numba.
+
+**Callback.** The vendor's driver calls it a thousand times a second, without the interpreter. Its argument is
+the address of an exchange buffer, the box, of 8-byte words. The driver class writes the address of the
+player's block to the box, and the callback writes its results. The callback makes pointers from these words;
 the views of the block are the same four that every kernel of the renderer takes.
 
-**The hand**: where its target is, and how a spring pulls it there. The state is float64 [10]: time, position,
-velocity, force. `follow` and `spring` advance it by dt.
+**Simulated hand.** The hand follows its target exactly, or a spring pulls it there. The state is float64
+[10]: time, position, velocity, force. `follow` and `spring` advance it by dt.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ from numba.extending import intrinsic
 from touchfield.compute.jit import inner, kernel
 
 BOX = 24
-"""Words of the box, as below."""
+"""Number of words of the box; the constants below are their indices."""
 
 ADDRESS, WORD_COUNT, HANDLE = 0, 1, 2
 """Address and length of the block, and the driver's handle of the device."""
@@ -44,7 +46,7 @@ _CURRENT_POSITION, _CURRENT_FORCE = np.uint32(0x2050), np.uint32(0x2700)
 
 
 def _as_pointer(_typing, address):
-    """An address as a pointer."""
+    """Convert an address to a pointer."""
 
     def build(_context, builder, _signature, arguments):
         return builder.inttoptr(arguments[0], ir.IntType(8).as_pointer())
@@ -56,17 +58,17 @@ _pointer: Any = intrinsic(_as_pointer)
 
 
 def _typed(address: int | None, *arguments: Any, result: Any = None) -> Any:
-    """The function at an address, for compiled code, in which a pointer is an integer."""
+    """Return the function at an address, for compiled code that passes pointers as integers."""
     return ctypes.CFUNCTYPE(result, *arguments)(address or 0)
 
 
 def address_of(function: Any) -> int | None:
-    """Address of a ctypes function."""
+    """Return the address of a ctypes function."""
     return ctypes.cast(function, ctypes.c_void_p).value
 
 
 def clock() -> Any:
-    """A compiled function that reads the clock of `time.perf_counter_ns`.
+    """Return a compiled function that reads the clock of `time.perf_counter_ns`.
 
     Its form is ``now(box) -> nanoseconds``.
     """
@@ -94,11 +96,11 @@ def clock() -> Any:
 
 
 def _latest_error(get_error: int | None) -> Any:
-    """A compiled function for the code of the driver's latest error, 0 for none.
+    """Return a compiled function for the code of the driver's latest error.
 
-    hdGetError returns three words of four bytes by value. Compiled code has no such result type, but the same
-    calling convention: two registers, the first of which contains the code; on Windows, memory that the
-    caller provides.
+    The code is 0 if there is no error. hdGetError returns three words of four bytes by value. Compiled code
+    has no such result type, but the same calling convention: two registers, the first of which contains the
+    code; on Windows, memory that the caller provides.
     """
     if sys.platform == "win32":
         get_error_into = _typed(get_error, ctypes.c_size_t)
@@ -127,7 +129,7 @@ def compiled_callback(
     set_address: int | None,
     error_address: int | None,
 ) -> Any:
-    """The callback, HDCallbackCode (void *), as a numba cfunc.
+    """Compile the callback, HDCallbackCode (void *), as a numba cfunc.
 
     The driver gets its `address`. ``cycle(i8, u8, f8, f4, x, y, z, now_ns) -> (fx, fy, fz)`` is compiled, in
     metres and newtons in the device's axes. The other arguments are `address_of` hdBeginFrame, hdEndFrame,
@@ -176,9 +178,9 @@ _TURN = 0.1
 
 @inner
 def _bracket(times, t):
-    """The samples before and after t, and the fraction of t between them.
+    """Return the samples before and after t, and the fraction of t between them.
 
-    At rest beyond both ends; of equal times, the later sample counts.
+    Before the first and after the last sample the fraction is 0; of equal times, the later sample counts.
     """
     low = np.searchsorted(times, t, side="right")
     a, b = max(low - 1, 0), min(low, times.shape[0] - 1)
@@ -203,7 +205,7 @@ def interpolate_orientation(times, quaternions, t, out):
 
 @inner
 def _target(times, positions, t):
-    """Position of the trajectory at t, linear between samples."""
+    """Return the position of the trajectory at t, linear between samples."""
     a, b, weight = _bracket(times, t)
     rest = 1.0 - weight
     return (

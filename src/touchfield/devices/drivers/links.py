@@ -31,7 +31,7 @@ MAX_MESSAGE_BYTES = 1 << 16
 def connect(
     to: Address, where: str, timeout_s: float, hint: str, send_s: float | None = None
 ) -> socket.socket:
-    """A blocking TCP connection, whose writes time out.
+    """Open a blocking TCP connection whose writes time out.
 
     A write that the other side does not accept raises an OSError after `send_s`, which defaults to
     `timeout_s`. Raises DeviceError if nothing answers within `timeout_s`.
@@ -55,11 +55,11 @@ def connect(
 def web_socket(
     to: Address, path: str, where: str, hint: str, open_s: float, send_s: float, **options: Any
 ) -> ClientConnection:
-    """A WebSocket over a socket of our own.
+    """Open a WebSocket over a socket that `connect` opens.
 
-    So no proxy of the environment is used, and no send blocks for ever. `options` go to `websockets`. Raises
-    MissingExtra without that library; DeviceError if nothing answers within `open_s`, or something else
-    answers.
+    Therefore no proxy of the environment is used, and no send blocks for ever. `options` are passed to
+    `websockets`. Raises MissingExtra without that library; DeviceError if nothing answers within `open_s`, or
+    something else answers.
     """
     client = import_extra("websockets.sync.client", where, "websockets", "devices")
     host, port = to
@@ -106,7 +106,7 @@ class Line:
             self._socket.close()
 
     def _read(self, seconds: float) -> bytes:
-        """Bytes that arrive within `seconds`, b"" if none; raises `EOFError` or `OSError`."""
+        """Return the bytes that arrive within `seconds`; raises `EOFError` or `OSError`."""
         self._socket.settimeout(seconds)
         data = self._socket.recv(4096)
         if not data:
@@ -114,10 +114,10 @@ class Line:
         return data
 
     def read_line(self, deadline_s: float, max_bytes: int) -> bytes:
-        """The next line, stripped; a longer one is cut at `max_bytes`.
+        """Return the next line, stripped; a longer one is cut at `max_bytes`.
 
-        The deadline is by the monotonic clock. Raises TimeoutError if no line arrives in time, EOFError or
-        another OSError if the other side is gone.
+        The deadline is a time of the monotonic clock. Raises TimeoutError if no line arrives in time,
+        EOFError or another OSError if the other side is gone.
         """
         while b"\n" not in self._pending and len(self._pending) <= max_bytes:
             remaining_s = deadline_s - monotonic()
@@ -129,7 +129,7 @@ class Line:
 
 
 class SerialLine(Line):
-    """The same over a serial port, 8 bits, no parity, one stop bit."""
+    """A line-based connection over a serial port: 8 bits, no parity, one stop bit."""
 
     def __init__(self, name: str, baud: int, where: str, timeout_s: float, hint: str) -> None:
         serial = import_extra("serial", "a serial port", "pyserial", "devices")
@@ -154,7 +154,7 @@ class SerialLine(Line):
 
 
 def serial_ports() -> list[str]:
-    """Names of the serial ports of this machine; empty without pyserial."""
+    """Return the names of the serial ports of this machine; empty without pyserial."""
     try:
         from serial.tools.list_ports import comports
     except ImportError:
@@ -164,9 +164,10 @@ def serial_ports() -> list[str]:
 
 @dataclass(frozen=True)
 class DriverLibrary:
-    """File names of a vendor's driver on each system, the most likely first.
+    """File names of a vendor's driver library on each system, the most likely first.
 
-    The environment variable `variable` names its file if it is elsewhere; `hint` says how to get it.
+    The environment variable `variable` gives the path of the library if it is elsewhere; `hint` tells the
+    user how to install it.
     """
 
     title: str

@@ -1,8 +1,8 @@
 """Touch, Touch X, Phantom Omni and Premium, through the vendor's OpenHaptics.
 
-Its driver calls us in a thread of its own. The callback is compiled (`kernels.compiled_callback`): begin a
-frame, read the position (millimetres), run one cycle of the renderer, set the force, end the frame. It does
-not take the interpreter's lock.
+The vendor's driver calls a callback in a thread of its own. The callback is compiled
+(`kernels.compiled_callback`) and does not take the interpreter's lock: it begins a frame, reads the position
+(millimetres), runs one cycle of the renderer, sets the force and ends the frame.
 
 Before `close` the servo has ordered the release. `close` waits until the force is zero, sets zero for one
 more frame, and then removes callback, scheduler and device.
@@ -64,7 +64,7 @@ _FORCE_OUTPUT: Final = 0x4000
 _INVALID_HANDLE: Final = 0xFFFFFFFF
 _HIGHEST_PRIORITY: Final = 0xFFFF
 _RELEASE_S: Final = 1.0
-"""How long `close` waits for the force to be zero."""
+"""Time for which `close` waits for the force to be zero."""
 
 _SILENCE_S: Final = 0.5
 _LAST_FRAME_S: Final = 0.5
@@ -194,7 +194,7 @@ class OpenHaptics(PointDevice):
             raise error
 
     def _error(self, action: str, hint: str = "") -> DeviceError | None:
-        """The latest error on the driver's stack, which is cleared; None if there is none."""
+        """Return the latest error on the driver's stack, which is cleared; None if there is none."""
         first = self._library.hdGetError()
         if not first.code:
             return None

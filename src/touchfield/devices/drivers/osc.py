@@ -12,9 +12,9 @@ back, or the panel's number from 2; ``first`` is the index of the message's firs
 row after row from the top left. All parts of a frame have the same number. A drive is rounded to the
 profile's levels, if it states any.
 
-UDP may lose a datagram, so the frame that switches all actuators off is sent three times. The addresses are
-ours; there is no common scheme for arrays of actuators. The bytes are assembled here: a library that checks
-each number separately took 100 ms for the 6240 pins of a HyperBraille, this code 0.7 ms.
+UDP may lose a datagram, so the frame that switches all actuators off is sent three times. The address scheme
+is specific to touchfield; there is no common one for arrays of actuators. The bytes are assembled here: a
+library that checks each number separately took 100 ms for the 6240 pins of a HyperBraille, this code 0.7 ms.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _BUNDLE_HEAD: Final = b"#bundle\0" + struct.pack(">Q", 1)
 
 
 class Osc(ArrayDevice):
-    """A program or a device that listens to Open Sound Control at a host and a port; any array."""
+    """Any array behind a program or device that listens to Open Sound Control."""
 
     def __init__(self, profile: Device, to: Address) -> None:
         self.profile, self._to = profile, to
@@ -101,7 +101,7 @@ class Osc(ArrayDevice):
                 self._line.send(datagram)
 
     def _datagrams(self, drives: Float64s, frequencies_hz: Float32s | None) -> Iterator[bytes]:
-        """The bundles of one frame."""
+        """Yield the bundles of one frame."""
         values = {"drives": drives}
         if frequencies_hz is not None:
             values["frequencies"] = np.asarray(frequencies_hz, np.float64)
@@ -123,13 +123,13 @@ class Osc(ArrayDevice):
 
 
 def _message(name: str, types: str, values: bytes) -> bytes:
-    """A message, preceded by its length, as in a bundle."""
+    """Return a message preceded by its length, as in a bundle."""
     message = _text(name) + _text("," + types) + values
     return struct.pack(">i", len(message)) + message
 
 
 def _text(text: str) -> bytes:
-    """Text with a final zero, padded with zeros to a multiple of four bytes."""
+    """Return text with a final zero, padded with zeros to a multiple of four bytes."""
     data = text.encode("ascii")
     return data + bytes(4 - len(data) % 4)
 

@@ -1,8 +1,8 @@
 """Pin displays (Dot Pad, Graphiti, HyperBraille), by lines of text over serial or TCP.
 
-The vendors' own protocols differ and are mostly not public. This simple protocol of ours is for a small
-program or board in between. A line is ASCII, ends in a line feed, and carries a checksum of all before the
-blank and star::
+The vendors' own protocols differ and are mostly not public. This simple protocol is meant for a small program
+or board between touchfield and the display. A line is ASCII, ends in a line feed, and has a checksum of
+everything before the blank and star::
 
     line     size ROWS COLUMNS LEVELS *CRC        first, and again if there is no answer; its number is 0
     line     pins NUMBER HEIGHTS *CRC             NUMBER from 1
@@ -16,8 +16,8 @@ value ffff) as four hexadecimal digits. For 2 x 2 pins that are up or down::
     size 2 2 2 *af5a
     pins 1 0110 *204a
 
-The next line is sent when the one before was answered; a second ``ok 0`` is ignored. A frame that changes no
-pin is not sent, since pins keep their height. `close` lowers all pins.
+The next line is sent after the previous one was answered; a second ``ok 0`` is ignored. A frame that changes
+no pin is not sent, since pins keep their height. `close` lowers all pins.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _FORM: Final = "pins:PORT[@BAUD] | pins:HOST:PORT"
 
 
 def checked_line(content: bytes) -> bytes:
-    """A line with its checksum."""
+    """Return a line with its checksum."""
     return b"%s *%04x\n" % (content, binascii.crc_hqx(content, 0xFFFF))
 
 
@@ -60,7 +60,8 @@ class Pins(ArrayDevice):
     Parameters
     ----------
     profile : Device
-        A profile of one panel, else InvalidArgument. It has 36 levels if it states none, or more.
+        A profile of one panel; others raise InvalidArgument. 36 levels are used if the profile states none,
+        or more.
     where : str
         Its name in messages.
     connect : callable

@@ -110,7 +110,7 @@ class PointChoice(NamedTuple):
 
 @cache
 def device_kinds() -> tuple[DeviceKind, ...]:
-    """All kinds of devices, those of plug-ins last."""
+    """Return all kinds of devices, those of plug-ins last."""
     return (*map(_built_in_kind, MODULES), *plugins("touchfield.drivers", DeviceKind).values())
 
 
@@ -120,17 +120,20 @@ def _built_in_kind(name: str) -> DeviceKind:
 
 
 def point_kinds() -> tuple[DeviceKind, ...]:
-    """All kinds of type 1 devices."""
+    """Return all kinds of type 1 devices."""
     return tuple(kind for kind in device_kinds() if not kind.is_array)
 
 
 def array_kinds() -> tuple[DeviceKind, ...]:
-    """All kinds of type 2 devices."""
+    """Return all kinds of type 2 devices."""
     return tuple(kind for kind in device_kinds() if kind.is_array)
 
 
 def _find_kind(name: str, is_array: bool) -> DeviceKind | None:
-    """The kind of this name and type; for a built-in name neither other modules nor plug-ins are imported."""
+    """Return the kind with this name and type; None if there is none.
+
+    For a built-in name neither other modules nor plug-ins are imported.
+    """
     kinds = (_built_in_kind(name),) if name in MODULES else device_kinds()
     return next((kind for kind in kinds if kind.name == name and kind.is_array == is_array), None)
 
@@ -148,10 +151,10 @@ def _require_kind(text: str, name: str, is_array: bool) -> DeviceKind:
 
 
 def point_device(text: str, trajectory: Trace | None = None) -> PointChoice:
-    """The point device named by `text`, such as "haply:127.0.0.1:10001"; not opened.
+    """Return the point device named by `text`, such as "haply:127.0.0.1:10001".
 
-    Raises InvalidArgument if there is no such kind, the text after the colon is wrong, or a trajectory is
-    given for a device that a hand moves.
+    The device is not opened. Raises InvalidArgument if there is no such kind, the text after the colon is
+    invalid, or a trajectory is given for a device that a hand moves.
     """
     name, _, rest = text.strip().partition(":")
     kind = _require_kind(text, name.lower(), is_array=False)
@@ -163,14 +166,14 @@ def point_device(text: str, trajectory: Trace | None = None) -> PointChoice:
 
 
 def is_array_device(text: str) -> bool:
-    """True if `text` names an array, even if the rest of it is invalid."""
+    """Return True if `text` names an array, even if the rest of it is invalid."""
     return _find_kind(text.strip().partition(":")[0].lower(), is_array=True) is not None
 
 
 def array_device(
     text: str, profile: Device | None = None, stream_profile: Device | None = None
 ) -> ArrayDevice:
-    """The array named by `text`, such as "osc:127.0.0.1:9000", with a profile.
+    """Return the array named by `text`, such as "osc:127.0.0.1:9000", with a profile.
 
     The profile is `profile` if given. Else, if the kind takes any, it is `stream_profile`, for which a stream
     was made; else the kind's default. Raises InvalidArgument if there is no such device, its address is
@@ -198,7 +201,7 @@ def array_device(
 
 
 def drives_of(profile: Device, drives: Float32s) -> Float64s:
-    """Drives from 0 to 1, float64 [panels, rows, columns]; NaN becomes 0.
+    """Return drives clipped to 0..1, float64 [panels, rows, columns]; NaN becomes 0.
 
     Raises InvalidArgument if the shape is wrong.
     """
@@ -210,7 +213,7 @@ def drives_of(profile: Device, drives: Float32s) -> Float64s:
 
 
 def steps_of(profile: Device, drives: Float32s, levels: int) -> Int64s:
-    """The nearest of `levels` levels, int64 [panels, rows, columns].
+    """Quantise drives to the nearest of `levels` levels, int64 [panels, rows, columns].
 
     Levels count from 0; halves round up.
     """

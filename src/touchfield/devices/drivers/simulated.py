@@ -6,7 +6,7 @@ Its axes are those of the field, and its trajectory is in metres of the field. T
 * "spring": a mass that a spring pulls towards a target on the trajectory and that the force pushes,
   m a = k (target - x) - b v + F. The force changes the position, so that friction drags and a wall stops it.
 
-If the trajectory has orientations, both kinds take them; a torque does not change them.
+If the trajectory has orientations, both kinds of hand have them; a torque does not change them.
 
 Time passes only by `advance`: the hand has no clock, and two runs give the same numbers.
 """
@@ -81,7 +81,7 @@ class SimHand(PointDevice):
         self.advance(0.0)  # compile it now, not in the first tick
 
     def position_m(self) -> tuple[float, float, float]:
-        """Where the hand is, metres."""
+        """Return the position of the hand, metres."""
         x, y, z = self._state[1:4].tolist()
         if self._move is None or not math.isfinite(x + y + z):
             found = "a hand that is not open" if self._move is None else f"a hand at {x:g}, {y:g}, {z:g} m"

@@ -1,19 +1,19 @@
-"""Automatic probe of a field: the trace of a simulated hand that was given no path.
+"""Automatic probe of a field: a trace for a simulated hand without a given path.
 
-It approaches through free space to a strong part of the field, presses until the force is `FORCE_FRACTION` of
-the largest on its way, slides along the surface at that force, and leaves, straight out or, if another wall
-is there, back the way it came. So contact, friction and release can each be seen in a plot. The path is found
-as follows:
+The probe approaches a strong part of the field through free space, presses until the force is
+`FORCE_FRACTION` of the largest on its way, slides along the surface at that force, and leaves: straight out
+or, if another wall is there, back along its path. A plot then shows contact, friction and release separately.
+The path is found as follows:
 
 1. take some strong samples of the support, and two ways out of each, along the force and against it;
-2. choose the best way: one that is free outside the surface, on which the field pushes back (a wall, a solid,
-   a guide; a field that pulls has no such way, and gets the free one), and that starts on the user's side;
-3. try eight directions along the surface; in each, follow the surface step by step, as the point on a line
-   across it at which the force first reaches that level; take the longest walk.
+2. choose the best way. It is free outside the surface, starts on the user's side, and the field pushes back
+   on it (a wall, a solid, a guide); a field that pulls has no such way, and a free one is chosen;
+3. try eight directions along the surface. In each, follow the surface step by step: a point of it is where
+   the force first reaches the level of the contact, on a line across the surface. Use the longest walk.
 
-If an object moves, the path is that of its own frame of reference, and moves with it. Only the receiver's own
-query is used, so that this works for voxels and for objects, and gives the same trace on every machine. In an
-empty field the probe rests in the middle.
+If an object moves, the path is that of its own frame of reference, and moves with it. Only the query of a
+receiver is used, so that the method works for voxels and objects, and gives the same trace on every machine.
+In an empty field the probe rests in the middle of the grid.
 """
 
 from __future__ import annotations
@@ -60,18 +60,18 @@ def touch_down(
     start_s: float = 0.0,
     speed: float = 1.0,
 ) -> Trace:
-    """A trace that touches a field.
+    """Plan a trace that touches a field.
 
     The trace is at 1 kHz, from 0 s on, in the axes and metres of the field.
 
     Parameters
     ----------
     medium : HapticMedium or HapticScene
-        The path is planned in the frame at which the probe arrives; if that is empty, in the first of some
-        that is not. A medium of several frames that is shorter than `DURATION_S` is touched within its own
-        duration.
+        The path is planned in the frame at which the probe arrives; if that frame is empty, in the first of
+        some others that is not. A medium of several frames that is shorter than `DURATION_S` is touched
+        within its own duration.
     stiffness_n_per_m : float
-        Stiffness of the hand that will follow the trace. The trace runs F / k deeper, so that a hand on a
+        Stiffness of the hand that will follow the trace. The trace is F / k deeper, so that a hand on a
         spring rests where a stiff one would.
     force_max_n : float
         Limit of the force, newtons. With the continuous force of a device, its thermal limit is not reached.
@@ -118,7 +118,7 @@ def _follow_object(
 
 
 def _first_frame(medium: HapticMedium | HapticScene, at_s: float) -> tuple[Grid, Query, Float64s, int]:
-    """Grid, query, positions of strong samples, float64 [m, 3], and number of a frame."""
+    """Return grid, query, positions of strong samples, float64 [m, 3], and number of a frame."""
     count = len(medium)
     first = min(int(at_s * medium.rate_hz), count - 1)
     for frame in dict.fromkeys([first, *np.linspace(0, count - 1, min(count, 8)).astype(int).tolist()]):
@@ -142,7 +142,7 @@ def _query(sample_n: Callable[[Float64s], Float32s]) -> Query:
 
 
 def _strong_samples(field: ForceField) -> Float64s:
-    """Positions of samples with more than half of the largest force, float64 [m, 3].
+    """Return positions of samples with more than half of the largest force, float64 [m, 3].
 
     They are spread evenly over all such samples.
     """
@@ -165,7 +165,7 @@ def _diagonal(grid: Grid) -> float:
 def _path(
     grid: Grid, query: Query, points: Float64s, force_max_n: float, viewer: Float64s
 ) -> dict[str, Float64s]:
-    """Path of the probe: corners of "come", "press", "slide" and "leave", each [n, 3]."""
+    """Return the path of the probe: corners of "come", "press", "slide" and "leave", each [n, 3]."""
     diagonal, fine = _diagonal(grid), min(grid.spacing_m)
     start, out, depth, free = _way_out(query, points, diagonal, fine, viewer)
     inwards = np.linspace(0.0, depth, _PATH_POINTS)  # from the surface to the sample
@@ -188,7 +188,7 @@ def _path(
 def _way_out(
     query: Query, points: Float64s, diagonal: float, fine: float, viewer: Float64s
 ) -> tuple[Float64s, Float64s, float, float]:
-    """The best sample to touch: position, unit vector out, depth, and free distance."""
+    """Return the best sample to touch: position, unit vector outwards, depth, and free distance."""
     forces = query(points)
     strengths = _sizes(forces)
     along = forces / strengths[:, None]
@@ -224,7 +224,7 @@ def _way_out(
 
 
 def _slide(query: Query, touched: Float64s, out: Float64s, length: float, slack: float) -> Float64s:
-    """The longest walk along the surface from a point on it, float64 [n, 3].
+    """Return the longest walk along the surface from a point on it, float64 [n, 3].
 
     n is at least 1.
     """
@@ -257,7 +257,7 @@ def _slide(query: Query, touched: Float64s, out: Float64s, length: float, slack:
 
 
 def _positions_over_time(legs: dict[str, Float64s], count: int) -> Float64s:
-    """Position of the probe at `count` equal times, float64 [count, 3].
+    """Return the position of the probe at `count` evenly spaced times, float64 [count, 3].
 
     Each leg starts and ends at rest.
     """

@@ -1,6 +1,6 @@
 """Compiled loops over bricks: raster order of the support, and the trilinear query.
 
-Import only when first needed: this imports numba.
+Import this package only where it is used, since it imports numba.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from touchfield.medium.grid import Grid
 
 @inner
 def lower_bound(keys, key):
-    """As `numpy.searchsorted`, which numba takes longer to compile."""
+    """Return what `numpy.searchsorted` does, which takes longer to compile."""
     low, high = 0, keys.shape[0]
     while low < high:
         middle = (low + high) >> 1
@@ -28,7 +28,10 @@ def lower_bound(keys, key):
 
 @entry
 def reached(spans, brick_shape, out):
-    """Into `out` the keys of the bricks of each box, `spans` int64 [n, 3, 2] being their begins and ends."""
+    """Write the keys of the bricks of each box to `out`.
+
+    `spans` int64 [n, 3, 2] holds the start and stop of each box along each axis, in bricks.
+    """
     count = 0
     for n in range(spans.shape[0]):
         for i in range(spans[n, 0, 0], spans[n, 0, 1]):
@@ -65,9 +68,9 @@ def _raster_slots(bricks, mask, out):
 
 
 def raster_slots(bricks: Int32s, mask: Bools) -> Int64s:
-    """Where the samples of `mask` lie in an array [n * 512], in raster order of the grid, int64 [L].
+    """Return the indices of the samples of `mask` in an array [n * 512], int64 [L].
 
-    `bricks` int32 [n, 3] ascending, `mask` bool [n, 8, 8, 8].
+    They are in raster order of the grid. `bricks` are int32 [n, 3], ascending, `mask` is bool [n, 8, 8, 8].
     """
     out = np.empty(int(np.count_nonzero(mask)), np.int64)
     _raster_slots(bricks, mask, out)
@@ -76,7 +79,10 @@ def raster_slots(bricks: Int32s, mask: Bools) -> Int64s:
 
 @inner
 def force_at(x, y, z, shape, brick_shape, keys, forces, total):
-    """Into `total` the force at a place in samples; `keys` are those of the bricks of `forces`, ascending."""
+    """Write the force at a position, in samples, to `total`.
+
+    `keys` are the ascending keys of the bricks of `forces`.
+    """
     total[:] = 0.0
     if -1.0 < x < shape[0] and -1.0 < y < shape[1] and -1.0 < z < shape[2]:
         x0, y0, z0 = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))

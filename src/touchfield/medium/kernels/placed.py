@@ -1,7 +1,8 @@
-"""Compiled loops of objects in motion: the trilinear query of fields that lie turned and shifted in a scene.
+"""Compiled loops of moving objects: the trilinear query of rotated and shifted fields.
 
-The fields are stored as *cells*: each brick of 8^3 samples with the first samples of the next bricks, 9^3 in
-all, so that the eight corners around any point are in one cell. Bricks of cells are found by a hash table.
+The fields are stored as *cells*: each brick of 8^3 samples is stored with the first samples of the next
+bricks, 9^3 samples in all, so that the eight samples around any point are in one brick of cells. Bricks of
+cells are found through a hash table.
 """
 
 from __future__ import annotations
@@ -13,26 +14,27 @@ import numpy as np
 from touchfield.compute.jit import inner, kernel
 
 _1, _2 = np.uint64(1), np.uint64(2)
-INSIDE = 1 - 2.0**-22  # so that rounding to float32 never lifts a clipped force above the limit
+INSIDE = 1 - 2.0**-22  # rounding to float32 then never raises a clipped force above the limit
 
 CELLS = 9 * 9 * 9 * 3  # numbers of a brick of cells
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # Fibonacci hashing (Knuth, volume 3, section 6.4)
 
 Z, Y, X = np.uint64(3), np.uint64(27), np.uint64(243)
-YZ, XZ, XY, XYZ = Y + Z, X + Z, X + Y, X + Y + Z  # unsigned, so that no index is looked at for its sign
+YZ, XZ, XY, XYZ = Y + Z, X + Z, X + Y, X + Y + Z  # unsigned, so that indices are not tested for their sign
 
-# columns of `placed`: a point x lies at A (x - t) - c, in samples (h metres apart) from the corner of the
-# object's box of bricks; R turns its force into the scene's, v and w times r = x - t add b times the velocity
-# of its surface
+# columns of `placed`: a point x of the scene has the coordinates A (x - t) - c in the object, in samples (h
+# metres apart) from the corner of its box of bricks; R rotates its force into the scene; v + w x (x - t) is b
+# times the velocity of its surface, which is added
 A, C, T, R, V, W, H = 0, 9, 12, 15, 24, 27, 30
 
-# columns of `boxes`: bricks along each axis, where the object's hash table begins, 64 - its bits
+# columns of `boxes`: number of bricks along each axis, start of the object's hash table, and 64 minus the
+# number of bits of its index
 START, SHIFT = 3, 4
 
 
 @inner(forceinline=True)
 def between(cells, o, fx, fy, fz):
-    """Trilinear interpolation in float64 of one component, whose first corner lies at `o`."""
+    """Interpolate one component trilinearly in float64; its first corner is at index `o`."""
     a, b = np.float64(cells[o]), np.float64(cells[o + Y])
     c, d = np.float64(cells[o + X]), np.float64(cells[o + XY])
     a += fz * (np.float64(cells[o + Z]) - a)
@@ -46,7 +48,7 @@ def between(cells, o, fx, fy, fz):
 
 @inner(forceinline=True)
 def find(tables, start, shift, key):
-    """The slot of a brick of cells, -1 where there is none."""
+    """Return the slot of a brick of cells, or -1 if there is none."""
     mask = (1 << (64 - shift)) - 1
     h = np.int64((np.uint64(key) * GOLDEN) >> np.uint64(shift))
     while tables[start + h, 0] != key:
@@ -63,7 +65,10 @@ def is_supported(supported, slot, i, j, k):
 
 @kernel
 def hash_table(keys, shift, table):
-    """Open addressing: into `table`, int64 [2^(64 - shift), 2] of -1, each key and its place in `keys`."""
+    """Write each key and its index in `keys` to a hash table with open addressing.
+
+    `table` is int64 [2^(64 - shift), 2], filled with -1.
+    """
     mask = table.shape[0] - 1
     for s in range(keys.shape[0]):
         h = np.int64((np.uint64(keys[s]) * GOLDEN) >> np.uint64(shift))
@@ -74,10 +79,11 @@ def hash_table(keys, shift, table):
 
 @kernel
 def cells_of(start, stop, sources, forces, cells, supported):
-    """Fill `cells` [n, 9, 9, 9, 3] from the eight bricks behind each, `sources` [n, 8]; -1 for none.
+    """Fill `cells` [n, 9, 9, 9, 3] from the bricks of a field.
 
-    `supported` uint64 [n, 8], zero before: bit 8 j + k of word i tells that a corner of cell (i, j, k) is not
-    zero.
+    `sources` [n, 8] are the indices of the eight source bricks of each brick of cells, -1 for a missing one.
+    `supported` is uint64 [n, 8] and initially zero: bit 8 j + k of word i is set if a corner of cell (i, j,
+    k) is not zero.
     """
     bit = np.uint64(1)
     for s in range(start, stop):
@@ -106,8 +112,10 @@ def cells_of(start, stop, sources, forces, cells, supported):
 
 @kernel
 def fill_placements(poses, lattices, motions, placed):
-    """The table of one frame from poses [n, 7] (w, x, y, z, t), lattices [n, 6] (spacing, corner), motions
-    [n, 6].
+    """Compute the table `placed` of one frame.
+
+    `poses` [n, 7] are quaternion (w, x, y, z) and t, `lattices` [n, 6] spacing and corner, `motions` [n, 6]
+    linear and angular velocity times b.
     """
     for n in range(poses.shape[0]):
         w, x, y, z = poses[n, 0], poses[n, 1], poses[n, 2], poses[n, 3]
@@ -128,7 +136,10 @@ def fill_placements(poses, lattices, motions, placed):
 
 @inner(forceinline=True)
 def body_coordinates(row, dx, dy, dz):
-    """A point of the scene, x - t, in samples of an object from the corner of its box."""
+    """Return the coordinates of a point in an object, in samples from the corner of its box.
+
+    (dx, dy, dz) is x - t in the scene.
+    """
     x = row[0] * dx + row[1] * dy + row[2] * dz - row[C]
     y = row[3] * dx + row[4] * dy + row[5] * dz - row[C + 1]
     return x, y, row[6] * dx + row[7] * dy + row[8] * dz - row[C + 2]
@@ -136,7 +147,10 @@ def body_coordinates(row, dx, dy, dz):
 
 @inner(forceinline=True)
 def slot_at(boxes, n, tables, supported, x, y, z):
-    """The brick of cells of object n that holds a force about a point of its own, -1 for none."""
+    """Return the brick of cells of object n with a force around a point; -1 if there is none.
+
+    (x, y, z) are the coordinates of the point in the object.
+    """
     if not (0.0 <= x < 8.0 * boxes[n, 0] and 0.0 <= y < 8.0 * boxes[n, 1] and 0.0 <= z < 8.0 * boxes[n, 2]):
         return -1
     i, j, k = np.int64(x), np.int64(y), np.int64(z)
@@ -147,7 +161,7 @@ def slot_at(boxes, n, tables, supported, x, y, z):
 
 @inner(forceinline=True)
 def force_of(cells, slot, x, y, z):
-    """The force of an object at a point of its own, in a brick of cells."""
+    """Return the force of an object, in its body frame, at a point in a brick of cells."""
     i, j, k = np.int64(x), np.int64(y), np.int64(z)
     o = np.uint64(slot * CELLS + (i & 7) * 243 + (j & 7) * 27 + (k & 7) * 3)
     gx, gy = between(cells, o, x - i, y - j, z - k), between(cells, o + _1, x - i, y - j, z - k)
@@ -156,7 +170,10 @@ def force_of(cells, slot, x, y, z):
 
 @inner(forceinline=True)
 def in_scene(row, gx, gy, gz, dx, dy, dz):
-    """The force (gx, gy, gz) of a body turned, with what the motion of its surface adds at d = x - t."""
+    """Rotate the force (gx, gy, gz) of a body into the scene, and add the damping of its motion.
+
+    (dx, dy, dz) is x - t.
+    """
     x = row[R] * gx + row[R + 1] * gy + row[R + 2] * gz + row[V] + row[W + 1] * dz - row[W + 2] * dy
     y = row[R + 3] * gx + row[R + 4] * gy + row[R + 5] * gz + row[V + 1] + row[W + 2] * dx - row[W] * dz
     z = row[R + 6] * gx + row[R + 7] * gy + row[R + 8] * gz + row[V + 2] + row[W] * dy - row[W + 1] * dx
@@ -165,9 +182,9 @@ def in_scene(row, gx, gy, gz, dx, dy, dz):
 
 @inner(forceinline=True)
 def clipped(x, y, z, limit):
-    """A sum of forces cut to `limit`, its direction kept."""
+    """Clip a sum of forces to the magnitude `limit`; its direction is unchanged."""
     square = x * x + y * y + z * z
-    if not square < np.inf:  # a damping beyond all bounds has no direction left
+    if not square < np.inf:  # a force that overflowed has no direction
         return 0.0, 0.0, 0.0
     if square > limit * limit:
         factor = limit * INSIDE / math.sqrt(square)
@@ -177,8 +194,9 @@ def clipped(x, y, z, limit):
 
 @kernel(_nrt=False)
 def at_points(start, stop, points, boxes, placed, tables, cells, supported, floor, limit, out):
-    """Forces at points [m, 3], metres: what is within `floor` of zero counts as none, the sum is cut to
-    `limit`.
+    """Write the forces at points [m, 3], metres, to `out`.
+
+    Forces of an object with a magnitude of at most `floor` are ignored, and the sum is clipped to `limit`.
     """
     min_square = floor * floor
     for p in range(start, stop):
@@ -203,12 +221,13 @@ def at_points(start, stop, points, boxes, placed, tables, cells, supported, floo
 
 @kernel
 def meetings(lattice, shape, boxes, placed, starts, bricks, stamps, max_pairs):
-    """Bricks of a lattice that each object may reach: pairs (brick, object), int64 [m, 2], objects ascending.
+    """Find the bricks of a lattice that each object may reach.
 
-    Boxes of cells and of the lattice's brick are held against each other along the axes of both. `bricks` [n,
-    3] are those of cells, from `starts[n]` on; `stamps`, zero for each brick of the lattice, comes back as
-    the number of the last object there, plus one. How many pairs there are comes first; -1 where there are
-    more than `max_pairs`, or sixteen times as many would have to be looked at.
+    Returns the number of pairs (brick, object), and the pairs, int64 [m, 2], objects ascending. The number is
+    -1 if there are more than `max_pairs`, or if more than sixteen times as many would have to be tested. A
+    brick of cells and a brick of the lattice are tested for overlap along the axes of both. `bricks` [n, 3]
+    are the bricks of cells; those of object n start at `starts[n]`. `stamps` holds a zero for each brick of
+    the lattice and receives the number of the last object there, plus one.
     """
     by, bz = (shape[1] + 7) // 8, (shape[2] + 7) // 8
     pairs = np.empty((1024, 2), np.int64)
@@ -266,7 +285,10 @@ def meetings(lattice, shape, boxes, placed, starts, bricks, stamps, max_pairs):
 
 @inner
 def _add_brick(total, first, lattice, shape, row, box, tables, cells, supported, min_square):
-    """Add one object's forces at the samples of the brick that begins at `first`; whether there is any."""
+    """Add one object's forces at the samples of a brick; return True if there is a force.
+
+    `first` [3] is the index of the first sample of the brick.
+    """
     lx, ly, lz = 8.0 * box[0], 8.0 * box[1], 8.0 * box[2]
     ax, ay, az = row[2] * lattice[5], row[5] * lattice[5], row[8] * lattice[5]
     depth = min(8, shape[2] - first[2])
@@ -316,8 +338,10 @@ def fill(
     forces,
     full,
 ):
-    """The sums of the objects `which[starts[s]:starts[s + 1]]` in brick s of zeros, and whether any is not
-    zero.
+    """Write the sum of the forces of objects to each brick, and whether it is not zero.
+
+    Brick s, initially zero, receives the forces of the objects ``object_indices[starts[s]:starts[s + 1]]``;
+    `full[s]` is set to True if one of its forces is not zero.
     """
     total = np.zeros((8, 8, 8, 3))
     first = np.empty(3, np.int64)

@@ -1,9 +1,10 @@
 """A medium as a NumPy ``.npz``: dense export and import for other programs.
 
 Arrays: ``forces_n`` float32 [frame, nx, ny, nz, 3], ``origin_m`` and ``spacing_m`` float64 [3], ``rate_hz``,
-``axes``, ``tags`` (joined by commas), ``friction``, ``damping_n_s_per_m``, and where it is known the mapping,
-x_hand = ``mapping_scale`` (x_scene - ``mapping_offset_m``). Provenance is not stored. ``numpy.load`` reads
-the file. Both directions work slab by slab, so that not even one dense frame is in memory at once.
+``axes``, ``tags`` (joined by commas), ``friction``, ``damping_n_s_per_m`` and, if the placement is known,
+``mapping_scale`` and ``mapping_offset_m``: x_hand = mapping_scale (x_scene - mapping_offset_m). Provenance is
+not stored. ``numpy.load`` reads the file. Both directions work slab by slab, so that not even one dense frame
+is in memory at once.
 
 An archive (a zip of ``.npy`` entries, NEP 1) is opened with care: nothing is unpickled, the header of an
 entry must agree with the entry's size before anything is allocated, and every fault is a `SourceError`.
@@ -49,13 +50,16 @@ _DEFAULTS: Final[dict[str, float | str]] = {
 }
 _SMALL_BYTES: Final = 1 << 16
 
-DEFLATE_LIMIT: Final = 1100  # deflate cannot expand by more than 1032; what claims more is not deflate
+DEFLATE_LIMIT: Final = 1100  # above the largest expansion of deflate, 1032
 
 _FAULTS = (
     OSError, ValueError, EOFError, KeyError, IndexError, RuntimeError, OverflowError, MemoryError, TypeError,
     SyntaxError, struct.error, zlib.error, zipfile.BadZipFile, tokenize.TokenError,
 )  # fmt: skip
-"""Errors of zipfile and numpy.lib.format for bytes at fault (found by fuzzing); RuntimeError: encrypted."""
+"""Errors that zipfile and numpy.lib.format raise for invalid bytes, found by fuzzing.
+
+RuntimeError is raised for encrypted entries.
+"""
 
 
 def write_npz(
@@ -64,11 +68,12 @@ def write_npz(
     report: Progress = silent,
     attributes: Mapping[str, Sequence[float]] = MappingProxyType({}),
 ) -> None:
-    """Write all frames; the file appears when it is complete.
+    """Write a medium; the file appears when it is complete.
 
-    report : callable; ``report(written, frames)``, after each frame.
-    attributes : mapping of str to numbers; further arrays: ``mapping_scale``, ``mapping_offset_m``.
-    Raises `InvalidArgument` if the folder is not there; `SourceError` if the system refuses to write.
+    report : callable; called as ``report(written, frames)`` after each frame.
+    attributes : mapping of str to numbers; further arrays, such as ``mapping_scale`` and
+        ``mapping_offset_m``.
+    Raises `InvalidArgument` if the folder does not exist; `SourceError` if the file cannot be written.
     """
     small = {"origin_m": np.array(medium.grid.origin_m), "spacing_m": np.array(medium.grid.spacing_m)}
     for name, value in {**medium.metadata, "tags": ",".join(medium.tags)}.items():
@@ -88,7 +93,7 @@ def write_npz(
 
 
 def _entry(name: str) -> zipfile.ZipInfo:
-    """An entry without a date, so that equal media give equal bytes."""
+    """Return an entry without a date, so that equal media give equal bytes."""
     info = zipfile.ZipInfo(f"{name}.npy")
     info.compress_type = zipfile.ZIP_DEFLATED
     info._compresslevel = DEFLATE_LEVEL  # type: ignore[attr-defined]
@@ -98,10 +103,10 @@ def _entry(name: str) -> zipfile.ZipInfo:
 def read_npz(path: str | Path, *, to_the_bit: bool = False) -> HapticMedium:
     """Open a medium; frames are read on access, fastest in ascending order.
 
-    ``forces_n`` may also be of another number type, or one frame [nx, ny, nz, 3]; `rate_hz` may be absent
-    from a single frame, the rest beside the grid from any. With `to_the_bit` a brick of nothing but -0.0 is
-    kept as well. Raises `SourceError` if the file is none, cut short or damaged, or (when a frame is read) a
-    force is not finite.
+    ``forces_n`` may have any number type, or be one frame [nx, ny, nz, 3]. `rate_hz` may be missing for a
+    single frame; all other metadata but the grid may always be missing. With `to_the_bit`, bricks that
+    contain only zeros but at least one -0.0 are kept as well. Raises `SourceError` if the file is not such an
+    archive, is cut short or damaged, or (when a frame is read) a force is not finite.
     """
     archive = NpzArchive(Path(path))
     header = archive.header("forces_n")
@@ -122,7 +127,7 @@ def read_npz(path: str | Path, *, to_the_bit: bool = False) -> HapticMedium:
 
 
 def _metadata_value(archive: NpzArchive, name: str, default: float | str | None) -> Any:
-    """A number or a short string of an archive, or the default where there is none."""
+    """Return a number or a short string of an archive, or the default if it is missing."""
     if default is not None and name not in archive.names:
         return default
     if not isinstance(default, str):
@@ -134,17 +139,20 @@ def _metadata_value(archive: NpzArchive, name: str, default: float | str | None)
 
 
 class _Frames:
-    """Reads frames out of one compressed entry: onwards without a restart, backwards with one."""
+    """Reader of the frames of one compressed entry.
+
+    Reading forwards continues the stream; reading backwards starts it again.
+    """
 
     def __init__(self, archive: NpzArchive, header: ArrayHeader, grid: Grid, to_the_bit: bool) -> None:
         self._archive, self._header, self._grid, self._to_the_bit = archive, header, grid, to_the_bit
-        self._lock = threading.Lock()  # frames may be asked for from several threads
+        self._lock = threading.Lock()  # several threads may request frames
         self._reading: Generator[ForceField | None, int, None] | None = None
         self._next = 0
 
     def __call__(self, index: int) -> ForceField:
         with self._lock:
-            reading, self._reading = self._reading, None  # after an error nothing is held open
+            reading, self._reading = self._reading, None  # after an error no stream stays open
             if reading is None or index < self._next:
                 reading = self._from_the_first()
                 next(reading)
@@ -155,7 +163,10 @@ class _Frames:
             return field
 
     def _from_the_first(self) -> Generator[ForceField | None, int, None]:
-        """The fields of the frames whose numbers are sent, ascending; nothing comes before the first is."""
+        """Yield the field of each frame whose number is sent.
+
+        Numbers must ascend. The first item, before any number was sent, is None.
+        """
         size, at, field = self._header.data_bytes // self._header.shape[0], 0, None
         with self._archive.open("forces_n") as (_, stream):
             while True:
@@ -184,9 +195,9 @@ class ArrayHeader:
     """The header of an ``.npy``."""
 
     shape: tuple[int, ...]
-    dtype: np.dtype[Any]  # never of objects
+    dtype: np.dtype[Any]  # never object
     is_fortran: bool  # whether the first index runs fastest
-    size_bytes: int  # of the header itself
+    size_bytes: int  # size of the header itself
 
     @property
     def description(self) -> str:
@@ -195,14 +206,14 @@ class ArrayHeader:
 
     @property
     def data_bytes(self) -> int:
-        """Bytes of the array itself."""
+        """Size of the array in bytes."""
         return math.prod(self.shape) * self.dtype.itemsize
 
 
 def read_npy_header(stream: IO[bytes], where: str) -> ArrayHeader:
     """Read the header of an ``.npy``; the stream then stands at the first value.
 
-    Raises `SourceError` if it is no such header, or one of pickled objects.
+    Raises `SourceError` if the header is invalid, or declares pickled objects.
     """
     start = stream.tell()
     try:
@@ -229,9 +240,9 @@ def read_npy_header(stream: IO[bytes], where: str) -> ArrayHeader:
 
 
 def map_npy(path: Path) -> NDArray[Any]:
-    """The numbers of a whole ``.npy`` file, mapped into memory and not read.
+    """Map the array of an ``.npy`` file into memory, without reading it.
 
-    Raises `SourceError` if it is no such file, is cut short, or holds something else than numbers.
+    Raises `SourceError` if the file is not an ``.npy``, is cut short, or contains no numbers.
     """
     with readable(path):
         with path.open("rb") as stream:
@@ -247,9 +258,9 @@ def map_npy(path: Path) -> NDArray[Any]:
 
 
 class NpzArchive:
-    """The entries of an ``.npz``; each call opens the file anew, nothing is held open between calls.
+    """The entries of an ``.npz``; each call opens and closes the file.
 
-    Raises `SourceError` if the file cannot be read or is no zip.
+    Raises `SourceError` if the file cannot be read or is not a zip archive.
     """
 
     def __init__(self, path: Path) -> None:
@@ -267,13 +278,13 @@ class NpzArchive:
         return tuple(self._entries)
 
     def header(self, name: str) -> ArrayHeader:
-        """The header of one array, checked against what the archive holds for it."""
+        """Return the header of one array, checked against the size of its entry."""
         with self.open(name) as (header, _):
             return header
 
     @contextmanager
     def open(self, name: str) -> Iterator[tuple[ArrayHeader, IO[bytes]]]:
-        """One array's header, and a stream that stands at its first value."""
+        """Open an array: yield its header, and a stream at its first value."""
         where = f"{self.path}, array {name}"
         if name not in self._entries:
             raise SourceError(where, "nothing of that name", f"one of {', '.join(self.names) or '(none)'}")
@@ -294,7 +305,7 @@ class NpzArchive:
             yield header, stream
 
     def read(self, name: str) -> NDArray[Any]:
-        """One array whole."""
+        """Read a whole array."""
         with self.open(name) as (header, stream):
             data = read_exactly(stream, header.data_bytes, f"{self.path}, array {name}")
             order = "F" if header.is_fortran else "C"
@@ -302,7 +313,7 @@ class NpzArchive:
             return values
 
     def numbers(self, name: str, count: int) -> list[float]:
-        """The `count` finite numbers of an array of that size."""
+        """Read an array of `count` finite numbers."""
         header, where = self.header(name), f"{self.path}, array {name}"
         if header.dtype.kind not in "fiu" or math.prod(header.shape) != count:
             raise SourceError(where, header.description, f"{count} number{'s' * (count != 1)}")
@@ -313,7 +324,7 @@ class NpzArchive:
 
     @contextmanager
     def faults(self, part: str) -> Iterator[None]:
-        """Whatever zipfile or numpy raise for bytes at fault, as a `SourceError`."""
+        """Convert the errors that zipfile and numpy raise for invalid bytes to `SourceError`."""
         try:
             yield
         except TouchfieldError:
@@ -326,7 +337,10 @@ class NpzArchive:
 
 
 def read_exactly(stream: IO[bytes], count: int, where: str) -> bytes:
-    """`count` bytes of `stream`; `SourceError` if it ends before."""
+    """Read `count` bytes of `stream`.
+
+    Raises `SourceError` if it ends earlier.
+    """
     data = stream.read(count)
     if len(data) != count:
         raise SourceError(where, f"{len(data)} bytes", f"{count} bytes", "The file is cut short.")

@@ -1,9 +1,9 @@
-"""A medium as VTK ImageData (``.vti``), for ParaView and everything else that is built on VTK.
+"""A medium as VTK ImageData (``.vti``), for ParaView and other VTK programs.
 
 Format: "VTK File Formats", XML formats, ImageData; raw appended data in zlib blocks, 64-bit sizes. The format
-can name several time steps within one file, but VTK 9.7 neither writes nor reads those of an ImageData
-properly (its reader gives the first step for all), so that a medium of several frames becomes numbered
-``.vti`` files and a ``.pvd`` collection beside them, which holds the times.
+allows several time steps in one file, but VTK 9.7 does not write or read those of an ImageData correctly (its
+reader returns the first step for all). A medium of several frames is therefore written as numbered ``.vti``
+files and a ``.pvd`` collection, which lists their times.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ def write_vti(
 ) -> Path:
     """Write a medium for ParaView.
 
-    path : str or Path; one frame is written to this very file. Several are written to ``NAME_00000.vti`` and
-        so on, and ``NAME.pvd`` is the file to open.
-    report : callable; ``report(written, frames)``, after each frame.
+    path : str or Path; a single frame is written to this file. Several frames are written to
+        ``NAME_00000.vti`` and so on, and ``NAME.pvd`` is the file to open.
+    report : callable; called as ``report(written, frames)`` after each frame.
     attributes : mapping of str to numbers; further field data.
-    Returns Path; The file to open.
-    Raises `InvalidArgument` if the folder is not there; `SourceError` if the system refuses to write.
+    Returns the path of the file to open. Raises `InvalidArgument` if the folder does not exist; `SourceError`
+    if a file cannot be written.
     """
     path = Path(path)
     is_single = len(medium) == 1
@@ -69,7 +69,7 @@ def _write_frame(
 ) -> None:
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
         stream.write(_head(medium, index, attributes))
-        # x fastest, as VTK has it, slab by slab along z
+        # VTK stores x fastest: slabs along z
         _write_blocks(
             stream, 12 * medium.grid.voxel_count, (s.transpose(2, 1, 0, 3) for s in medium[index].slabs(2))
         )
@@ -77,7 +77,7 @@ def _write_frame(
 
 
 def _head(medium: HapticMedium, index: int, attributes: Mapping[str, Sequence[float]]) -> bytes:
-    """Everything before the forces."""
+    """Return the part of the file before the forces."""
     grid = medium.grid
     extent = " ".join(f"0 {n - 1}" for n in grid.shape)
     origin, spacing = (" ".join(repr(x) for x in triple) for triple in (grid.origin_m, grid.spacing_m))
@@ -110,7 +110,10 @@ compressor="vtkZLibDataCompressor">
 
 
 def _write_blocks(stream: IO[bytes], total: int, pieces: Iterable[NDArray[Any]]) -> None:
-    """One array: the table of block sizes, then the blocks; `total` bytes in all before compression."""
+    """Write an array: the table of block sizes, then the compressed blocks.
+
+    `total` is the size of the array in bytes before compression.
+    """
     blocks = -(-total // BLOCK_BYTES)
     table = stream.tell()
     stream.write(bytes(8 * (3 + blocks)))

@@ -1,10 +1,10 @@
-"""A medium as a zarr version 3 store: chunks of whole bricks in shards, for programs that read parts.
+"""A medium as a zarr version 3 store, for programs that read parts of it.
 
-The group has attributes (the lattice, the rate, other metadata) and the array ``forces_n`` float32
-[t, x, y, z, component]; levels of detail are ``forces_n_1``, ``forces_n_2``, ..., whose lattices the
-attribute ``multiscales`` describes, as in OME-NGFF. A chunk without a force is not written. Chunks are
-compressed by zstd, or by another codec such as the coder `touch` (`touchfield.codec.zarr_codec`). A shard is
-one file, the unit of writing.
+Chunks consist of whole bricks and are grouped in shards. The group has attributes (the lattice, the rate,
+other metadata) and the array ``forces_n`` float32 [t, x, y, z, component]; levels of detail are
+``forces_n_1``, ``forces_n_2``, ..., whose lattices the attribute ``multiscales`` describes, as in OME-NGFF. A
+chunk without a force is not written. Chunks are compressed by zstd, or by another codec such as the coder
+`touch` (`touchfield.codec.zarr_codec`). A shard is one file, the unit of writing.
 """
 
 from __future__ import annotations
@@ -54,7 +54,10 @@ def _zarr() -> Any:
 
 
 def _chunks(grid: Grid) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Samples of a chunk and of a shard along each axis: whole bricks, no more than the lattice needs."""
+    """Return the samples of a chunk and of a shard along each axis.
+
+    Both are whole bricks, and no larger than the lattice needs.
+    """
     chunk = tuple(min(_CHUNK, BRICK * -(-n // BRICK)) for n in grid.shape)
     return chunk, tuple(c * -(-min(_SHARD, n) // c) for c, n in zip(chunk, grid.shape))
 
@@ -74,7 +77,10 @@ def create(
     codec: Mapping[str, Any] | None,
     levels: Sequence[HapticMedium] = (),
 ) -> None:
-    """Create a store without forces; `codec` is the name and the configuration of the codec of a chunk."""
+    """Create a store without forces.
+
+    `codec` is the name and configuration of the chunk codec; None selects zstd.
+    """
     zarr, grid = _zarr(), medium.grid
     about = {
         "spacing_m": list(grid.spacing_m),
@@ -107,7 +113,7 @@ def _level_name(level: int) -> str:
 
 
 def _level(medium: HapticMedium, level: int) -> dict[str, Any]:
-    """Path, step and place of the first sample of a level, seconds and metres."""
+    """Return the path of a level, and its scale and translation in seconds and metres."""
     grid = medium.grid
     scale = {"type": "scale", "scale": [1 / medium.rate_hz, *grid.spacing_m, 1.0]}
     translation = {"type": "translation", "translation": [0.0, *grid.origin_m, 0.0]}
@@ -115,8 +121,9 @@ def _level(medium: HapticMedium, level: int) -> dict[str, Any]:
 
 
 def write_box(store: str | Path, frame: int, low: Sequence[int], forces_n: Float32s, level: int = 0) -> None:
-    """Write newtons [nx, ny, nz, 3] of one of `boxes`, whose first sample is `low`; nothing where there are
-    none.
+    """Write the forces of one of `boxes`, newtons [nx, ny, nz, 3].
+
+    `low` is the index of its first sample. A box without a force is not written.
     """
     if forces_n.any():
         array = _zarr().open_array(store, path=_level_name(level), mode="r+")
@@ -130,13 +137,13 @@ def write_zarr(
     attributes: Mapping[str, Any] = MappingProxyType({}),
     levels: Sequence[HapticMedium] = (),
 ) -> None:
-    """Write all frames, compressed by zstd; the folder appears when it is complete.
+    """Write a medium, compressed by zstd; the folder appears when it is complete.
 
-    report : callable; ``report(written, frames)``, after each frame.
-    levels : coarser media of the same frames, which follow as levels of detail.
+    report : callable; called as ``report(written, frames)`` after each frame.
+    levels : coarser media of the same frames, written as levels of detail.
     attributes : mapping of str to JSON values; further attributes.
-    Raises `MissingExtra` without zarr; `InvalidArgument` if something lies at `path`; `SourceError` if
-    refused.
+    Raises `MissingExtra` without zarr; `InvalidArgument` if `path` exists; `SourceError` if the store cannot
+    be written.
     """
     with atomic_folder(Path(path)) as store:
         create(store, medium, attributes, None, levels)
@@ -151,7 +158,10 @@ def write_zarr(
 
 @contextmanager
 def atomic_folder(path: Path, keep: bool = False) -> Iterator[Path]:
-    """Yield a folder ``PATH.parts``, renamed to PATH at the end; on error it is removed unless `keep`."""
+    """Yield a folder ``PATH.parts`` that is renamed to PATH at the end.
+
+    On error it is removed unless `keep`.
+    """
     _zarr()  # before anything is written
     if path.exists():
         raise InvalidArgument(
@@ -171,7 +181,7 @@ def atomic_folder(path: Path, keep: bool = False) -> Iterator[Path]:
 
 
 def cut(field: ForceField, low: Sequence[int], shape: tuple[int, int, int]) -> ForceField:
-    """Part of a field from sample `low` on, which begins a brick."""
+    """Return the part of a field that starts at sample `low`, the first of a brick."""
     first, count = np.asarray(low) // BRICK, -(-np.asarray(shape) // BRICK)
     is_inside = ((field.bricks >= first) & (field.bricks < first + count)).all(axis=1)
     grid = Grid(shape, field.grid.spacing_m, tuple(field.grid.to_m(low).tolist()))
@@ -179,10 +189,10 @@ def cut(field: ForceField, low: Sequence[int], shape: tuple[int, int, int]) -> F
 
 
 def read_zarr(path: str | Path) -> HapticMedium:
-    """Open a store that `write_zarr` or `touchfield encode` wrote; frames are read when they are asked for.
+    """Open a store that `write_zarr` or `touchfield encode` wrote.
 
-    Raises `MissingExtra` without zarr; `SourceError` if it is no such store, or (on a frame) a chunk is
-    damaged.
+    Frames are read on access. Raises `MissingExtra` without zarr; `SourceError` if it is not such a store, or
+    (when a frame is read) a chunk is damaged.
     """
     zarr = _zarr()
     about, (shape, chunk) = _json(Path(path) / "zarr.json").get("attributes"), _layout(Path(path))
@@ -220,7 +230,10 @@ def _json(file: Path) -> dict[str, Any]:
 
 
 def _layout(path: Path) -> tuple[list[int], list[int]]:
-    """Shape and chunks of the array, checked before anything is allocated: its bytes are a stranger's."""
+    """Read the shape and chunks of the array, checked before anything is allocated.
+
+    The store is untrusted input.
+    """
     about, where = _json(path / ARRAY / "zarr.json"), f"{path}, array {ARRAY}"
     try:
         shape = [int(n) for n in about["shape"]]
@@ -246,7 +259,7 @@ def _layout(path: Path) -> tuple[list[int], list[int]]:
 
 
 def _names(codecs: Any) -> Iterator[str]:
-    """Names of codecs, and of those within a shard."""
+    """Yield the names of codecs, including those within a shard."""
     for codec in codecs:
         yield str(codec["name"])
         inside = codec.get("configuration") or {}
@@ -255,7 +268,7 @@ def _names(codecs: Any) -> Iterator[str]:
 
 
 def _frame(array: Any, frame: int, grid: Grid, chunk: Sequence[int], name: str) -> ForceField:
-    """A frame, slab by slab of chunks along x, and in each chunk by chunk."""
+    """Read a frame in slabs of chunks along x, each chunk by chunk."""
 
     def slab(x: int) -> Float32s:
         high = min(x + step, grid.shape[0])
@@ -270,5 +283,5 @@ def _frame(array: Any, frame: int, grid: Grid, chunk: Sequence[int], name: str) 
         return ForceField.from_slabs(grid, (slab(x) for x in range(0, grid.shape[0], step)))
     except InvalidArgument as error:
         raise SourceError(f"{name} frame {frame}", error.found, error.expected) from None
-    except Exception as error:  # whatever the codecs of a damaged chunk raise
+    except Exception as error:  # codecs raise any exception for a damaged chunk
         raise SourceError(f"{name} frame {frame}", f"a chunk that cannot be read ({error})"[:300]) from None

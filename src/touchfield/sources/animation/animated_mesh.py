@@ -1,4 +1,6 @@
-"""Animated glTF as a scene: skins, morph targets and moving nodes, evaluated at the rate of the medium.
+"""Animated glTF models as scenes: skins, morph targets and moving nodes.
+
+They are evaluated at the rate of the medium.
 
 Frame i shows the time i / rate_hz, for all such times before the end of the animation; the end itself is
 excluded, so that a looping animation does not show its first frame twice. Triangles and welded vertices are
@@ -137,7 +139,10 @@ class AnimatedMeshScene(MovingScene):
         return np.asarray((self._at_step(step + 1) - self._at_step(step - 1)) / (after - before))
 
     def surface(self, frame: int) -> Surface:
-        """Return the surface of a frame: the same triangles, each starting with its longest edge."""
+        """Return the surface of a frame.
+
+        It has the same triangles in every frame, each starting with its longest edge.
+        """
         return self._scene(frame).surface
 
     def _box_m(self, start: int, stop: int) -> Float64s:
@@ -206,7 +211,9 @@ class AnimatedMeshScene(MovingScene):
 
     @cached_property
     def is_of_bodies(self) -> bool:
-        """True if the model consists of rigid bodies that do not overlap at the sampled times.
+        """True if the model consists of rigid bodies that do not overlap.
+
+        Overlap is tested at some times.
 
         The object representation is then lossless.
         """

@@ -1,1 +1,1 @@
-"""Depth sequences as scenes: folder layouts, cameras, fusion of frames, objects, and live capture."""
+"""Depth sequences as scenes: layouts, cameras, fusion, objects and live capture."""

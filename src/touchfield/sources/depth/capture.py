@@ -1,4 +1,4 @@
-"""Live depth: from a camera, from a growing folder, or from pictures on standard input.
+"""Live depth from a camera, a growing folder, or pictures on standard input.
 
 A captured sequence has no known end. Each frame shows the newest picture, so that a consumer that keeps up
 gets current data: pictures that arrive faster than frames are requested are skipped, and while a picture is
@@ -52,7 +52,10 @@ class CaptureEnd(SourceError):
 
 
 class Pictures(ABC):
-    """A stream of pictures: the newest is shown, or, if `in_order`, each one while its writer waits."""
+    """A stream of pictures.
+
+    If `in_order`, every picture is shown and its writer waits; otherwise only the newest picture is shown.
+    """
 
     name: str
     in_order = False
@@ -65,12 +68,15 @@ class Pictures(ABC):
         """
 
     def close(self) -> None:
-        """Release its resources."""
+        """Release the resources of the stream."""
         return
 
 
 class GrowingFolder(Pictures):
-    """Pictures that are added to a folder: the last in the order of their numbers, whenever it changes."""
+    """Pictures that are added to a folder.
+
+    The picture shown is the last one in the order of their numbers, whenever that changes.
+    """
 
     def __init__(self, folder: Path) -> None:
         if not folder.is_dir():
@@ -137,7 +143,10 @@ class PipedPictures(Pictures):
 
 
 class OpencvCamera(Pictures):
-    """A depth camera of OpenCV: a number, or anything else that `cv2.VideoCapture` accepts."""
+    """A depth camera that OpenCV reads.
+
+    `device` is the number of the camera, or any other source that `cv2.VideoCapture` accepts.
+    """
 
     def __init__(self, device: str) -> None:
         cv2 = import_extra("cv2", "a camera", "opencv-python-headless", "camera")
@@ -146,8 +155,8 @@ class OpencvCamera(Pictures):
         self._camera = cv2.VideoCapture(int(device) if device.isdigit() else device, backend)
         if not self._camera.isOpened():
             raise SourceError(self.name, "no camera that OpenCV can open", "its number, such as camera:0")
-        self._camera.set(cv2.CAP_PROP_CONVERT_RGB, 0)  # keep 16 bits, if they are the main picture
-        self._depth_map = cv2.CAP_OPENNI_DEPTH_MAP  # 0: the main picture, if there is only one
+        self._camera.set(cv2.CAP_PROP_CONVERT_RGB, 0)  # keep 16 bits if the main picture has them
+        self._depth_map = cv2.CAP_OPENNI_DEPTH_MAP  # 0, which is the main picture of other cameras
 
     def next(self) -> NDArray[Any]:
         is_grabbed = self._camera.grab()
@@ -161,7 +170,9 @@ class OpencvCamera(Pictures):
 
 
 class CapturedSequence(DepthSequence):
-    """Depth of captured pictures; `frame_count` is an upper bound. See the module.
+    """Depth of captured pictures (see the module).
+
+    `frame_count` is an upper bound.
 
     Raises `SourceError` if no first picture arrives, or it holds no depth.
     """
@@ -200,7 +211,9 @@ class CapturedSequence(DepthSequence):
         self._latest = self._frames[0] = self._metres(first)
 
     def depth_m(self, frame: int) -> Float32s:
-        """See `DepthSequence.depth_m`: a frame that was not requested before shows the current picture.
+        """See `DepthSequence.depth_m`.
+
+        A frame that was not requested before shows the current picture.
 
         Raises `CaptureEnd` if there are no more pictures.
         """
@@ -222,7 +235,7 @@ class CapturedSequence(DepthSequence):
             self._condition.notify_all()
 
     def _newest(self) -> NDArray[Any] | None:
-        """Return the picture to show next; None if there is no new one, or no more."""
+        """Return the picture to show next; None if there is no new picture or the stream has ended."""
         with self._condition:
             if self._pictures.in_order or not self._frames:
                 self._condition.wait_for(lambda: self._pending or self._error, TIMEOUT_S)

@@ -1,12 +1,12 @@
 """Metric reading of a depth sequence: the back-projected surface, with perspective.
 
-The paper (sections 4 and 5.1) computes fields from depth video without a formula (its [21] has none either).
-Here a sample is projected to its nearest pixel; phi is its signed distance to the tangent plane of the
+The paper (sections 4 and 5.1) computes fields from depth video but gives no formula; nor does its reference
+[21]. Here a sample is projected to its nearest pixel; phi is its signed distance to the tangent plane of the
 surface there (negative behind) and n the normal of that plane towards the camera, so that F = f(phi) n. Only
-visible surfaces exert forces: a pixel without depth, or without a reliable normal, gives none. Along its own
-ray (in depth z) a force lies no farther from the surface than `RAY_LIMIT` times the reach of the profile on
-that side; otherwise a plane at a grazing angle would extend it far behind. A solid (the profile reaches to
--inf) has no limit behind.
+visible surfaces exert forces: a pixel without depth, or without a reliable normal, gives none. A sample has a
+force only if its distance from the surface along its own ray (in depth z) is at most `RAY_LIMIT` times the
+reach of the profile on that side; otherwise a plane at a grazing angle would produce forces far behind the
+surface. For a solid, whose profile reaches to -inf, there is no limit behind the surface.
 
 With poses the scene lies in the coordinates of the first camera, so that the scene of a moving camera is
 static.
@@ -22,15 +22,15 @@ The noise of disparity sensors is also constant in w. The steps for each pixel:
 1. *Links.* Two neighbours lie on one surface if their w differ by at most a step g
    (`camera.noise_step_per_m`), or if their difference equals the previous or next one (within g) and is no
    steeper than `SLOPE_LIMIT_PX` pixels of depth per pixel. Links never cross a pixel without depth.
-2. *Rows.* A least-squares line through up to 4 pixels on each side that are reached by an unbroken chain of
-   links.
-3. *Columns.* The same along columns, over the results of the rows, whose slopes are averaged with the weight
-   of their support. The plane goes through the fitted w, not through the noisy pixel.
+2. *Rows.* A least-squares line is fitted to the pixel and up to 4 pixels on each side that an unbroken chain
+   of links reaches.
+3. *Columns.* The same fit is made along columns, over the results of the rows; the slopes of the rows are
+   averaged, weighted by their support. The plane goes through the fitted w, not through the noisy pixel.
 4. A pixel has no plane if too few pixels support it (fewer than three in line), or if the ray meets the
    surface at more than 84 degrees.
 
-A step edge therefore ends the support and never tilts a normal, if it is higher than g (in w) and than
-`SLOPE_LIMIT_PX` pixel footprints.
+A step edge that is higher than g (in w) and than `SLOPE_LIMIT_PX` pixel footprints therefore ends the support
+and never tilts a normal.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ from touchfield.sources.scene import CAMERA_AXES, DEPTH_UNIT, Body, MovingScene,
 RAY_LIMIT: Final = 4.0  # limits the thickness of walls at more than 75 degrees to the ray
 
 _IJK = np.indices((BRICK, BRICK, BRICK), np.float64).reshape(3, -1)
-_BOX_POINTS = 4_000_000  # most points that `bounds_m` uses
+_BOX_POINTS = 4_000_000  # maximum number of points that `bounds_m` uses
 _BOX_STRIDE_PX = 8
 _BOX_PERCENTILES = (0.5, 99.5)
 
@@ -65,7 +65,7 @@ class DepthScene(MovingScene):
 
     frame : str; "world": in the coordinates of the first camera, if the sequence has poses; "camera": each
         frame in the coordinates of its own camera.
-    segment : str, optional; The segmentation rule of `bodies` (`segments.SegmentRule.parse`).
+    segment : str, optional; Segmentation rule of `bodies` (`segmentation.SegmentRule.parse`).
     step_per_m : float, optional; The noise step of the sensor, 1/m; by default estimated from the first
         frame.
     """
@@ -104,9 +104,9 @@ class DepthScene(MovingScene):
     def _box_m(self, start: int, stop: int) -> Float64s:
         """Return the 0.5th to 99.5th percentile along each axis, so that outliers do not count.
 
-        Uses every eighth pixel of every eighth row, fewer if these are more than four million points. Reads
-        each frame that is not interpolated once, or else the first. Raises `SourceError` if no frame has any
-        depth.
+        Uses every eighth pixel of every eighth row, or fewer if that exceeds four million points. Reads each
+        key frame of the range once, or the first frame of the range if it has no key frame. Raises
+        `SourceError` if no frame has any depth.
         """
         sequence, k = self.sequence, self.sequence.intrinsics
         keys = () if sequence.is_captured else sequence.key_frames()
@@ -140,7 +140,10 @@ class DepthScene(MovingScene):
         return self._latest[1]
 
     def bodies(self) -> tuple[Body, ...]:
-        """Return the objects separated by depth steps, and the background (see `segments`)."""
+        """Return the objects separated by depth steps, and the background.
+
+        See `segmentation`.
+        """
         if not self._bodies:
             step_per_m, frame = self._noise_step_per_m(), self._frame_of_reference
             self._bodies, note = segmented_bodies(
@@ -198,7 +201,10 @@ def force_bricks(query: Query, grid: Grid) -> Int32s:
 
 
 def query_of(surface: SurfacePlanes, pose: Float64s, grid: Grid, profile: ForceProfile) -> Query:
-    """Combine planes (camera axes) with a lattice and a profile (scene metres) for the kernels."""
+    """Combine planes with a lattice and a profile for the kernels.
+
+    Planes are in camera axes, lattice and profile in scene metres.
+    """
     rotation = pose[:3, :3]
     lattice = np.empty((4, 3))
     lattice[0] = (np.asarray(grid.origin_m) - pose[:3, 3]) @ rotation

@@ -1,8 +1,9 @@
-"""Camera poses of the frames of a depth sequence: find them, read them, and match them to the frames.
+"""Find the camera poses of a depth sequence, and match them to its frames.
 
-Poses are those of ``--poses``, or else the first of: a folder ``pose/`` or ``poses/`` with one file for each
-frame, NAME.txt beside the pictures, a text named like poses (`_LISTS`). Notes report what was read and why a
-text was rejected, since a wrong pose displaces the surface.
+The poses are those of ``--poses``. Without that option, the first of these is used: a folder ``pose/`` or
+``poses/`` with one file for each frame, a file NAME.txt beside each picture, or a text file whose name
+matches `_LISTS`. Notes report which poses were read and why a file was rejected, since a wrong pose displaces
+the surface.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ _LISTS: Final = tuple(
         r".*(pose|traj|groundtruth).*\.(txt|log|tum)|.*\.gt\.freiburg", r"images\.txt", r"transforms\.json",
     )
 )  # fmt: skip
-_LOOSE: Final = 4  # from this index in `_LISTS` on, the name alone does not prove that a text holds poses
+_LOOSE: Final = 4  # from this index in `_LISTS` on, the name alone does not prove that a file holds poses
 _MODELS: Final = (
     "sparse/0",
     "sparse",
@@ -45,7 +46,9 @@ _MODELS: Final = (
 
 
 class PosedFrames(NamedTuple):
-    """Indices of the frames that have a pose, ascending (all without poses).
+    """Ascending indices of the frames that have a pose, with the poses.
+
+    Without poses, `indices` are those of all frames.
 
     `poses` are float64 [n, 4, 4], and `notes` are messages for the user.
     """
@@ -78,11 +81,12 @@ def find_poses(
     folders: Sequence[Path],
     stamps_s: Float64s | None = None,
 ) -> PosedFrames:
-    """Find the poses of frames: those of the options, or those in one of `folders`.
+    """Find the poses of frames, in the options or in one of `folders`.
 
-    `frames` are the pictures, or the number of frames of a file, which have no names and must all have poses;
-    `stamps_s` float64 [n] are their times, if these are not in their names; `name` names them in an error.
-    Raises `SourceError` if poses are invalid, or belong to no frame.
+    `frames` are the paths of the pictures, or the number of frames in a single file; the frames of a single
+    file have no names, and all of them must have poses. `stamps_s` float64 [n] are the times of the frames,
+    if their names do not state them; `name` is the name of the source in error messages. Raises `SourceError`
+    if poses are invalid, or belong to no frame.
     """
     indices = tuple(range(frames if isinstance(frames, int) else len(frames)))
     if options.frame == "camera":
@@ -114,7 +118,7 @@ def drop_unposed(
 def _find_match(
     frames: _Frames, options: SourceOptions, folders: Sequence[Path]
 ) -> tuple[_Match | None, tuple[str, ...]]:
-    """Return the poses to use, and a note for each text that is named like poses but was rejected."""
+    """Return the poses to use, and a note for each file that is named like poses but was rejected."""
     if options.poses is not None:
         path = Path(options.poses)
         if path.is_dir():
@@ -170,7 +174,7 @@ def _match_folders(folders: Sequence[Path], frames: _Frames) -> _Match | None:
     except SourceError:
         if "pose" in files[0].name.lower():
             raise
-        return None  # a text about the picture
+        return None  # a text file about the picture, without a pose
     return _match_files(f"{files[0].name} and others", candidates)
 
 

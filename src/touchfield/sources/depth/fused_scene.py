@@ -1,4 +1,4 @@
-"""A depth sequence fused into a static world: the field of all frames, or of the frames so far.
+"""A depth sequence fused into one world, of all frames or of the frames so far.
 
     fused    Computed offline: every frame uses the observations of all frames, so that static surfaces do not
              flicker. Where a frame sees whole patches of samples that changed, the samples at and behind its
@@ -51,33 +51,37 @@ if TYPE_CHECKING:
 
 WORLDS: Final = ("fused", "causal")
 
-# of a causal world; measured in docs/decisions/0013
+# constants of a causal world, measured in docs/decisions/0013
 FIRST_WEIGHT: Final = 16.0
-"""Weight of the first observation of a surface: a seventh fewer samples then change from frame to frame."""
+"""Weight of the first observation of a surface: a seventh fewer samples change between frames than with 1.
+"""
 RENEWALS_HZ: Final = 8.0
-"""Rate at which static parts are updated: saves a third of the bytes and most perceptible steps."""
+"""Rate at which static parts are updated; it saves a third of the bytes and most perceptible steps."""
 CHANGED_SAMPLES: Final = 8
-"""A brick of 512 samples follows every frame once this many changed: an eighth of a plane."""
+"""A brick (512 samples) follows every frame once this many of its samples changed: an eighth of a plane."""
 
 PATCH_FRACTION: Final = 1 / 12
-"""Width of a moving patch as a fraction of the picture's height; pose errors make narrow seams."""
+"""Width of a moving patch as a fraction of the picture's height; seams of pose errors are narrower.
+"""
 PATCH_DENSITY: Final = 0.7  # fraction of the pixels of a patch that see a changed sample
-STATIC_FRACTION: Final = 0.7  # pixels that agree between two frames if a camera without poses is static
+STATIC_FRACTION: Final = 0.7  # minimum fraction of pixels that agree between two frames of a static camera
 DRIFT_FACTOR: Final = 2.0  # poses drift if the residual of the last quarter is this many times the first's
 RESIDUAL_FACTOR: Final = 3.0
 """A neighbourhood is at least this many mean residuals of a view: pose errors exceed those of the sensor."""
 OUTLIER_FACTOR: Final = 1.5  # a view is an outlier if its residual is this many times the median so far
 _BYTES_PER_BRICK = 512 * (5 * 4 + 4)
 _MAX_PLANES_BYTES = 256 << 20
-_MAX_WORLDS = 16  # an array requests its depth in slabs, each a grid
+_MAX_WORLDS = 16  # the depth of an actuator array is requested in slabs, each with its own grid
 
 
 class FusedVolume:
-    """Fused observations of the samples of a lattice, in bricks int32 [n, 3] in the order of addition.
+    """Fused observations of the samples of a lattice.
 
-    `step_per_m` is the noise of the sensor in inverse depth; the first observation of a surface has the
-    weight `first_weight`: above 1, forces vary less while the mean settles. `residuals_m` are the mean
-    residuals of the views.
+    `bricks` int32 [n, 3] are in the order in which they were added.
+
+    `step_per_m` is the noise of the sensor in inverse depth. `first_weight` is the weight of the first
+    observation of a surface: a weight above 1 makes forces vary less while the mean settles. `residuals_m`
+    are the mean residuals of the views.
     """
 
     def __init__(
@@ -105,7 +109,10 @@ class FusedVolume:
         self.add(bricks[self._slots[tuple(bricks.T)] < 0])
 
     def add(self, bricks: Int32s) -> None:
-        """Add bricks, int32 [n, 3], that the volume does not have yet, if there is memory for them."""
+        """Add bricks, int32 [n, 3], that the volume does not have yet.
+
+        Raises `InvalidArgument` if they would exceed the memory budget.
+        """
         count = len(self.bricks) + len(bricks)
         if count > len(self._samples.weight):
             capacity = max(count, len(self._samples.weight) * 3 // 2)
@@ -119,7 +126,8 @@ class FusedVolume:
     def integrate(self, surface: SurfacePlanes, pose: Float64s) -> None:
         """Update the samples with a view; `pose` is scene from camera, float64 [4, 4].
 
-        A view with a residual far above that of the views before it (a pose error) marks no changes.
+        A view whose residual is far above that of the views before it, which indicates a pose error, marks no
+        changes.
         """
         samples, changes = self.samples, None
         view, residual_m = self._view(
@@ -135,7 +143,9 @@ class FusedVolume:
             samples.changes[...] = changes
 
     def mark_patches(self, surface: SurfacePlanes, pose: Float64s, is_changed: Bools, out: Bools) -> None:
-        """Mark in `out` the samples at and behind patches of this view that see changed samples.
+        """Mark the samples at and behind patches of this view that see changed samples.
+
+        They are set to True in `out`.
 
         `is_changed` and `out` are bool [n, 512]. Patches are wider than pose errors.
         """
@@ -171,7 +181,10 @@ class FusedVolume:
 
 
 class FusedScene(DepthScene):
-    """A depth sequence with poses, or of a static camera, as one world, "fused" or "causal"."""
+    """A depth sequence with poses, or of a static camera, as one world.
+
+    `world` is "fused" or "causal" (see the module).
+    """
 
     def __init__(self, sequence: DepthSequence, world: str = "fused", segment: str | None = None) -> None:
         require_one_of("world", world, WORLDS)
@@ -194,8 +207,8 @@ class FusedScene(DepthScene):
 
         It is the same object if nothing moves.
 
-        The first request for a lattice and profile processes all frames (a causal world: those up to
-        `frame`).
+        The first request for a lattice and profile processes all frames; in a causal world, the frames up to
+        `frame`.
         """
         require_frame(frame, self.frame_count)
         with self._lock:
@@ -358,7 +371,10 @@ class _Fused(_World):
 
 
 def is_static(sequence: DepthSequence) -> bool:
-    """Return True if a sequence without poses shows the same depth in its first and some other frames."""
+    """Return True if a sequence without poses seems to be of a static camera.
+
+    Its first frame and some others then show the same depth.
+    """
     keys = np.asarray(sequence.key_frames())
     first = sequence.depth_m(0)
     step_per_m = noise_step_per_m(first)

@@ -1,8 +1,8 @@
-"""Camera intrinsics in the forms of users and data sets.
+"""Camera intrinsics in the forms that users and data sets write.
 
-Four numbers fx fy cx cy; a 3x3, 3x4 or 4x4 matrix, rows first (SUN3D, 3DMatch, ScanNet); JSON (Open3D, whose
-``intrinsic_matrix`` is columns first, RealSense, ROS, OpenCV, nerfstudio, NICE-SLAM); COLMAP's
-``cameras.txt``. A depth unit stated in a file is read, too.
+The forms are: four numbers fx fy cx cy; a 3x3, 3x4 or 4x4 matrix, rows first (SUN3D, 3DMatch, ScanNet); JSON
+(Open3D, whose ``intrinsic_matrix`` is columns first, RealSense, ROS, OpenCV, nerfstudio, NICE-SLAM); COLMAP's
+``cameras.txt``. The depth unit is also read if a file states it.
 """
 
 from __future__ import annotations
@@ -43,7 +43,9 @@ _FLIP_Y: Final = np.diag([1.0, -1.0, 1.0, 1.0])
 
 @dataclass(frozen=True)
 class CameraFile:
-    """A camera from a file or an option, with the stored depth units in a metre if stated.
+    """A camera from a file or an option, and the depth unit if stated.
+
+    `units_per_m` is the number of stored depth units in a metre.
 
     A negative fy, as in ICL-NUIM, means a mirrored camera: the poses are of a world with inverted y.
     """
@@ -61,7 +63,7 @@ class CameraFile:
 def parse_intrinsics(text: str, where: str, size: tuple[int, int] | None = None) -> CameraFile:
     """Parse the camera from a text in any of the forms above.
 
-    `where` names it in an error.
+    `where` is the name of the text in error messages.
 
     `size` is width and height of the pictures: JSON that states a size must agree with it; COLMAP's cameras
     are scaled to it, with a note. Raises `SourceError` for another form, or a matrix with skew.
@@ -118,7 +120,7 @@ def _from_json(text: str, where: str, size: tuple[int, int] | None) -> CameraFil
             data = data[key]
             scale = scale or _number(data, _SCALES)
     stated = tuple(data.get(key, data.get(short)) for key, short in (("width", "w"), ("height", "h")))
-    if "frames" in data:  # nerfstudio's, of the colour pictures
+    if "frames" in data:  # nerfstudio: the intrinsics of the colour pictures
         keys = ("w", "h", "fl_x", "fl_y", "cx", "cy")
         stored = [value for key in keys if (value := _number(data, (key,))) is not None]
         if len(stored) == len(keys):
@@ -145,7 +147,7 @@ def _from_json(text: str, where: str, size: tuple[int, int] | None) -> CameraFil
 
 
 def _number(data: Any, keys: tuple[str, ...]) -> float | None:
-    """Return the number of the first of these keys that has one below 1e9 in magnitude."""
+    """Return the number at the first of these keys that holds a number below 1e9 in magnitude."""
     for key in keys:
         value = data.get(key)
         if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e9:
@@ -156,7 +158,7 @@ def _number(data: Any, keys: tuple[str, ...]) -> float | None:
 def _matrix_of_json(data: Any, where: str) -> list[float]:
     """Return the numbers of a matrix, rows first.
 
-    The zeros tell the order of nine numbers in one list.
+    The positions of the zeros show whether nine numbers in one list are stored by rows or by columns.
     """
     matrix = next((data[key] for key in _MATRICES if key in data), None)
     if isinstance(matrix, dict):
@@ -205,7 +207,9 @@ def camera_of(
     size: tuple[int, int],
     default: CameraFile | None = None,
 ) -> CameraFile:
-    """Return the requested camera, else that of a file in one of `folders`, else the default.
+    """Return the requested camera, else that of a file, else the default.
+
+    Files are searched in `folders`.
 
     `name` names the source in an error, `intrinsics` is "fx,fy,cx,cy" or the path of a file, `size` width and
     height of the pictures. Raises `InvalidArgument` if `intrinsics` is neither; `SourceError` if a file is

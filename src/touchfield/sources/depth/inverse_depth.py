@@ -1,4 +1,4 @@
-"""Depth from values linear in 1/z: stereo disparity maps, and relative depth of a picture or video.
+"""Depth from values linear in 1/z: stereo disparity, and relative depth.
 
 *Disparity*: depth = fx * baseline / (disparity + offset). Middlebury 2014 (PFM, ``calib.txt`` with cam0,
 cam1, doffs and a baseline in millimetres), KITTI (16-bit PNG, 256 units a pixel, 0 unknown), and
@@ -6,8 +6,8 @@ scikit-image's ``stereo_motorcycle``. Values that are 0 or not finite are unknow
 
 *Relative depth* from monocular estimators (MiDaS: Ranftl et al., TPAMI 2022; Depth Anything: Yang et al.,
 CVPR 2024) has no unit. With s from 0 to 1 between the smallest and the largest value of all frames, larger
-values being nearer, 1/z = (1 - s)/far + s/near. For a map whose larger values are farther, give a far smaller
-than near.
+values being nearer, 1/z = (1 - s)/far + s/near. If larger values of a map are farther away, give a far
+distance smaller than the near one.
 
 Such a map belongs to a picture or video by its name (``NAME_depth.png``, ``NAME.depth.png``,
 ``NAME-depth.npy``, with any text after "depth"), or through ``--relative-depth``, which for a video is a grey
@@ -41,15 +41,17 @@ _KITTI_UNITS_PER_PX: Final = 256.0
 
 DEFAULT_NEAR_M: Final = 1.0
 FIELD_OF_VIEW_DEG: Final = 60.0
-"""Default across the width: between a phone's main camera (about 65) and a webcam (about 55)."""
+"""Default horizontal field of view: between a phone's main camera (about 65) and a webcam (about 55).
+"""
 SHAPE_TOLERANCE: Final = 0.03
-"""Between the aspect ratios of map and picture: estimators round to multiples of 14 or 32 px."""
+"""Tolerance of the aspect ratio of a map: estimators round sizes to multiples of 14 or 32 px.
+"""
 
 
 # -- disparity ---------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class StereoRig:
-    """A rectified stereo pair: the camera of the disparity map, and its distance to the other camera.
+    """A rectified stereo pair: the camera of the disparity map, and the baseline.
 
     `disparity_offset_px` is the difference of the principal points (Middlebury's doffs).
     """
@@ -106,7 +108,10 @@ def motorcycle_sequence() -> CodedSequence:
 
 
 def read_disparity(path: Path, options: SourceOptions) -> CodedSequence:
-    """Read a disparity map: PFM or NPY in pixels, or 16-bit PNG, 256 units a pixel (or ``depth_scale``)."""
+    """Read a disparity map: PFM or NPY in pixels, or 16-bit PNG.
+
+    ``depth_scale`` stored units are one pixel; the default is 256 for a PNG, and 1 otherwise.
+    """
     suffix = path.suffix.lower()
     values = (_pfm if suffix == ".pfm" else pictures.read_picture)(path)
     if values.dtype == np.uint8:
@@ -136,7 +141,7 @@ def read_disparity(path: Path, options: SourceOptions) -> CodedSequence:
 
 
 def _pfm(path: Path) -> Float32s:
-    """Read a grey PFM picture, of any byte order."""
+    """Read a grey PFM picture of either byte order."""
     expected = "a grey PFM picture, which begins with Pf"
     with pictures.opened(path, ("PPM",), expected) as image:
         pictures.bound_pixels(path, image.width, image.height)
@@ -173,7 +178,10 @@ def _calibration(file: Path, size: tuple[int, int], camera: str) -> StereoRig | 
 # -- relative depth ----------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class InverseDepth:
-    """Conversion of relative depth to metres: the value `high` is at `near_m`, the value `low` at `far_m`."""
+    """Conversion of relative depth to metres.
+
+    The value `high` is at `near_m`, the value `low` at `far_m`.
+    """
 
     low: float
     high: float

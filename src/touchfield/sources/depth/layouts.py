@@ -1,11 +1,13 @@
-"""Depth sequences in the layouts of data sets: a table of layouts (`LAYOUTS`), and one reader for all.
+"""Depth sequences in the layouts of data sets.
+
+`LAYOUTS` is the table of layouts; `Layout.read_sequence` reads all of them.
 
 tum         TUM RGB-D (Sturm et al., IROS 2012), Bonn's and ICL-NUIM's: value / 5000 = metres. It has no
             intrinsics file: the published intrinsics are used if a name identifies the camera.
 redwood     Redwood (Choi et al., CVPR 2015) and Open3D.
 sun3d       SUN3D (Xiao et al., ICCV 2013), the recordings of the paper's section 5.2 ("hotel barcelona"):
             ``depth/FRAME-MICROSECONDS.png`` with rotated bits, and ``extrinsics/*.txt`` with the 3x4
-            camera-to-world matrices of all colour frames; of several files the last is the newest.
+            camera-to-world matrices of all colour frames; the last of several files is the newest.
 3dmatch     3DMatch (Zeng et al., CVPR 2017) and 7-Scenes (Shotton et al., CVPR 2013), one part (``seq-01``).
             ``camera-intrinsics.txt`` lies beside the frames or one folder up.
 others      (depth-folder, depth-map, depth-stack, depth-video) Scale and intrinsics must be given as options
@@ -88,7 +90,7 @@ _SEVEN_SCENES: Final = CameraFile(
 
 # -- the reader --------------------------------------------------------------------------------------------
 class PictureSet(NamedTuple):
-    """The depth pictures of a sequence, in files or in one file, and the folders of its poses and camera.
+    """The depth pictures of a sequence, and the folders of its poses and camera.
 
     Times are seconds, NaN if a picture has none; `pose_folders` are the folders of poses, None if none are
     read.
@@ -109,7 +111,7 @@ class Layout:
     """A layout of depth sequences on disk: a folder, unless `is_file`.
 
     name, summary, recognise : As of `SourceKind`.
-    units_per_m : Stored units in a metre, unless an option or a file gives them; None if one of them must.
+    units_per_m : Stored units in a metre, unless an option or a file gives them; None if there is no default.
     camera : Default camera of pictures of 640 x 480, or ``camera(path)`` that returns it.
     poses : ``poses(path, paths)`` if the layout has its own form of poses; returns None if there are none.
     is_rotated : See `DepthCode`; the scale is then that of the layout or of the options.
@@ -193,7 +195,10 @@ def required_scale(where: str, scale: float | None, is_metres: bool) -> float:
 
 
 def source_rate(options: SourceOptions) -> float:
-    """Return the rate of a source that does not state it: `source_rate_hz`, else `rate_hz`, else 30 Hz."""
+    """Return the rate of a source that does not state it.
+
+    It is `source_rate_hz`, else `rate_hz`, else 30 Hz.
+    """
     return options.source_rate_hz or options.rate_hz or DEFAULT_RATE_HZ
 
 
@@ -217,7 +222,9 @@ def depth_kind(
 
 
 def depth_scene(sequence: DepthSequence, options: SourceOptions) -> Scene:
-    """Return the scene of a depth sequence at the requested rate, as a camera's view or as a height map.
+    """Return the scene of a depth sequence at the requested rate.
+
+    It is a camera's view or a height map, depending on ``reading``.
 
     A sequence that does not state its rate and has no `source_rate_hz` already has the requested rate
     (`source_rate`) and is not interpolated.
@@ -362,7 +369,7 @@ def _list_plain(path: Path) -> PictureSet:
 
 
 def _depth_pictures(folder: Path) -> tuple[Path, ...]:
-    """Return the pictures of a folder; only those named like depth, if there are any."""
+    """Return the pictures of a folder, or only those with "depth" in their name if there are any."""
     paths = next((list_files(folder, form) for form in _PLAIN if has_files(folder, form)), ())
     return tuple([path for path in paths if "depth" in path.stem.lower()] or paths)
 

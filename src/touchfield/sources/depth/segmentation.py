@@ -1,13 +1,16 @@
-"""Segmentation of a depth sequence into objects: connected surfaces, tracked over time (paper section 5.1).
+"""Segmentation of a depth sequence into objects (paper section 5.1).
+
+Objects are connected surfaces, tracked over time.
 
 The paper's object representation "requires a clear segmentation of the scene that is in general an ill-posed
 problem", and gives no rule. This rule is purely geometric: touching things (a cup and its table) are one
 object, and a partly occluded thing may be two.
 
 - *Surfaces.* Two neighbouring pixels are connected if their depths z differ by at most ``step`` times the
-  nearer one, or their inverse depths by at most the noise step of the sensor (`camera.noise_step_per_m`).
-- *Objects.* Of a frame, the ``at-most`` largest surfaces of at least ``min_fraction``, a share of the
-  picture.
+  nearer one, or if their inverse depths differ by at most the noise step of the sensor
+  (`camera.noise_step_per_m`).
+- *Objects.* At most ``at-most`` surfaces of a frame are objects: the largest ones that cover at least the
+  fraction ``least`` of the picture.
 - *Over time.* Surfaces are matched to objects by the number of common pixels, largest first; each surface and
   each object is used once. An object that vanishes and reappears at the same position is the same object
   (``at-most`` vanished ones are remembered); one that moves by more than its own width between two frames is
@@ -69,7 +72,7 @@ class SegmentRule:
     def parse(cls, text: str | None) -> SegmentRule:
         """Parse a rule such as ``step=0.03,least=0.002,at-most=16``.
 
-        Keys that are missing have defaults.
+        Missing keys have their default values.
         """
         values: dict[str, float | int] = {}
         for entry in () if text is None else text.split(","):
@@ -116,7 +119,7 @@ def label_surfaces(depth_m: Float32s, step: float, noise_step_per_m: float) -> t
 
 
 class _Surface(NamedTuple):
-    """A large surface of a frame: its label there, the name of its object, and its number of pixels."""
+    """A large surface: its label in the frame, the name of its object, and its number of pixels."""
 
     label: int
     name: int
@@ -175,7 +178,7 @@ class Segmentation:
     def _follow_surfaces(self) -> list[list[_Surface]]:
         """Return the large surfaces of each frame, matched to objects."""
         sequence = self.sequence
-        pixels_of: dict[int, Int64s] = {}  # by name, the latest seen last: its pixels
+        pixels_of: dict[int, Int64s] = {}  # pixels of each object, by name; latest seen last
         followed: list[list[_Surface]] = []
         next_name = 0
         for frame in range(sequence.frame_count):
@@ -243,7 +246,10 @@ def segmented_bodies(
     rule: SegmentRule,
     noise_step_per_m: float,
 ) -> tuple[tuple[Body, ...], str]:
-    """Return the objects of a depth sequence as bodies, largest first, background last; and a note."""
+    """Return the objects of a depth sequence as bodies, and a note.
+
+    The largest object is first, and the background last.
+    """
     objects = Segmentation(sequence, rule, noise_step_per_m)
     numbers = [n for n in (*range(1, objects.object_count + 1), BACKGROUND) if objects.pixels[:, n].any()]
     bodies = []

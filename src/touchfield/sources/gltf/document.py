@@ -1,4 +1,4 @@
-"""A glTF document: the checked JSON of a .gltf or .glb file, and the typed arrays in its buffers.
+"""A glTF document: checked JSON, and the typed arrays in its buffers.
 
 Source: Khronos, glTF 2.0 specification (2021), sections 3.6 (binary data, accessors with strides, normalised
 integers and sparse changes) and 4 (GLB). A buffer is the binary chunk of the GLB, base64 within the JSON, or
@@ -37,7 +37,7 @@ HARMLESS: Final = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights
 
 
 class Element(JsonValue):
-    """A JSON value of a document, `owner`."""
+    """A JSON value of the document `owner`."""
 
     owner: Document
 
@@ -45,7 +45,10 @@ class Element(JsonValue):
         return key in self.members()
 
     def number_of(self, of: str | int) -> int:
-        """Return this value as an index into a list of the document, or below the number `of`."""
+        """Return this value as an index.
+
+        `of` is the name of a list of the document, or a number that the index must be below.
+        """
         count = len(self.owner.all(of)) if isinstance(of, str) else of
         if not count:
             raise self.refused("none, as there are no such things")
@@ -90,7 +93,10 @@ class Element(JsonValue):
         return None if number is None else self.owner.array(number, kind)
 
     def unsigned(self, key: str, kind: str, below: int) -> Int64s | None:
-        """Return the unsigned integers below `below` of the accessor at `key`, int64 [count, width]."""
+        """Return the unsigned integers of the accessor at `key`, int64 [count, width].
+
+        They must be less than `below`. Returns None without an accessor.
+        """
         number = self.index(key, "accessors")
         return None if number is None else self.owner.array(number, kind, below)
 
@@ -124,7 +130,7 @@ class Document:
         self._elements = {key: [*self.root.at(key, []).elements()] for key in _LISTS}
 
     def all(self, key: str) -> list[Element]:
-        """Return the objects of a top-level list: accessors, nodes, ..."""
+        """Return the objects of a top-level list, such as accessors or nodes."""
         return self._elements[key]
 
     def charge(self, elements: int, element: Element) -> None:
@@ -139,7 +145,10 @@ class Document:
             )
 
     def array(self, index: int, kind: str, below: int | None = None) -> Any:
-        """Return an accessor, float64 or, below a bound, int64 [count, width], read-only and cached."""
+        """Return the values of an accessor, [count, width], read-only and cached.
+
+        They are int64 if `below` is given, which they must be less than; else float64.
+        """
         element = self.all("accessors")[index]
         stored_type = element.word("type")
         if stored_type != kind:
@@ -257,7 +266,10 @@ def _component(element: Element) -> np.dtype[Any]:
 
 
 def contents(path: Path, *, with_binary: bool = True) -> tuple[dict[str, Any], bytes]:
-    """Read the unchecked JSON object of a file, and the binary chunk of a GLB (else empty)."""
+    """Read the unchecked JSON object of a file, and the binary chunk of a GLB.
+
+    The chunk is empty for other files.
+    """
     require_plain(path, "one glTF file")
     chunks = dict[int, bytes]()
     with readable(path), path.open("rb") as file:

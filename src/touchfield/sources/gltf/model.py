@@ -1,11 +1,11 @@
-"""An animated glTF scene: its triangles, and their vertices in world coordinates at any time.
+"""An animated glTF scene: triangles, and their vertices at any time.
 
-Source: Khronos, glTF 2.0 specification (2021). Section 3.5: a local matrix is T R S, the world matrix of a
-node that of its parent times its own. Sections 3.7.2 and 3.7.3: primitives, morph targets and skins; a vertex
-moves with the weighted mean of its joints' world matrices, each times its inverse bind matrix; the node of
-the mesh has no influence. Section 3.11 and appendix C: samplers are LINEAR (spherical for rotations),
-STEP or CUBICSPLINE (Hermite, tangents in value per second); a sampler is constant before its first and after
-its last time.
+Source: Khronos, glTF 2.0 specification (2021). Section 3.5: a local matrix is T R S; the world matrix of a
+node is the world matrix of its parent times its local matrix. Sections 3.7.2 and 3.7.3: primitives, morph
+targets and skins; a vertex of a skinned mesh moves with the weighted mean of its joints' world matrices, each
+times its inverse bind matrix; the node of the mesh has no influence. Section 3.11 and appendix C: samplers
+are LINEAR (spherical for rotations), STEP or CUBICSPLINE (Hermite, tangents in value per second); a sampler
+is constant before its first and after its last time.
 """
 
 from __future__ import annotations
@@ -71,7 +71,10 @@ def _unit(quaternions: Float64s) -> Float64s:
 
 
 class Animation(NamedTuple):
-    """One animation of a document: samplers by node and path (translation, rotation, scale or weights)."""
+    """One animation of a document: samplers by node and path.
+
+    A path is translation, rotation, scale or weights.
+    """
 
     duration_s: float  # the last time of any of its samplers; it starts at 0
     samplers: Mapping[tuple[int, str], Sampler]
@@ -217,7 +220,7 @@ def _read_geometry(primitive: Element) -> _Geometry | None:
     i = np.arange(max(len(corners) - 2, 0))
     if mode == _TRIANGLES:
         triangles = corners.reshape(-1, 3)
-    elif mode == _STRIP:  # every second one is flipped
+    elif mode == _STRIP:  # every second triangle is flipped
         triangles = np.stack([corners[i], corners[i + 1 + i % 2], corners[i + 2 - i % 2]], axis=1)
     else:
         triangles = np.stack([corners[i + 1], corners[i + 2], np.broadcast_to(corners[:1], len(i))], axis=1)
@@ -311,7 +314,9 @@ class _Piece:
 
 
 class Model:
-    """The triangles of a glTF scene: `triangles` int64 [m, 3], vertex numbers over all pieces.
+    """The triangles of a glTF scene, and their poses.
+
+    `triangles` int64 [m, 3] are vertex numbers over all pieces.
 
     `notes` name the extensions that are not read, and other scenes.
 
@@ -395,7 +400,7 @@ class Model:
                 raise entry.wrong("no target", "one")
             node, path = target.index("node", "nodes"), target.word("path")
             if node is None or path not in (*_WIDTHS, "weights"):
-                continue  # of an extension: to be ignored according to the specification
+                continue  # target of an extension: the specification says to ignore it
             number = entry.index("sampler", len(entries))
             if number is None:
                 raise entry.wrong("no sampler", "the number of one")
@@ -426,7 +431,10 @@ class Model:
         return self.vertices(self.poses(None, np.zeros(1)), 0)
 
     def vertices(self, poses: Poses, at: int) -> Float64s:
-        """Return the world vertices at one time of `poses`, float64 [n, 3], in units of the file."""
+        """Return the vertices at one time of `poses`, float64 [n, 3].
+
+        They are in world coordinates and in the units of the file.
+        """
         world = poses.world[at]
         skins = {piece.skin for piece in self._pieces if piece.skin is not None}
         joints = {number: self._skin(number).matrices(world).reshape(-1, 12) for number in skins}

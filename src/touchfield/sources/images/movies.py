@@ -43,13 +43,16 @@ DEEP_GREY: Final = re.compile(r"gray(9|10|12|14|16)(le|be)")
 _FORMATS: Final = {".mkv": "matroska", ".avi": "avi", ".mov": "mov", ".mp4": "mov", ".gif": "gif"}
 VIDEO_SUFFIXES: Final = tuple(_FORMATS)
 _OPTIONS: Final = {"err_detect": "crccheck+explode", "trans_color": "0"}
-"""Damage is an error; transparent GIFs are black."""
+"""Decoder options: damaged data are an error, and transparent pixels of a GIF are black."""
 _NEUTRAL: Final = 12  # 8-bit levels by which red, green and blue of a grey may differ after lossy coding
 
 
 @dataclass(frozen=True)
 class VideoHeader:
-    """Header of a video stream: size in pixels, FFmpeg's names of pixel format and codec, average rate."""
+    """Header of a video stream.
+
+    It has the size in pixels, FFmpeg's names of pixel format and codec, and the average rate.
+    """
 
     width: int
     height: int
@@ -70,7 +73,10 @@ def video_header(path: Path) -> VideoHeader:
 
 
 class GreyVideo(InOrder):
-    """The frames of a grey video; `MissingExtra` without PyAV."""
+    """The frames of a grey video.
+
+    Raises `MissingExtra` if PyAV is not installed.
+    """
 
     paths: tuple[Path, ...] = ()
     headers: tuple[PictureHeader, ...] = ()

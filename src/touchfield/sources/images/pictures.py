@@ -51,7 +51,10 @@ _PARTS: Final = re.compile(r"(\d+)")
 
 # -- folders -----------------------------------------------------------------------------------------------
 def list_files(folder: Path, pattern: str) -> tuple[Path, ...]:
-    """List the files of a folder whose name matches a regular expression, in the order of their numbers."""
+    """List the files of a folder whose name matches a regular expression.
+
+    They are in the order of the numbers in their names.
+    """
     if not folder.is_dir():
         return ()
     form = re.compile(pattern, re.IGNORECASE)
@@ -98,7 +101,10 @@ def contents(folder: Path) -> str:
 
 # -- one picture -------------------------------------------------------------------------------------------
 class PictureHeader(NamedTuple):
-    """Size in pixels, NumPy's name of the sample type ("" if unsupported), and samples a pixel."""
+    """Size in pixels, sample type, and number of channels of a picture.
+
+    `sample` is NumPy's name of the type, "" if it is unsupported.
+    """
 
     width: int
     height: int
@@ -115,7 +121,10 @@ class PictureHeader(NamedTuple):
 
 
 def bound_pixels(path: Path, width: int, height: int, bytes_per_pixel: int = 1) -> None:
-    """Raise `SourceError` if a picture has no pixels, too many, or more than its bytes can encode."""
+    """Raise `SourceError` if the size of a picture is invalid.
+
+    It is invalid if there are no pixels, too many, or more than the bytes of the file can encode.
+    """
     if width < 1 or height < 1:
         raise SourceError(str(path), f"a picture of {width} x {height} pixels", "at least one pixel")
     if width * height > MAX_PIXELS:
@@ -128,7 +137,10 @@ def bound_pixels(path: Path, width: int, height: int, bytes_per_pixel: int = 1) 
 
 
 def require_size(where: str, size: tuple[int, ...], expected: tuple[int, int], of: str) -> None:
-    """Raise `SourceError` unless a picture has the width and height of another one, described by `of`."""
+    """Raise `SourceError` unless a picture has the expected width and height.
+
+    `of` describes the picture that has the expected size.
+    """
     if size != expected:
         found, expected_size = f"{size[0]} x {size[1]} pixels", f"{expected[0]} x {expected[1]}, {of}"
         raise SourceError(where, found, expected_size, "Give pictures of one size.")
@@ -147,7 +159,7 @@ def opened(
     require_plain(path, "a picture")
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of large pictures: callers bound the size before decoding
+            warnings.simplefilter("ignore")  # about large pictures: callers bound the size first
             image = Image.open(path, formats=formats)
         with image:
             yield image
@@ -199,8 +211,8 @@ def picture_header(path: Path) -> PictureHeader:
 def read_picture(path: Path) -> NDArray[Any]:
     """Read the samples of a single-channel PNG, TIFF, PGM or NPY picture, [height, width].
 
-    uint8, uint16, int32 or float32 for PNG, TIFF and PGM; any integer or float type for NPY. In native byte
-    order, C-contiguous, writeable.
+    The type is uint8, uint16, int32 or float32 for PNG, TIFF and PGM, and any integer or float type for NPY.
+    The array is in native byte order, C-contiguous and writeable.
     """
     header = picture_header(path)
     if header.channels != 1 or not header.sample:
@@ -258,7 +270,7 @@ def read_map(path: Path) -> NDArray[Any]:
 def photo_size(path: Path) -> tuple[int, int]:
     """Read width and height of a photograph as displayed, from its header.
 
-    Raises `SourceError` if it is none.
+    Raises `SourceError` if the file is in none of the formats `PHOTO_FORMATS`.
     """
     with opened(path, PHOTO_FORMATS, "PNG, JPEG, WebP, BMP or TIFF") as image:
         width, height = image.size
@@ -301,7 +313,10 @@ class PictureFrames:
 
 
 class ArrayFrames:
-    """Frames of an array [frames, height, width], possibly memory-mapped from the file `path`."""
+    """Frames of an array [frames, height, width].
+
+    The array may be memory-mapped from the file `path`.
+    """
 
     def __init__(self, values: NDArray[Any], path: Path | None = None) -> None:
         if values.ndim != 3:
@@ -332,9 +347,9 @@ def has_pages(path: Path) -> bool:
 
 
 class InOrder(ABC):
-    """Arrays over time, computed in order: one pass computes each once.
+    """Arrays over time that are computed in order.
 
-    The latest is cached.
+    A pass in order computes each array once; the latest one is cached.
     """
 
     def __init__(self, name: str, frame_count: int) -> None:
@@ -350,7 +365,7 @@ class InOrder(ABC):
 
     @abstractmethod
     def _iterate(self, first: int) -> Iterator[NDArray[Any]]:
-        """Yield the arrays from such a frame on."""
+        """Yield the arrays from frame `first` on, at which decoding can start."""
 
     def at(self, frame: int) -> NDArray[Any]:
         """Return the array of a frame, which must not be changed."""

@@ -44,7 +44,9 @@ _Polygons = tuple[Float64s, Int64s, Int64s]
 
 
 def read_triangles(path: Path) -> tuple[Float64s, Int32s, tuple[str, ...]]:
-    """Read vertices float64 [n, 3] in the units of the file, triangles int32 [m, 3], and notes.
+    """Read vertices float64 [n, 3], triangles int32 [m, 3], and notes.
+
+    Vertices are in the units of the file.
 
     Raises `SourceError` if the file cannot be read, or has no triangle.
     """
@@ -87,7 +89,7 @@ def _normalise_text(data: bytes) -> bytes:
 def _parse_obj(data: bytes) -> _Polygons:
     """Parse an OBJ: lines of vertices and faces.
 
-    In a face -1 is the last vertex before it.
+    In a face, the index -1 is the last vertex defined before it.
     """
     text = re.sub(rb"#.*|/\S*", b"", _normalise_text(data).replace(b"\\\n", b" "))
     lines = re.findall(rb"^[ \t]*(?:v[ \t]+(\S*[ \t]*\S*[ \t]*\S*)|f[ \t]+(.*))", text, re.MULTILINE)
@@ -120,7 +122,7 @@ def _parse_off(data: bytes) -> _Polygons:
 def _parse_ply(data: bytes) -> _Polygons:
     """Parse the vertices and faces of a PLY.
 
-    A text is first converted to bytes of float64.
+    A text file is first converted to bytes of float64.
     """
     head, *bodies = re.split(rb"\nend_header[ \t]*\r?\n", data, maxsplit=1)
     (kind, *_), form, *lines = [line.split() for line in head.decode("latin-1").splitlines()] + [[""], [""]]

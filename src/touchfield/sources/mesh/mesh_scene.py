@@ -1,4 +1,6 @@
-"""A triangle mesh as a scene: F = f(phi) n with phi the signed distance to it (paper section 4).
+"""A triangle mesh as a scene (paper section 4).
+
+The force is F = f(phi) n, with phi the signed distance to the mesh.
 
 The paper's reference [21] gives no formula. Here phi is exact; for a closed mesh its sign is that of the
 winding number (inside if that is not 0). Small holes are closed (`touchfield.sources.mesh.surface`). A mesh
@@ -44,11 +46,11 @@ class MeshScene(Scene):
     """A static mesh.
 
     vertices_m : float array [n, 3] or RepairedSurface; Metres. Equal vertices must have been merged
-        (`touchfield.sources.mesh.surface.merge_vertices`). A surface whose holes are already closed needs no
-        triangles.
+        (`touchfield.sources.mesh.surface.merge_vertices`). A `RepairedSurface`, whose holes are already
+        closed, needs no `triangles`.
     triangles : integer array [m, 3]; Vertex numbers, anticlockwise seen from outside.
-    shell : str; Of an open mesh: "one" sided, "two" sided, or "auto": one-sided if all triangles face
-        consistently.
+    shell : str; Side of the wall of an open mesh: "one" sided, "two" sided, or "auto", which is one-sided if
+        all triangles face consistently.
     holes : str; The rule by which holes are closed: "small", "close" or "leave"
         (`touchfield.sources.mesh.surface`).
     name : str; Its name in messages.
@@ -60,8 +62,8 @@ class MeshScene(Scene):
     Attributes
     ----------
     is_one_sided : bool; Whether an open mesh is a one-sided shell.
-    velocities_m_s : float64 [n, 3] or None; Velocities of the vertices, if the mesh is an instant of a
-        motion; a profile with damping uses them.
+    velocities_m_s : float64 [n, 3] or None; Velocities of the vertices, if the mesh is one instant of a
+        motion. A profile with surface damping uses them.
     """
 
     axes = UP_Y_AXES

@@ -1,16 +1,17 @@
-"""Triangle meshes: edges, closedness, angle-weighted pseudo-normals, welding of vertices, and holes.
+"""Triangle meshes: edges, closedness, pseudo-normals, welding, and holes.
 
 Source of the pseudo-normals: J. A. Baerentzen and H. Aanaes, Signed distance computation using the angle
-weighted pseudonormal, IEEE TVCG 11(3), 2005: at a vertex the normals of its faces weighted by their angles
-there, on an edge the sum of its two. Their sign gives the side of a point whose nearest point lies there.
+weighted pseudonormal, IEEE TVCG 11(3), 2005: at a vertex, the sum of the normals of its faces weighted by
+their angles there; on an edge, the sum of the normals of its two faces. They tell on which side of the
+surface a point lies whose nearest surface point is on that vertex or edge.
 
 Holes are loops of the edges that are traversed more often in one direction than in the other; such edges form
 cycles. A hole is small if the patch that closes it has at most 5 % of the area of its connected part. "small"
 closes only those, "close" closes all, "leave" none. Triangles that face inconsistently are flipped, but only
 if the result is closed; otherwise the inside of a hole is undefined. Source of the patch: G. Barequet and M.
-Sharir, Filling gaps in the boundary of a polyhedron, CAGD 12(2), 1995: of all triangulations of the loop the
-one of least area. In a long loop every second corner is first cut off, until 128 are left. No vertex is
-added, so that a patch moves with its mesh.
+Sharir, Filling gaps in the boundary of a polyhedron, CAGD 12(2), 1995: the triangulation of the loop with the
+least area. In a long loop every second corner is first cut off, until 128 are left. No vertex is added, so
+that a patch moves with its mesh.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ HOLES: Final = {
     "small": 0.05,
     "close": np.inf,
     "leave": -1.0,
-}  # largest hole to close, of the area of its part
+}  # largest hole to close, as a fraction of the area of its part
 # a part that lacks more of its area is a sheet: its wall lies behind its faces, not in the enclosed volume
 _NEARLY_CLOSED: Final = 0.75
 _FLAT: Final = 0.999  # least cosine between the normals of a flat polygon and of its triangles
@@ -193,7 +194,10 @@ def _check_finite(vertices: Float64s, name: str) -> None:
 
 
 def from_longest(corners: Float64s) -> Int64s:
-    """Return the order of corners that starts with the longest edge, int64 [m, 3], of corners [m, 3, 3]."""
+    """Return the order of corners that starts with the longest edge, int64 [m, 3].
+
+    `corners` are float64 [m, 3, 3].
+    """
     sides = lengths_of(np.roll(corners, -1, axis=1) - corners)
     order: Int64s = (np.arange(3) + sides.argmax(axis=1)[:, None]) % 3
     return order
@@ -221,7 +225,10 @@ def merge_vertices(vertices: NDArray[Any], triangles: NDArray[Any]) -> tuple[Flo
 
 
 def group_points(points: NDArray[Any], tolerance: float = 0.0) -> tuple[Int64s, Int64s]:
-    """Group equal points [n, d]: the index of one point of each group, and the group of each point, int64."""
+    """Group equal points [n, d].
+
+    Returns the index of one point of each group, and the group of each point, int64.
+    """
     rounded = np.round(points / tolerance) if tolerance > 0 else points
     order = np.lexsort(rounded.T)
     ordered = rounded[order]
@@ -235,9 +242,10 @@ def group_points(points: NDArray[Any], tolerance: float = 0.0) -> tuple[Int64s, 
 def weld(
     vertices: NDArray[Any], triangles: NDArray[Any], sizes: Int64s | None = None
 ) -> tuple[Float64s, Int32s]:
-    """Merge equal vertices of a mesh; nearly equal ones too, if that closes it.
+    """Merge equal vertices of a mesh, and nearly equal ones if that closes it.
 
-    `sizes` int64 [p]: number of consecutive triangles of each polygon, a fan; see `unfold_polygons`.
+    `sizes` int64 [p]: number of consecutive triangles of each polygon, which form a fan (see
+    `unfold_polygons`).
     """
     if triangles.min() < 0 or triangles.max() >= len(vertices):
         return vertices, triangles.astype(np.int32)  # the scene reports it
@@ -251,7 +259,7 @@ def weld(
 
 
 def unfold_polygons(points: Float64s, fans: Int32s, sizes: Int64s) -> Int32s:
-    """Triangulate concave polygons again that were cut as fans from their first corner.
+    """Triangulate again the concave polygons that were cut as fans.
 
     In the fan of a concave polygon some triangles are flipped and lie partly outside; `_patch` triangulates
     its outline instead.
@@ -275,7 +283,9 @@ def unfold_polygons(points: Float64s, fans: Int32s, sizes: Int64s) -> Int32s:
 
 
 def weld_in_motion(poses: Float64s, triangles: NDArray[np.integer[Any]]) -> tuple[Int64s, Int32s]:
-    """Weld a moving mesh: return the vertices to keep, ascending, and the triangles in their numbering.
+    """Weld a moving mesh.
+
+    Returns the vertices to keep, ascending, and the triangles in their numbering.
 
     Vertices at the same position in every pose are merged. If that leaves the mesh open, those that coincide
     at rest and hardly separate are merged as well, if that closes it. Parts that only touch at rest stay
@@ -309,7 +319,8 @@ class RepairedSurface:
     """A surface with holes closed, and the holes left open."""
 
     surface: Surface
-    # int32 [l, 3]; would close the open holes of a nearly closed mesh: define inside, exert no force
+    # int32 [l, 3]; triangles that would close the open holes of a nearly closed mesh: they define its inside
+    # and exert no force
     lids: Int32s
     rim: Int32s  # int32 [r, 2]; edges of the open holes
     is_oriented: bool  # whether neighbouring triangles face alike
@@ -344,7 +355,7 @@ def close_holes(surface: Surface, holes: str) -> RepairedSurface:
             notes = (f"{count} triangles turned to face as their neighbours do",)
     if not is_mixed or is_two_sided:
         loops = _loops(oriented)
-    if loops is None:  # the orientation is undefined, or there are too many
+    if loops is None:  # the orientation is undefined, or there are too many loops
         return unchanged
     part_of, vertices = oriented.part_of_vertex(), oriented.vertices_m
     areas = np.bincount(part_of[oriented.triangles[:, 0]], _areas(vertices, oriented.triangles))
@@ -397,7 +408,7 @@ def _hole_notes(closed_gaps: list[_Hole], open_gaps: list[_Hole]) -> tuple[str, 
 def _loops(surface: Surface) -> list[Int64s] | None:
     """Find loops of unbalanced edges, each in the direction of the triangles that would close it.
 
-    None if there are too many.
+    Returns None if there are too many.
     """
     faces, of = surface.triangles, surface.edges.edge_of.reshape(-1)
     tail, head = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)

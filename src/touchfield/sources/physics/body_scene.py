@@ -1,4 +1,7 @@
-"""Moving bodies as a scene, each with its own scene and a pose track (paper section 5.1, Scene 1)."""
+"""Moving bodies as a scene (paper section 5.1, Scene 1).
+
+Each body has its own scene and a pose track.
+"""
 
 from __future__ import annotations
 
@@ -82,7 +85,9 @@ class BodyScene(MovingScene):
         return np.stack([np.min(lows, axis=0), np.max(highs, axis=0)])
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
-        """Return the sum of the fields of all bodies, in their poses, at the points of `grid`.
+        """Return the sum of the fields of all bodies at the points of `grid`.
+
+        Each body is in its pose of the frame.
 
         The sum of the static bodies is cached for the latest grid and profile.
 

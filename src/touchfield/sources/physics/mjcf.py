@@ -1,4 +1,6 @@
-"""Rigid-body models in MuJoCo's format (MJCF ``.xml``), simulated: each body is a scene with a pose track.
+"""Simulated rigid-body models in MuJoCo's format (MJCF ``.xml``).
+
+Each body is a scene with a pose track.
 
 Format: an XML file with the root element ``mujoco``; it may include other files and name mesh files, which
 must lie in its folder or below it unless the user allows others. MuJoCo searches a file beside the model and
@@ -104,7 +106,7 @@ class _NamedFiles:
 
 
 def check_files(path: Path, *, anywhere: bool = False) -> None:
-    """Refuse a model that names files outside its folder, special files, or excessive counts.
+    """Refuse a model with files outside its folder, special files, or excessive counts.
 
     `anywhere`: the user allows files outside the folder. Raises `SourceError`, which names file, element and
     attribute.
@@ -194,7 +196,7 @@ def _elements(model: Path) -> list[tuple[str, dict[str, str]]]:
     return elements
 
 
-# -- what of the bodies can be touched ---------------------------------------------------------------------
+# -- touchable parts of the bodies -------------------------------------------------------------------------
 def _pieces_of(
     mujoco: Any, model: Any, where: str, shell: str
 ) -> tuple[list[tuple[str, int, Scene]], tuple[str, ...]]:

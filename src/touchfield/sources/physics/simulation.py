@@ -1,13 +1,16 @@
-"""Rigid-body simulation with MuJoCo: the pose of every body at each frame (paper section 5.1, Scene 1).
+"""Rigid-body simulation with MuJoCo (paper section 5.1, Scene 1).
+
+It computes the pose of every body at each frame.
 
 Frame i is the state at the time i / rate, so that frame 0 is the initial state and 2 s at 1 kHz are 2000
 frames. On one machine the same model gives bit-identical poses.
 
 In a physics scene, a contact is a spring and a damper on the relative acceleration (MuJoCo's direct
-``solref``) that push and never pull: it ends when their force is zero. With the damping ratio z, theta = acos
-z and w the frequency of the undamped spring, that is after T = 2 theta / (w sin theta), and the speed has
-decreased by exp(-2 z theta / sin theta), the restitution (Schwager and Poschel, "Coefficient of restitution
-and linear-dashpot model revisited", 2007); z and w are solved for. A mesh collides as its convex hull.
+``solref``). They push and never pull: the contact ends when their force is zero. With the damping ratio z,
+theta = acos z, and the frequency w of the undamped spring, it ends after T = 2 theta / (w sin theta), and the
+speed has decreased by the factor exp(-2 z theta / sin theta), which is the restitution (Schwager and Poschel,
+"Coefficient of restitution and linear-dashpot model revisited", 2007). z and w are solved from T and the
+restitution. A mesh collides as its convex hull.
 """
 
 from __future__ import annotations
@@ -44,7 +47,7 @@ _HARD: Final = (0.99, 0.99, 0.001, 0.5, 2.0)
 _MIN_RESTITUTION: Final = 0.02
 _MAX_DAMPING_RATIO: Final = 10.0  # a damping ratio above that of the smallest restitution
 _POSED_KG_M3: Final = 1e8
-"""Density of a body posed by a file: no contact within a frame moves it."""
+"""Density of a body posed by a file, so high that no contact moves it within a frame."""
 _HULL_ROWS: Final = 16
 _THINNEST: Final = 1e-5
 """Thickness of a mesh, relative to its length, below which its hull would be unreliable."""
@@ -203,7 +206,9 @@ def _check_state(mujoco: Any, data: Any, messages: list[str], where: str) -> tup
 def model_of(
     mujoco: Any, table: PhysicsTable, posed: Mapping[str, PoseTrack], where: str
 ) -> tuple[Any, list[int], tuple[str, ...]]:
-    """Return the model of a table, the ids of its bodies in the order of the table, and notes.
+    """Return the model of a table, the ids of its bodies, and notes.
+
+    The ids are in the order of the table.
 
     `posed` mapping of str to PoseTrack: tracks of the bodies posed by files, by name; `where` str: name of
     the scene in messages.

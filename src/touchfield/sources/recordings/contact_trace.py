@@ -1,4 +1,4 @@
-"""Recorded contacts as a scene: positions of a probe and forces on it, from CSV or MCAP, as a force field.
+"""Recorded contacts of a probe as a force field, from CSV or MCAP.
 
 Forces are those on the probe, in the axes and metres of the recording. They are interpolated by a curl-free
 field (`CurlFree`): a Gaussian process whose potential has the kernel k(r) = exp(-r^2 / 2 l^2). The forces,
@@ -62,7 +62,7 @@ class CurlFree:
     length_m: float  # l of the kernel
     relative_error: float  # RMS of the leave-one-out errors, over that of the forces
     noise: float  # variance of the residual, over that of the field
-    scale_n: float  # prior standard deviation of a component: that of the forces
+    scale_n: float  # prior standard deviation of a force component
 
     @classmethod
     def through(
@@ -124,7 +124,9 @@ class CurlFree:
 
 
 def covariances(points: Float64s, others: Float64s | None = None) -> Float64s:
-    """Return covariances of the forces at points and at others (or the same), in kernel lengths.
+    """Return covariances of the forces at points and at others.
+
+    `others` defaults to the points; both are in kernel lengths.
 
     Float64 [3 n, 3 m] for float64 [n, 3] and [m, 3]; times l^2, so that variances are 1.
     """
@@ -137,7 +139,9 @@ def covariances(points: Float64s, others: Float64s | None = None) -> Float64s:
 
 
 def thin_contacts(points_m: Float64s, forces_n: Float64s) -> tuple[Float64s, Float64s, float]:
-    """Average contacts over the cells of a lattice, the finest with at most `MAX_POINTS` occupied cells.
+    """Average contacts over the cells of a lattice.
+
+    The lattice is about the finest one with at most `MAX_POINTS` occupied cells.
 
     Returns points and forces, float64 [m, 3], m at most `MAX_POINTS`, and the side of a cell.
     """
@@ -158,7 +162,10 @@ def thin_contacts(points_m: Float64s, forces_n: Float64s) -> tuple[Float64s, Flo
 
 
 def require_contacts(trace: ContactTrace, where: str) -> None:
-    """Raise `SourceError` if all positions are equal, all forces are 0, or values are implausibly large."""
+    """Raise `SourceError` if the contacts of a trace are implausible.
+
+    All positions are equal, all forces are 0, or values are too large.
+    """
     with np.errstate(over="ignore"):
         extent = np.ptp(trace.positions_m, axis=0).max()
     if not (extent < _FARTHEST_M and np.abs(trace.forces_n).max() < _STRONGEST_N):
@@ -174,7 +181,7 @@ def require_contacts(trace: ContactTrace, where: str) -> None:
 class ContactScene(Scene):
     """Recorded forces as a static field.
 
-    Raises `SourceError` as in `require_contacts`, or if there are too few.
+    Raises `SourceError` as `require_contacts` does, or if there are too few contacts.
     """
 
     axes = UP_Z_AXES

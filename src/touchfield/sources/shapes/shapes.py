@@ -54,21 +54,30 @@ class Shape(ABC):
 
     @abstractmethod
     def signed_distance_and_normal(self, points: Float64s) -> tuple[Float64s, Float64s]:
-        """Return signed distance, metres, [n], and outward unit normal [n, 3], float64, at points [n, 3]."""
+        """Return signed distance, metres, and outward unit normal at points [n, 3].
+
+        They are float64 [n] and [n, 3].
+        """
 
     @abstractmethod
     def box_m(self) -> Float64s:
         """Return the box of the surface, metres, float64 [2, 3]."""
 
     def distance_range(self, centres: Float64s, radius_m: float) -> tuple[Float64s, Float64s]:
-        """Return bounds, float64 [n] each, of the signed distance within `radius_m` of points [n, 3]."""
+        """Return bounds of the signed distance within `radius_m` of points [n, 3].
+
+        They are float64 [n] each.
+        """
         phi, _ = self.signed_distance_and_normal(centres)
         return phi - radius_m, phi + radius_m
 
 
 @dataclass(frozen=True)
 class Plane(Shape):
-    """The half-space behind a plane: `point_m` is one of its points, `normal` points outwards."""
+    """The half-space behind a plane.
+
+    `point_m` is a point of the plane, and `normal` points outwards.
+    """
 
     point_m: Triple
     normal: Triple
@@ -125,7 +134,7 @@ class _RotatedShape(Shape):
     def axes(self) -> Float64s:
         """Matrix whose columns are the axes of its frame, float64 [3, 3].
 
-        `move_shape` rotates it, too.
+        `move_shape` also rotates it.
         """
         return rotation_matrix(self.rotation_deg)
 
@@ -134,7 +143,7 @@ class _RotatedShape(Shape):
         return phi, normal @ self.axes.T
 
     def box_m(self) -> Float64s:
-        """See `Shape`; for a superquadric that of its cuboid."""
+        """See `Shape.box_m`; for a superquadric, the box of its cuboid."""
         return _box_around(self.center_m, self._reach(self.axes))
 
     def _local(self, points: Float64s) -> Float64s:
@@ -341,14 +350,21 @@ def move_shape(shape: Shape, rotation: ArrayLike, shift_m: ArrayLike) -> Shape:
 
 
 def rotation_matrix(rotation_deg: Triple) -> Float64s:
-    """Return the matrix of rotations about the fixed x, then y, then z axis, float64 [3, 3]."""
+    """Return the rotation matrix of Euler angles, float64 [3, 3].
+
+    The rotations are about the fixed x, then y, then z axis.
+    """
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_euler("xyz", rotation_deg, degrees=True).as_matrix())
 
 
 def _of_faces(beyond: Float64s) -> tuple[Float64s, Float64s]:
-    """Signed distance to a block and normal weights, from the distances beyond each pair of faces [n, d]."""
+    """Return the signed distance to a block and the weights of its normals.
+
+    `beyond` [n, d] are the distances beyond each pair of faces.
+
+    """
     outside = np.maximum(beyond, 0.0)
     distance = np.sqrt((outside * outside).sum(axis=-1))
     is_out = distance > 0

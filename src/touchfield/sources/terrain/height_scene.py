@@ -1,4 +1,6 @@
-"""Height maps, with everything behind the surface solid (paper sections 4 and 5.1), and their files.
+"""Height maps as solid scenes (paper sections 4 and 5.1), and their files.
+
+Everything behind the surface is solid.
 
 The paper's scenes from depth images treat the depth map as a height map. The distance to the surface is
 approximated to first order, phi = (z - h(x, y)) n_z with h interpolated bilinearly: exact for planes, with an
@@ -68,9 +70,9 @@ _Heights = NDArray[np.floating[Any]]
 class HeightLattice:
     """Positions of the samples of a height map, and its solid side.
 
-    Sample (row, col) lies at x0 + col * dx, y0 + row * dy, metres; dx and dy are signed. `facing` 1 is solid
-    below the surface, -1 beyond it, where z points away from the viewer. Neighbours that differ by more than
-    `step_m` in height are separated by a step.
+    Sample (row, col) lies at x0 + col * dx, y0 + row * dy, metres; dx and dy are signed. `facing` is 1 if the
+    solid lies below the surface, and -1 if it lies behind the surface and z points away from the viewer.
+    Neighbours that differ by more than `step_m` in height are separated by a step.
     """
 
     x0_m: float
@@ -101,7 +103,8 @@ class HeightScene(MovingScene):
     `heights_m` are metres, NaN where unknown: [rows, cols], [frames, rows, cols], a sequence of arrays, or a
     callable ``heights(frame) -> [rows, cols]`` for `frame_count` frames. `cell_m` is (dy, dx), the distance
     between neighbouring rows and columns, metres: row 0 is then north, the last row at y = 0 and column 0 at
-    x = 0; a `HeightLattice` gives other positions. `exaggeration` is a factor on the heights (1 is honest).
+    x = 0; a `HeightLattice` gives other positions. `exaggeration` is a factor on the heights; 1 keeps the
+    true proportions.
     """
 
     is_solid = True
@@ -132,7 +135,9 @@ class HeightScene(MovingScene):
 
     @classmethod
     def from_depth_sequence(cls, sequence: DepthSequence, exaggeration: float = 1.0) -> HeightScene:
-        """Read depth maps as in the paper: pixels as x and y, depth as height, solid behind the surface.
+        """Read depth maps as height maps, as in the paper.
+
+        Pixels are x and y, depth is height, and everything behind the surface is solid.
 
         Pixels are spaced by their size at the median depth of the first frame with depth, x = (u - cx) / fx
         z_median, so that lengths at that depth are true; nearer things are too large, farther ones too small.
@@ -349,7 +354,7 @@ def _as_heights(values: NDArray[Any]) -> _Heights:
 
 
 def degree_m(latitude_deg: float) -> Pair:
-    """Return the metres of one degree of latitude and of one degree of longitude, on WGS 84."""
+    """Return the metres of one degree of latitude and of longitude, on WGS 84."""
     sine2 = math.sin(math.radians(latitude_deg)) ** 2
     across = _WGS84_AXIS_M / math.sqrt(1 - _WGS84_E2 * sine2)
     along = across * (1 - _WGS84_E2) / (1 - _WGS84_E2 * sine2)

@@ -114,7 +114,7 @@ def _surface(x, y, lattice, step, heights, slopes):
                 h += w * corner
                 gx += w * slopes[r + a, c + b, 0]
                 gy += w * slopes[r + a, c + b, 1]
-    if high - low > step:  # across a step the nearest sample's own plane
+    if high - low > step:  # across a step, use the plane of the nearest sample
         a, b = 1 if fv > 0.5 else 0, 1 if fu > 0.5 else 0
         gx, gy = slopes[r + a, c + b, 0] * 1.0, slopes[r + a, c + b, 1] * 1.0
         h = heights[r + a, c + b] + gx * (fu - b) * lattice[1] + gy * (fv - a) * lattice[3]

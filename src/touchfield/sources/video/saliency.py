@@ -1,4 +1,6 @@
-"""A colour video as a symbolic haptic medium: forces from visual saliency (paper section 5.1, figure 1).
+"""A colour video as a symbolic haptic medium (paper section 5.1, figure 1).
+
+Forces represent visual saliency.
 
 The paper's case 1: "extraction of saliency based features of the videos that are mapped to tactors". The
 picture is a plate with the aspect ratio of its pixels, its longer side 1 m, row 0 at the top. Throughout the
@@ -81,7 +83,9 @@ class SaliencyModel:
         require_positive(rate_hz=self.rate_hz)
 
     def update(self, colours: NDArray[np.uint8]) -> tuple[Float32s, SaliencyModel]:
-        """Return the saliency of the next picture, sRGB, uint8 [height, width, 3], and the updated model.
+        """Return the saliency of the next picture, and the updated model.
+
+        `colours` is the picture, sRGB, uint8 [height, width, 3].
 
         The saliency is float32 [map height, map width], 0 to 1, of `map_size`, row 0 at the top. Raises
         `InvalidArgument` if the picture has another size than the one before it.
@@ -126,7 +130,10 @@ def _spectral_residual(luminance: Float32s) -> Float64s:
 
 
 class SaliencyMaps(InOrder):
-    """The saliency maps of pictures over time, float32 [map height, map width], 0 to 1, read-only."""
+    """The saliency maps of pictures over time.
+
+    Maps are float32 [map height, map width], 0 to 1, read-only.
+    """
 
     def __init__(self, pictures: Frames, rate_hz: float) -> None:
         super().__init__("pictures", pictures.frame_count)
@@ -183,7 +190,9 @@ class SaliencyScene(Scene):
         return np.stack([-half, half])
 
     def saliency(self, frame: int) -> Float32s:
-        """Return the saliency map of a frame, float32 [map height, map width], 0 to 1, read-only.
+        """Return the saliency map of a frame, 0 to 1, read-only.
+
+        It is float32 [map height, map width].
 
         Row 0 is at the top.
         """

@@ -47,9 +47,10 @@ class Query(NamedTuple):
 
 @inner(fastmath={"contract"}, error_model="numpy")
 def _box_in_view(x0, y0, z0, corners, query):
-    """Nearest and farthest z of a box, and the range of pixels u0, u1, v0, v1 of its projection.
+    """Return the nearest and farthest z of a box, and the pixels u0, u1, v0, v1 it projects to.
 
-    Empty (z from 1 to 0) if the box lies in front of all forces, behind the camera or outside the picture.
+    The range of z is empty (1 to 0) if the box lies in front of all forces, behind the camera or outside the
+    picture.
     """
     camera, (height, width) = query.surface.camera_px, query.surface.size_px
     z_low = z0 + corners[8, 2]
@@ -140,9 +141,9 @@ def gather(planes, index, count, r):
 
 @inner(fastmath={"contract"}, error_model="numpy", forceinline=True)
 def distance_at(x, y, z, plane, reach_front, reach_back):
-    """Signed distance of a point to its pixel's plane (nx, ny, nz, c), metres.
+    """Return the signed distance of a point to the plane (nx, ny, nz, c) of its pixel, metres.
 
-    It is 1e30 out of reach.
+    Returns 1e30 if the point is out of reach.
     """
     facing = plane[0] * x + plane[1] * y + plane[2] * z
     phi = facing - plane[3]
@@ -196,7 +197,7 @@ def _evaluate(brick, first, count, query, index, r):
     gather(surface.planes, index, count, r)
     _amplitudes(x, y, z, offsets, count, query.pieces, query.reach, r)
     ni, nj, nk = shape[0] - 8 * brick[0], shape[1] - 8 * brick[1], shape[2] - 8 * brick[2]
-    for q in range(count if min(ni, nj, nk) < 8 else 0):  # beyond the grid
+    for q in range(count if min(ni, nj, nk) < 8 else 0):  # outside the grid
         s = first + q
         if (s >> 6) >= ni or (s >> 3 & 7) >= nj or (s & 7) >= nk:
             r[q + _FORCE] = _0
@@ -235,7 +236,7 @@ def _fill(start, stop, nodes, query, out):
         _write(r, query.rotation, out[1536 * n : 1536 * n + 1536])
 
 
-# -- the same on a GPU: each thread computes one sample, or some of a brick --------------------------------
+# -- the same on a GPU: each thread computes one sample, or some samples of a brick ------------------------
 @inner(forceinline=True)
 def _is_beyond(brick, s, shape):
     """Return True if a sample of a brick lies outside the grid."""
@@ -245,7 +246,7 @@ def _is_beyond(brick, s, shape):
 
 @inner(fastmath={"contract"})
 def _force_of_sample(first, s, query):
-    """Amplitude, newtons, and normal at sample `s` of the brick with the `first` sample at this position."""
+    """Return amplitude, newtons, and normal at sample `s` of a brick whose first sample is at `first`."""
     offsets, pieces = query.offsets_m, query.pieces
     camera, planes, (height, width) = query.surface.camera_px, query.surface.planes, query.surface.size_px
     x, y, z = first[0] + offsets[s], first[1] + offsets[s + B3], first[2] + offsets[s + 2 * B3]

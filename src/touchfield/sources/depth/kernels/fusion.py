@@ -27,9 +27,10 @@ _NX, _NY, _NZ, _C = (B3 * q for q in range(4))
 class View(NamedTuple):
     """A depth map and the lattice of the volume.
 
-    `marked` are, for `integrate`, pixels whose surface lies in known free space, so that samples behind it
-    are new, too; for `mark`, the pixels whose samples are to be marked. `nearest_per_m` is the largest
-    inverse depth in each tile of 8 x 8 pixels and its neighbours: samples clearly in front of it are free.
+    For `integrate`, `marked` are the pixels whose surface lies in known free space, so that the samples
+    behind it are new as well; for `mark`, they are the pixels whose samples are to be marked. `nearest_per_m`
+    is the largest inverse depth in each tile of 8 x 8 pixels and its neighbours: samples clearly in front of
+    it are free.
     """
 
     query: Query
@@ -59,7 +60,7 @@ class Samples(NamedTuple):
     weight: Float32s  # 0 if only free space, or nothing, is known
     normal: Float32s  # [bricks, 3, 512], mean normal, scene axes
     has_surface: NDArray[np.uint8]  # 1 if a surface was seen near the sample
-    free: NDArray[np.uint8]  # 0 since no ray passed, 1 after a ray, 2 after a ray with no surface near it
+    free: NDArray[np.uint8]  # 0 if no ray passed, 1 after a ray, 2 after a ray with no surface near it
     strikes: NDArray[np.uint8]  # number of views in a row that contradict the state
     changes: NDArray[np.uint8]  # 1 if free space became a surface, a surface free space or another surface
 
@@ -68,7 +69,7 @@ class Samples(NamedTuple):
         return Samples(*(array[:count] for array in self))  # type: ignore[arg-type]
 
     def copy_from(self, other: Samples) -> None:
-        """Remember what `other`, of as many bricks, does."""
+        """Copy the state of `other`, which has the same number of bricks."""
         for array, source in zip(self, other, strict=True):
             array[...] = source  # type: ignore[index]
 
@@ -96,7 +97,7 @@ def _carve(samples, n, s, is_clear):
         _reset_sample(samples, n, s)
         samples.strikes[n, s] = _CARVED if was_surface else 0
     samples.free[n, s] = max(samples.free[n, s], _PASSED)
-    if is_clear:  # only now is a carved surface certainly gone: pose errors carve close beside a surface, too
+    if is_clear:  # only here is a carved surface certainly gone: pose errors also carve next to a surface
         samples.free[n, s] = CLEAR
         if samples.strikes[n, s] == _CARVED:
             samples.changes[n, s] = 1
@@ -119,7 +120,7 @@ def _update_mean(samples, n, s, phi, weight, normal):
 def _add_look(samples, n, s, look, first, normal):
     """Update a sample with a view whose surface lies at the distance phi, near the sample or in front of it.
 
-    `look` is phi, tolerance, weight and `is_marked`: whether the surface is new.
+    `look` holds phi, tolerance, weight and `is_marked`, which is True if the surface is new.
     """
     phi, tolerance, weight, is_marked = look
     if phi < -tolerance:  # behind a surface: a guess, whose weight decreases with the distance
@@ -177,7 +178,7 @@ def _measure_brick(brick, query, rules, index, r, measured):
     x0, y0, z0 = first_sample(brick, query.lattice_m)
     pixels_of(x0, y0, z0, offsets, B3, surface.camera_px, surface.size_px[0], surface.size_px[1], index)
     gather(surface.planes, index, B3, r)
-    for s in range(B3):  # eight at once
+    for s in range(B3):  # vectorised: eight samples at once
         x, y, z = x0 + offsets[s], y0 + offsets[s + B3], z0 + offsets[s + 2 * B3]
         plane = r[s + _NX], r[s + _NY], r[s + _NZ], r[s + _C]
         measured[s], measured[s + B3], measured[s + 2 * B3] = _measure(x, y, z, plane, rules)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from touchfield.sources.camera import Intrinsics
 
 SLOPE_LIMIT_PX: Final = 5.0
-"""Largest slope along an image row or column, footprints of a pixel in depth per pixel: 79 degrees."""
+"""Maximum slope along an image row or column, in pixel footprints of depth per pixel (79 degrees)."""
 
 _TILE = 8  # pixels along each edge of a tile of the culling table
 _0, _1, _2, _3, _4, _9, _16 = (np.float32(x) for x in (0, 1, 2, 3, 4, 9, 16))
@@ -33,13 +33,13 @@ _STRIDE = _BLOCK + 2 * _PAD + 4
 _INVERSE = 0 * _STRIDE  # inverse depth, 0 where invalid
 _LINK = 1 * _STRIDE  # 1 where a pixel and its right neighbour lie on one surface
 _LEVEL = 2 * _STRIDE  # inverse depth smoothed along the row
-_TILT = 3 * _STRIDE  # its slope along the row, times ...
-_WEIGHT = 4 * _STRIDE  # ... the sum of squared offsets that supports the slope
+_TILT = 3 * _STRIDE  # slope along the row times `_WEIGHT`
+_WEIGHT = 4 * _STRIDE  # sum of squared offsets of the pixels that support the slope
 _DOWN = 5 * _STRIDE  # 1 where a pixel and its lower neighbour lie on one surface
 _ROW = 6 * _STRIDE
 # The planes of a row overwrite the row four above it, which is no longer needed:
 _LARGEST = 0 * _STRIDE  # the largest inverse depth of the plane over the footprint of the pixel
-_SMALLEST = 1 * _STRIDE  # and the smallest
+_SMALLEST = 1 * _STRIDE  # the smallest inverse depth there
 _OUT = 2 * _STRIDE  # normal and offset, four sections
 
 
@@ -47,7 +47,7 @@ class SurfacePlanes(NamedTuple):
     """The planes of a depth map, in camera axes.
 
     `planes` are unit normal n towards the camera and offset c, metres, with n . p = c on the plane; all zero
-    where there is no plane, and behind the last pixel. `tiles` bound tiles of 8 x 8 pixels: the largest and
+    where there is no plane, and after the last pixel. `tiles` bound tiles of 8 x 8 pixels: the largest and
     smallest inverse depth of the planes over their pixels, 1/m; (0, 1e30) where there is no plane.
     """
 
@@ -57,9 +57,9 @@ class SurfacePlanes(NamedTuple):
     tiles: Float32s  # [rows of tiles, columns, 2]
 
 
-_MIN_ACROSS = np.float32(6)  # least sum of squared offsets of the supporting pixels along the rows ...
-_MIN_ALONG = np.float32(2)  # ... and along the column: three pixels in line
-_MIN_COSINE = np.float32(0.1)  # between the normal and the ray: 84 degrees
+_MIN_ACROSS = np.float32(6)  # minimum sum of squared offsets of the supporting pixels along the rows
+_MIN_ALONG = np.float32(2)  # the same along the column: three pixels in line
+_MIN_COSINE = np.float32(0.1)  # minimum cosine between the normal and the ray: 84 degrees
 
 
 @inner(fastmath={"contract"}, error_model="numpy")
@@ -100,7 +100,7 @@ def _line(r, i, step, a, b):
 
 @inner
 def _chain(r, j, step):
-    """Products of 1, 2, 3 and 4 links from ``r[j]`` on: 1 for neighbours reached without a break."""
+    """Return the products of 1, 2, 3 and 4 links from ``r[j]`` on: 1 if no link is broken."""
     m1 = r[j]
     m2 = m1 * r[j + step]
     m3 = m2 * r[j + 2 * step]
@@ -109,7 +109,7 @@ def _chain(r, j, step):
 
 @inner(fastmath={"contract"})
 def _total(r, k, a, b):
-    """Sum over the column through ``r[k]`` of the values that the chains `a` (down) and `b` (up) reach."""
+    """Sum the values of the column of ``r[k]`` that the chains `a` (down) and `b` (up) reach."""
     first = r[k] + (a[0] * r[k + _ROW] + b[0] * r[k - _ROW])
     second = a[1] * r[k + 2 * _ROW] + b[1] * r[k - 2 * _ROW]
     third = a[2] * r[k + 3 * _ROW] + b[2] * r[k - 3 * _ROW]
@@ -249,8 +249,8 @@ def _fit_planes(start, stop, depth, camera, gates, planes, bounds):
 def surface_planes(depth_m: Float32s, camera: Intrinsics, step_per_m: float) -> SurfacePlanes:
     """Estimate the tangent planes of a depth map, metres, and their bounds in tiles.
 
-    `depth_m` float32 [height, width], C-contiguous, not positive or not finite if unknown; `step_per_m` is
-    the noise step (see `touchfield.sources.depth.depth_scene`).
+    `depth_m` float32 [height, width], C-contiguous; unknown pixels are not positive or not finite;
+    `step_per_m` is the noise step (see `touchfield.sources.depth.depth_scene`).
     """
     height, width = depth_m.shape
     planes = np.empty(4 * (height * width + 1), np.float32)

@@ -1,10 +1,10 @@
 """Compiled loops of the mesh source: the nearest triangle of every sample near a mesh, and the force there.
 
-The candidate triangles of a brick are found by descent from one cell that holds the whole grid. Of the
-triangles of a cell, its half-sized child with centre c and radius r keeps those with d(c) <= min d(c) + 2 r
-and within the band, d(c) <= band + r; no other one can be nearest to a sample of the child. Nothing is
-allocated for the rest of the grid. The search uses float32, in units of the largest spacing and relative to
-the brick; distance and direction to the triangle found are then evaluated in float64.
+The candidate triangles of a brick are found by descent from one cell that holds the whole grid. A child cell
+of half the size, with centre c and radius r, keeps the triangles of its parent with d(c) <= min d(c) + 2 r
+that are also within the band, d(c) <= band + r; no other triangle can be nearest to a sample of the child.
+Nothing is allocated for the rest of the grid. The search uses float32, in units of the largest spacing and
+relative to the brick; distance and direction to the triangle found are then evaluated in float64.
 
 The damping of a moving surface is b times the velocity of the nearest point (paper 3.2); within a triangle
 the velocity is interpolated linearly between the corners, like their positions. A wall ends with its surface:
@@ -28,8 +28,10 @@ from touchfield.sources.mesh.kernels.sign import COLUMN_SHIFT, winding_of_brick
 from touchfield.sources.terrain.kernels import amplitude as amplitude_at
 
 CLOSED, ONE_SIDED, TWO_SIDED, LIDDED = 0, 1, 2, 3
-"""Sign of a distance: by winding number; by the pseudo-normal; by the half thickness of the wall; by the
-pseudo-normal, but behind the surface only where the winding number of the mesh with closed holes is not 0."""
+"""Source of the sign of a distance: the winding number; the pseudo-normal; the half thickness of the wall;
+the pseudo-normal, but behind the surface only where the winding number of the mesh with closed holes is not
+0.
+"""
 
 _SLACK = np.float32(1e-3)  # of the largest spacing: far above the rounding of the search, far below a sample
 _0 = np.float32(0)
@@ -39,7 +41,8 @@ class Band(NamedTuple):
     """The range of distances with forces, and their sign."""
 
     sidedness: int  # `CLOSED`, `ONE_SIDED`, `TWO_SIDED` or `LIDDED`
-    # largest distance with a force, on the negative and on the positive side; negative for none
+    # largest distance with a force, on the negative and on the positive side; negative if there is no force
+    # on that side
     inner_m: float
     outer_m: float
     half_wall_m: float  # subtracted from the distances to a two-sided sheet
@@ -58,7 +61,7 @@ class Motion(NamedTuple):
 
 @inner(forceinline=True)
 def _sample_position(bricks, b, i, j, k, lattice):
-    """Position of a sample of a brick, metres."""
+    """Return the position of a sample of a brick, metres."""
     x = lattice[0] + (bricks[b, 0] * 8 + i) * lattice[3]
     y = lattice[1] + (bricks[b, 1] * 8 + j) * lattice[4]
     z = lattice[2] + (bricks[b, 2] * 8 + k) * lattice[5]
@@ -231,7 +234,7 @@ def _fill_bricks(start, stop, candidates, surface, frame, events, rule, pieces, 
 # `owners` int32 [n, 8, 8, 8]: the nearest triangle of each sample with a force, -1 for the others
 @inner(forceinline=True)
 def _barycentric(vertices, a, b, c, point):
-    """Barycentric weights of the corners b and c at a point of a triangle.
+    """Return the barycentric weights of the corners b and c at a point of a triangle.
 
     The edge from a to b is the longest one.
     """
@@ -268,8 +271,7 @@ def add_motion(start, stop, bricks, owners, table, lattice, triangles, vertices,
 def fade(start, stop, bricks, owners, table, lattice, rim, rim_edges, width, forces, has_force):
     """Fade forces towards a rim; `has_force` is updated.
 
-    `rim_edges` (first, last, ids): the edges of the rim near brick b are ids[first[b]] to before
-    ids[last[b]].
+    `rim_edges` (first, last, ids): the edges of the rim near brick b are ``ids[first[b]:last[b]]``.
     """
     first, last, ids = rim_edges
     for b in range(start, stop):
@@ -350,9 +352,10 @@ def mesh_forces(
 
     Returns bricks int32 [n, 3], ascending, and forces float32 [n, 8, 8, 8, 3] in newtons. `surface` is the
     table of `triangle_table` and normals float64 [m, 7, 3]: outward pseudo-normals of each triangle's face,
-    vertices and edges. `events` are those of `crossings`, empty unless closed or lidded. Closer than `tiny_m`
-    the direction is a pseudo-normal. `motion` adds the damping of a moving surface. Towards `rim`, the
-    `triangle_table` of edges as degenerate triangles, the force fades over its own reach.
+    vertices and edges. `events` are those of `crossings`, empty unless closed or lidded. At distances below
+    `tiny_m` metres, forces point along a pseudo-normal. `motion` adds the damping of a moving surface.
+    Towards `rim`, the `triangle_table` of edges as degenerate triangles, the force fades over a distance
+    equal to the reach of the force law.
     """
     lattice = np.array([*grid.origin_m, *grid.spacing_m])
     shape = np.array(grid.shape, np.int64)

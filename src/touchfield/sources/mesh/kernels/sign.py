@@ -9,11 +9,10 @@ An event is one int64: column of bricks, y and z within it (3 bits each), first 
 crossing (20 bits), and 1 for +1 or 0 for -1. After sorting, the events of a column are contiguous.
 
 A surface point lies on the boundary of the union of closed meshes that intersect each other or themselves if
-the winding number is 0 on exactly one side of it. Triangles that cross others are cut along the planes of
-those, piece by piece, until no other surface passes through a piece; a piece is then entirely boundary or
-entirely inner wall, and its centre decides. Triangles are sorted into bins of the plane (y, z). Source of the
-crossing test: T. Moeller, A fast triangle-triangle intersection test, Journal of Graphics Tools
-2(2), 1997.
+the winding number is 0 on exactly one side of it. A triangle that crosses others is cut along their planes
+until no other surface passes through any of its pieces; each piece is then entirely boundary or entirely
+inner wall, which is tested at its centre. Triangles are sorted into bins of the plane (y, z). Source of the
+crossing test: T. Moeller, A fast triangle-triangle intersection test, Journal of Graphics Tools 2(2), 1997.
 """
 
 from __future__ import annotations
@@ -211,7 +210,7 @@ def _heights(points, count, normal, base, out):
 
 @inner
 def _span_on_line(points, count, heights, along, tiny):
-    """Interval along a direction in which a convex polygon meets a plane.
+    """Return the interval along a direction in which a convex polygon meets a plane.
 
     The interval is empty if low > high.
     """
@@ -297,8 +296,8 @@ def crossing_pairs(
     """Find pairs (t, u) of triangles without a common edge in which u cuts t, int32 [p, 2], sorted by t.
 
     `boxes` float64 [m, 6], `corners` float64 [m, 3, 3] in metres, `normals` float64 [m, 3] of unit length.
-    Heights below `tiny_m` count as touching. Pairs beyond about eight for each triangle are dropped: those
-    inner walls still exert forces.
+    Heights below `tiny_m` count as touching. Pairs beyond about eight for each triangle are dropped; the
+    inner walls of these triangles still exert forces.
     """
     max_pairs = 8 * len(triangles) + 4096
     arguments = (tuple(bins), boxes, corners, normals, triangles, tiny_m, max_pairs)

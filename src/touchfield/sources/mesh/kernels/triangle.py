@@ -68,7 +68,7 @@ def _fill_table(start, stop, vertices, triangles, table):
             for c in range(3):
                 row[12 + 3 * i + c] = e[i, c]
                 row[21 + 3 * i + c] = a[c]
-        # edge 0 is the longest, so that the third vertex lies over it and the cross product is at its best
+        # edge 0 is the longest, so that the third vertex lies over it and the cross product is accurate
         x = e[0, 2] * e[2, 1] - e[0, 1] * e[2, 2]
         y = e[0, 0] * e[2, 2] - e[0, 2] * e[2, 0]
         z = e[0, 1] * e[2, 0] - e[0, 0] * e[2, 1]
@@ -120,7 +120,7 @@ def _localise(table, t, x, y, z, scale, reach, tiles, at):
 
 @inner(fastmath=_FAST, forceinline=True)
 def _square_distance(p, x, y, z):
-    """Squared distance of (x, y, z) to the triangle that `_localise` put into p."""
+    """Return the squared distance of (x, y, z) to the triangle that `_localise` wrote to p."""
     h = p[0] + p[10] * x + p[11] * y + p[12] * z
     q0 = p[1] + p[13] * x + p[14] * y + p[15] * z
     q1 = p[2] + p[16] * x + p[17] * y + p[18] * z
@@ -129,7 +129,8 @@ def _square_distance(p, x, y, z):
     s1 = max(abs(p[5] + p[25] * x + p[26] * y + p[27] * z) - p[8], _0)
     s2 = max(abs(p[6] + p[28] * x + p[29] * y + p[30] * z) - p[9], _0)
     edge_square = min(q0 * q0 + s0 * s0, min(q1 * q1 + s1 * s1, q2 * q2 + s2 * s2))
-    # inside, s0 is zero; for a sliver, whose q are all rounding, it still is the distance beyond its ends
+    # s0 is zero inside; for a sliver, whose q are rounding errors only, it is still the distance beyond its
+    # ends
     outside = max(max(q0, max(q1, q2)), _0) * _HUGE
     return h * h + min(edge_square, s0 * s0 + outside)
 
@@ -247,7 +248,7 @@ def nearest(table, t, x, y, z):
     best, along, q0 = _edge_distance(table, t, 0, x, y, z)
     second, t1, q1 = _edge_distance(table, t, 1, x, y, z)
     third, t2, q2 = _edge_distance(table, t, 2, x, y, z)
-    # the third vertex lies over the first edge, and so does what is inside
+    # the third vertex lies over the first edge, and so does every point inside the triangle
     if max(q0, max(q1, q2)) < 0.0 and 0.0 < along < table[t, 30]:
         h = (
             table[t, 0] * (x - table[t, 21])
