@@ -187,7 +187,8 @@ def measure(samples: int) -> Figures:
     vertices, faces = bumpy()
     grid = Grid.over_box((-1,) * 3, (1,) * 3, (samples,) * 3)
     voxel = grid.spacing_m[0]
-    law = ForceProfile(((-BAND * voxel, BAND * voxel, 2.0, 1 / (BAND * voxel)),))  # |F| tells phi
+    # |F| = 2 + phi / (BAND * voxel), so the field gives phi back
+    law = ForceProfile(((-BAND * voxel, BAND * voxel, 2.0, 1 / (BAND * voxel)),))
 
     field = MeshScene(vertices, faces).field(0, grid, law)
     points = grid.to_m(field.positions())
