@@ -73,9 +73,10 @@ def selected(only: str | None) -> list[str]:
 
 
 def run(name: str, is_quick: bool, limit_s: float, is_live: bool = True) -> Outcome:
-    """Run one script in its own process group, ended with all its processes after `limit_s`.
+    """Run one script in its own process group.
 
-    Its output appears immediately if `is_live`, and otherwise when it has ended.
+    After `limit_s` the script is ended with all its processes. Its output appears immediately if `is_live`,
+    and otherwise when it has ended.
     """
     script = HERE / f"{scripts()[name]}.py"
     command = [sys.executable, str(script), *["--quick"] * is_quick]
