@@ -1,14 +1,21 @@
-"""Force fields of an animated model: Fox.glb, 576 triangles, 24 joints, 128^3 samples.
+"""Time to compute the force fields of an animated mesh, against Open3D and libigl.
 
     python bench/bench_animation.py [--quick] [--path FOX.glb] [--samples N]
 
-touchfield is timed from the animation to the force field of every frame: joints, skin, surface, and distance,
-sign and direction of all samples within 4 voxels; a second row adds the damping of the moving surface. Each
-installed peer (Open3D, libigl) receives the triangles of a frame, builds its search tree and returns signed
-distances, once for all samples of the lattice (one frame), as without knowledge of the surface, and once for
-the samples of touchfield's band and their neighbours only. Distances are compared outside of the solid. The
-peers also measure to triangles that lie within another part of the body, which touchfield leaves out; their
-signs are those of the nearest triangle instead of the winding number. Such samples are counted.
+The input is the run cycle of Fox.glb (576 triangles, 24 joints): six frames on a cubic lattice of 128^3
+samples. `--samples` sets the number of samples along each axis.
+
+touchfield is timed from the animation to the force fields of all six frames: joints, skinning, surface, and
+the signed distance and its direction at every sample within 4 voxels of the surface. A second row adds
+damping against the moving surface.
+
+Each installed peer builds its search tree from the triangles of a frame and returns signed distances. It is
+timed twice: at all samples of the lattice, as if the position of the surface were unknown (one frame is timed
+and counted six times), and only at the samples of touchfield's band and their neighbours.
+
+Distances are compared outside the solid only. Inside, the peers also measure the distance to triangles hidden
+within another part of the body, which touchfield leaves out; such samples are counted. The peers do not take
+signs from the winding number either; signs that differ are counted.
 """
 
 from __future__ import annotations
@@ -33,14 +40,14 @@ FRAMES = 6
 
 
 def enclosing_cube(scene: AnimatedMeshScene, samples: int) -> Grid:
-    """Cubic lattice that encloses the scene and its band."""
+    """Return a cubic lattice that encloses the scene and its band."""
     low, high = scene.bounds_m()
     half = float((high - low).max()) / 2 * samples / (samples - 2 * BAND - 2)
     return Grid.over_box((low + high) / 2 - half, (low + high) / 2 + half, (samples,) * 3)
 
 
 def with_neighbours(mask: np.ndarray) -> np.ndarray:
-    """Mask [x, y, z] dilated by one sample along each axis."""
+    """Return a mask [x, y, z] dilated by one sample along each axis."""
     wide = mask.copy()
     for axis in range(3):
         body, line = np.moveaxis(wide, axis, 0), np.moveaxis(mask, axis, 0)
@@ -50,18 +57,19 @@ def with_neighbours(mask: np.ndarray) -> np.ndarray:
 
 
 def in_bands(peer: Any, surfaces: list[Any], band: list[Any]) -> list[Any]:
-    """Distances of each frame's surface at the points of its band."""
+    """Return a peer's distances for each frame, at the points of the frame's band."""
     return [peer(*surface, some) for surface, some in zip(surfaces, band, strict=True)]
 
 
 def measure(path: Path, samples: int) -> Figures:
-    """Times and differences of touchfield and the peers on the running fox."""
+    """Measure times and differences of touchfield and the peers on the running fox."""
     if not path.is_file():
         raise SystemExit("Fox.glb is not there; give its --path")
     scene = AnimatedMeshScene(path, "Run", unit_m=0.01)
     grid = enclosing_cube(scene, samples)
     voxel = grid.spacing_m[0]
-    law = ForceProfile(((-BAND * voxel, BAND * voxel, 2.0, 1 / (BAND * voxel)),))  # |F| tells phi
+    # |F| = 2 + phi / (BAND * voxel), so the field gives phi back
+    law = ForceProfile(((-BAND * voxel, BAND * voxel, 2.0, 1 / (BAND * voxel)),))
     damped = ForceProfile(law.pieces, 1.0)
     frames = np.linspace(0, scene.frame_count - 1, FRAMES).astype(int).tolist()
     every = grid.to_m(np.argwhere(np.ones(grid.shape, bool)))
@@ -117,7 +125,7 @@ def measure(path: Path, samples: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Faster than the fastest peer, at the rate of a depth camera, with equal distances."""
+    """Require more speed than the peers, 30 frames/s with damping, equal distances."""
     rows = figures["rows"]
     peers = {name: row for name, row in rows.items() if "version" in row}
     open3d = min(

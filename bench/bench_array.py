@@ -1,10 +1,11 @@
-"""Conversion of a stored field to actuator arrays, and latency of `FieldSampler.at`.
+"""Conversion of fields to actuator drives, and latency of `FieldSampler.at`.
 
     python bench/bench_array.py [--quick] [--frames N]
 
-The field is a wavy shell in a lattice of 64^3 that moves slightly from frame to frame. Conversion runs from
-the decoded field to the drives of an 8 x 8 array and of a 60 x 40 pin display. The sampler is queried at 1
-kHz while frames of 64^3 are produced at 30 per second; producing a frame takes several milliseconds.
+The field is a wavy shell on a lattice of 64^3 samples that moves slightly from frame to frame. Conversion is
+timed from the decoded field to the drives of an 8 x 8 tactile vest and of a 60 x 40 pin display. The latency
+of `FieldSampler.at` is measured at 1 kHz while frames of 64^3 samples are produced at 30 per second;
+producing one frame takes several milliseconds.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ ARRAYS = ("tactile-vest-8x8", "graphiti")
 
 
 def fields(count: int) -> list[ForceField]:
-    """Frames of the shell."""
+    """Return `count` frames of the moving shell."""
     grid = Grid((N, N, N), (0.002,) * 3, (-0.063,) * 3)
     x, y, z = np.meshgrid(*(grid.axis_m(n) for n in range(3)), indexing="ij")
     frames = []
@@ -39,7 +40,7 @@ def fields(count: int) -> list[ForceField]:
 
 
 def conversion(frames: list[ForceField], name: str) -> Figures:
-    """Milliseconds of a frame of drives."""
+    """Time the conversion of one frame to drives, in milliseconds."""
     medium = HapticMedium.from_frames(frames, RATE_HZ, AXES)
     stream: Any = SimpleNamespace(
         medium=medium, reader=SimpleNamespace(head=SimpleNamespace(device_type=1, force_max_n=3.0))
@@ -53,7 +54,7 @@ def conversion(frames: list[ForceField], name: str) -> Figures:
 
 
 def calls(frames: list[ForceField]) -> Figures:
-    """Milliseconds of `at`, called at 1 kHz while the frames are produced."""
+    """Time each call of `at` at 1 kHz while frames are produced, in milliseconds."""
 
     def make(frame: int) -> ForceField:
         return ForceField.from_dense(frames[frame].grid, frames[frame].to_dense())
@@ -73,13 +74,13 @@ def calls(frames: list[ForceField]) -> Figures:
 
 
 def measure(frames: int) -> Figures:
-    """Drives of both arrays, and the latency of the sampler during playback."""
+    """Measure the drives of both arrays, and the latency of the sampler in playback."""
     shell_frames = fields(frames)
     return {**{name: conversion(shell_frames, name) for name in ARRAYS}, "sampler_at": calls(shell_frames)}
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Frames are converted in real time, and no tick waits for a frame."""
+    """Require conversion in real time, and no call that waits for a frame."""
     vest, pins = (figure(figures, name, "median_ms") for name in ARRAYS)
     rate = None if pins is None else 1e3 / pins
     return [

@@ -1,11 +1,16 @@
-"""Broadcast on one machine: receivers of a live stream, delay, losses, range requests.
+"""Live broadcast on one machine: delay, packet loss, receivers, range requests.
 
     python bench/bench_broadcast.py [--quick] [--seconds 600] [--receivers 200] [--messages 8000] [--mib 1024]
                                     [--silent 10000]
 
-The sender is a separate process that sends pre-encoded segments of a quarter of a second at 30 frames per
-second. The receivers are tasks of another process; each checks every message. The delay is that of a live
-medium: the time of the sender's current frame minus the time of the frame that the renderer plays.
+The sender is a separate process. For the test of many receivers it sends segments that were encoded
+beforehand, of 8 frames at 30 frames per second; the receivers are tasks of one other process, and each checks
+every message. The delay is measured with a medium that is encoded live: it is the time of the sender's
+current frame minus the time of the frame that the renderer plays.
+
+`--seconds` is the duration of the test with `--receivers` receivers, `--silent` the number of idle
+connections in a second test, `--messages` the number of messages in the simulations of packet loss, and
+`--mib` the size of the file that is opened over HTTP.
 """
 
 from __future__ import annotations
@@ -45,7 +50,7 @@ GRID = Grid((64, 64, 64), (0.002,) * 3, (-0.063,) * 3)
 
 
 def ball(number: int) -> ForceField:
-    """A ball that circles once in two seconds."""
+    """Return frame `number` of a ball that circles once in two seconds."""
     position_m = np.moveaxis(np.indices(GRID.shape), 0, -1) * 0.002 - 0.063
     turn = np.pi * number / RATE_HZ
     away = position_m - 0.02 * np.array([np.cos(turn), np.sin(turn), 0.0])
@@ -78,7 +83,7 @@ def head(encoder: TouchEncoder, frames: int) -> Head:
 
 
 def coded() -> tuple[TouchEncoder, list[bytes]]:
-    """Encoder and segment bodies of two seconds."""
+    """Return the encoder and the bodies of segments of about two seconds."""
     encoder = TouchEncoder(GRID, TouchSpec(effort="fast"))
     frames = [ball(i) for i in range(56)]
     return encoder, [encoder.encode_segment(frames[i : i + FRAMES]).body for i in range(0, 56, FRAMES)]
@@ -116,7 +121,7 @@ def sender_process(link: Connection, seconds: float) -> None:
 
 
 def resident() -> float:
-    """Resident memory of this process, MiB."""
+    """Return the resident memory of this process, MiB."""
     line = next(
         line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmRSS")
     )
@@ -124,7 +129,7 @@ def resident() -> float:
 
 
 async def receive(address: str, count: int, ready: threading.Event) -> Figures:
-    """Run `count` receivers in one process; report lost messages and segments received."""
+    """Run `count` receivers in this process; count gaps and the segments received."""
     import aiohttp
 
     connected, gaps, took = 0, 0, list[int]()
@@ -182,7 +187,7 @@ def live_process(link: Connection, segment_s: float) -> None:
     def clock() -> float:
         if link.poll():
             raise KeyboardInterrupt
-        return time.monotonic()  # the clock is that of all processes
+        return time.monotonic()  # the monotonic clock is common to all processes
 
     with LiveServer(sender, Access(port=0)) as server, suppress(KeyboardInterrupt):
         broadcast(
@@ -196,7 +201,10 @@ def live_process(link: Connection, segment_s: float) -> None:
 
 @contextmanager
 def on_air(segment_s: float) -> Iterator[tuple[str, float]]:
-    """Address of a live medium sent by another process, and the time of its frame 0."""
+    """Broadcast a live medium from another process; yield its address and start time.
+
+    The start time is that of frame 0.
+    """
     parent_end, child_end = multiprocessing.get_context("spawn").Pipe()
     process = multiprocessing.get_context("spawn").Process(target=live_process, args=(child_end, segment_s))
     process.start()
@@ -206,7 +214,7 @@ def on_air(segment_s: float) -> Iterator[tuple[str, float]]:
 
 
 def delays(segment_s: float, seconds: float) -> list[float]:
-    """Seconds from a frame at the sender to its force, sampled during playback."""
+    """Sample the seconds between a frame at the sender and its force during playback."""
     from touchfield.devices import device
     from touchfield.devices.drivers.registry import point_device
     from touchfield.medium.trace import Trace
@@ -223,7 +231,7 @@ def delays(segment_s: float, seconds: float) -> list[float]:
             for i in range(int((5 + seconds) / 0.05)):
                 time.sleep(0.05)
                 live.keep_up(player)
-                if i < 100:  # it has just begun
+                if i < 100:  # skip the first five seconds
                     continue
                 rendered_s = frames.stream_frame(0) / RATE_HZ + player.media_s
                 delays_s.append(time.monotonic() - zero - rendered_s)
@@ -231,7 +239,7 @@ def delays(segment_s: float, seconds: float) -> list[float]:
 
 
 def large(folder: Path, mib: int) -> Figures:
-    """Bytes and requests before the middle segment of a served file of `mib` MiB."""
+    """Serve a file of `mib` MiB; count bytes and requests up to its middle segment."""
     from touchfield.container.remote import RemoteFile
     from touchfield.network.server import application
     from touchfield.pipeline.decoding import stream_of
@@ -283,9 +291,10 @@ def large(folder: Path, mib: int) -> Figures:
 
 
 def losses(messages: int) -> Figures:
-    """Fraction of messages that survive 5 % packet loss, and the overhead in bytes.
+    """Return the fraction of messages that survive 5 % packet loss, and the overhead.
 
-    Losses are independent, or in bursts of five packets (Gilbert model).
+    The overhead is the fraction of bytes sent beyond those of the messages. Losses are independent, or in
+    bursts of five packets on average (Gilbert model).
     """
     rng, rows = np.random.default_rng(1), {}
     for size in (5_000, 20_000, 60_000):
@@ -305,9 +314,9 @@ def losses(messages: int) -> Figures:
 
 
 def coarse_layer_size() -> Figures:
-    """Size of the coarse layer of a stereo photograph relative to its stream, and its NMSE.
+    """Compare the coarse layer of the stereo photograph with its full stream.
 
-    The lattice has n_w 6.
+    Returns the bytes of both for one frame at n_w 6, their ratio, and the NMSE of the coarse layer.
     """
     from touchfield.codec.registry import field_encoder
     from touchfield.tasks.live import coarse_layer
@@ -324,9 +333,9 @@ def coarse_layer_size() -> Figures:
 
 
 def layered_losses(messages: int, coarse_fraction: float) -> Figures:
-    """Fraction of segments that arrive in time with an additional coarse layer, and the overhead.
+    """Return the fraction of segments in time with a coarse layer, and the overhead.
 
-    The losses are those of `losses`; `share` is the size of the coarse layer over that of a segment.
+    The losses are those of `losses`. `coarse_fraction` is the size of the coarse layer relative to a segment.
     """
     rng, rows = np.random.default_rng(2), {}
     for size in (20_000, 60_000):
@@ -350,7 +359,7 @@ def layered_losses(messages: int, coarse_fraction: float) -> Figures:
                         )
                         got |= {
                             number for number in arrived if slot <= number + 8
-                        }  # a segment later than the last part
+                        }  # the datagrams of a message are spread over 8 slots
             both = in_time[0] | in_time[1]
             rows[f"{size} bytes, {name}"] = {
                 "fine": len(in_time[0]) / messages,
@@ -362,7 +371,7 @@ def layered_losses(messages: int, coarse_fraction: float) -> Figures:
 
 
 def measure(seconds: float, receivers: int, messages: int, mib: int, silent: int) -> Figures:
-    """All parts of the benchmark."""
+    """Run all parts of the benchmark."""
     coarse_layer = coarse_layer_size()
     with tempfile.TemporaryDirectory() as folder:
         file = large(Path(folder), mib)
@@ -380,7 +389,7 @@ def measure(seconds: float, receivers: int, messages: int, mib: int, silent: int
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Limits on opening, delay, gaps, resources and loss recovery."""
+    """Limit opening, delay, gaps and resources, and require recovery from losses."""
     file, delay, air, crowd, loss_rows = (
         figures[key] for key in ("file", "delay", "receivers", "crowd", "losses")
     )

@@ -1,9 +1,11 @@
-"""`c/touch.h` against numba: decoding, one query, and a first `touchfield decode`.
+"""`c/touch.h` against numba: decoding speed, query time, and a first decoding.
 
     python bench/bench_c.py [--quick]
 
-The Python module is built for the run with the options of `core/setup.py`. Without a C compiler and Python's
-headers the benchmark is skipped.
+The Python module `touchfield_core` is built for the run with the options of `core/setup.py`. Three things are
+measured: frames decoded per processor second by C and by numba, the time of one force query in C, and the
+wall time of `touchfield decode` with an empty kernel cache. Without a C compiler or Python's headers the
+benchmark is skipped.
 """
 
 from __future__ import annotations
@@ -58,7 +60,10 @@ def build_core(folder: Path) -> None:
 
 
 def frames_per_cpu_s(stream: Path, is_native: bool, runs: int) -> float:
-    """Frames a second of one thread's processor time, the best of some runs over the whole file."""
+    """Return frames decoded per processor second on one thread, the best of `runs`.
+
+    Each run decodes the whole file.
+    """
     best = 0.0
     for _ in range(runs):
         with open_file(stream) as opened:
@@ -81,7 +86,11 @@ def frames_per_cpu_s(stream: Path, is_native: bool, runs: int) -> float:
 
 
 def cold_s(stream: Path, folder: Path, is_native: bool, runs: int) -> float:
-    """Wall seconds of `touchfield decode` with an empty cache of kernels, the median of some runs."""
+    """Return the median wall time of `touchfield decode` with an empty cache, s.
+
+    The cache is that of compiled kernels. Without `is_native` the import of `touchfield_core` is blocked, so
+    numba decodes.
+    """
     hidden = [] if is_native else ["import sys; sys.modules['touchfield_core'] = None"]
     program = "; ".join([*hidden, "from touchfield.cli.main import run; run()"])
     times = []
@@ -100,7 +109,7 @@ def cold_s(stream: Path, folder: Path, is_native: bool, runs: int) -> float:
 
 
 def query_us(stream: Path, folder: Path, runs: int) -> tuple[float, float]:
-    """Median and 99.9th percentile of one query, the best of some runs."""
+    """Return the median and 99.9th percentile of one query, of the best run, us."""
     program = folder / "c_query"
     options = ["-O2", "-std=gnu99", f"-I{ROOT / 'c'}"]
     subprocess.run(["cc", *options, "-o", str(program), str(ROOT / "bench" / "c_query.c"), "-lm"], check=True)
@@ -115,7 +124,7 @@ def query_us(stream: Path, folder: Path, runs: int) -> tuple[float, float]:
 
 
 def measure(runs: int) -> Figures:
-    """Decoding, queries and the first decode of a fresh machine."""
+    """Measure decoding, queries, and the first decode of a fresh machine."""
     figures: dict[str, Any] = {"decode": {}}
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -134,7 +143,7 @@ def measure(runs: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """As fast as compiled Python, within a tick, and no compilation on the first run."""
+    """Require numba's speed, queries within a tick, and a first decoding in 0.5 s."""
     return [
         at_least("frames a second over numba's", figure(figures, "decode_times_numba"), 1.0),
         at_most("a query, median", figure(figures, "query_p50_us"), 0.3, "us"),

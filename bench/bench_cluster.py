@@ -1,11 +1,14 @@
-"""Worker processes: speed-up by a second worker, and a workspace of 10^10 samples.
+"""Worker processes: speed-up by a second worker; a workspace of 8 x 10^9 samples.
 
     python bench/bench_cluster.py [--quick]
 
-Falling bodies as voxels, 2000 frames at 1 kHz, coded by one worker and by two, each of one thread, after both
-have their kernels; the bytes are compared with those of no worker at all. Then a real stereo picture on a
-lattice of 2909 x 2182 x 1273 samples as a zarr store of tiles, by two workers; the memory is that of the
-largest process. Quick: 512 frames, and 2^8 samples an axis.
+The first part encodes falling bodies as voxels, 2000 frames at 1 kHz, with one worker and with two. Each
+worker has one thread, and kernels are compiled before the timed run. The bytes are compared with those of an
+encoding without workers.
+
+The second part encodes a real stereo picture on the nominal lattice of the Phantom Omni (2909 x 2182 x 1273
+samples) as a zarr store of tiles, with two workers. The memory is that of the largest process. A quick run
+takes 512 frames, and 2^8 samples along each axis.
 """
 
 from __future__ import annotations
@@ -31,14 +34,14 @@ TILED = "sample:motorcycle"
 
 
 def seconds(out: Path, spec: EncodeSpec, workers: Executor | None) -> float:
-    """Wall seconds of one encoding."""
+    """Return the wall seconds of one encoding."""
     began = perf_counter()
     encode(SOURCE, out, spec, executor=workers)
     return perf_counter() - began
 
 
 def spread(frames: int, rounds: int) -> Figures:
-    """One worker, two, and none."""
+    """Encode without workers, with one and with two; return times and efficiency."""
     spec = EncodeSpec(nw=6, representation="voxel", frames=(0, frames))
     figures: Figures = {"frames": frames}
     with tempfile.TemporaryDirectory() as folder:
@@ -59,7 +62,10 @@ def spread(frames: int, rounds: int) -> Figures:
 
 
 def huge(nw: int | None) -> Figures:
-    """Encode a workspace in tiles: time and size."""
+    """Encode a workspace in tiles; return sizes and times.
+
+    `nw` is the n_w of the lattice; None takes the nominal lattice of the device.
+    """
     spec = EncodeSpec(nw=nw, touch=TouchSpec(effort="fast"))
     with tempfile.TemporaryDirectory() as folder, executor_of("processes:2") as workers:
         done = encode_tiles(TILED, Path(folder) / "a.zarr", spec, executor=workers)
@@ -76,7 +82,7 @@ def huge(nw: int | None) -> Figures:
 
 
 def in_a_process(nw: int | None) -> Figures:
-    """`huge` in a separate process, so that only the memory of its workers is counted."""
+    """Run `huge` in a separate process, so that only the memory of its workers counts."""
     import json
 
     code = "import json, sys, bench_cluster; print(json.dumps(bench_cluster.huge(json.loads(sys.argv[1]))))"
@@ -93,7 +99,7 @@ def in_a_process(nw: int | None) -> Figures:
 
 
 def measure(frames: int, is_huge: int, rounds: int) -> Figures:
-    """Speed-up by a second worker, and the tiled workspace."""
+    """Measure the speed-up by a second worker, and the tiled workspace."""
     need_module("zarr")
     os.environ["TOUCHFIELD_THREADS"] = "1"
     shape = device("phantom-omni").lattice
@@ -105,7 +111,7 @@ def measure(frames: int, is_huge: int, rounds: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Limits on efficiency and memory."""
+    """Limit memory, and require efficiency and equal bytes."""
     return [
         at_least("efficiency of two processes", figure(figures, "spread", "efficiency"), 0.85),
         at_least("same bytes with none, one and two workers", float(figures["spread"]["same_bytes"]), 1.0),

@@ -1,13 +1,15 @@
-"""GPU kernels against the processor: a depth frame on 1000^3 samples, and point queries.
+"""GPU kernels against the CPU: a depth frame on 1000^3 samples, and force queries.
 
     python bench/bench_cuda.py [--quick] [--points N]
 
-The planes of the picture are fitted on the processor and copied before the timer starts. "gpu" times the
-search for bricks with forces and their forces, which stay on the device; "gpu_and_back" includes the copies
-of planes, bricks and forces in both directions, as `encode` needs them. Points are random in the box of a
-field of 128^3 samples, or follow the path of a wandering hand. The peer is CuPy's `map_coordinates` on the
-dense field, if CuPy is installed. Without a GPU only the processor is measured, and the bars are "not
-measured".
+The depth frame is the motorcycle stereo picture. The tangent planes of its pixels are fitted on the CPU and
+copied to the GPU before the timer starts. "gpu" times the search for the bricks that have forces and the
+computation of these forces, which stay on the GPU. "gpu_and_back" includes the copies of planes, bricks and
+forces in both directions, as `encode` needs them.
+
+The queries are forces at `--points` points of a field of 128^3 samples, at random positions and along the
+path of a wandering hand. If CuPy is installed, its `map_coordinates` on the dense field is the peer. Without
+a GPU only the CPU is measured, and the verdict of the bars is "not measured".
 """
 
 from __future__ import annotations
@@ -31,11 +33,11 @@ from touchfield.sources.laws import LawSpec, penalty
 from touchfield.sources.samples import sample
 
 NOMINAL = 1000
-"""Samples an axis of the paper's smallest nominal workspace."""
+"""Samples along each axis; the paper's smallest nominal workspace has as many."""
 
 
 def gpu() -> str | None:
-    """The GPU that numba finds."""
+    """Return the name of the GPU that numba finds; None if there is none."""
     with cuda.computing("auto"):
         if not cuda.uses_gpu():
             return None
@@ -46,7 +48,7 @@ def gpu() -> str | None:
 
 
 def synchronized(call: Callable[[], Any]) -> Callable[[], Any]:
-    """The call followed by a synchronization of the GPU."""
+    """Wrap a call so that it waits until the GPU has finished."""
     library: Any = import_module("numba.cuda")
 
     def both() -> Any:
@@ -58,7 +60,7 @@ def synchronized(call: Callable[[], Any]) -> Callable[[], Any]:
 
 
 def of_depth(has_gpu: bool, runs: int) -> Figures:
-    """A frame on 1000^3 samples."""
+    """Time one depth frame on 1000^3 samples."""
     sequence = sample("motorcycle").sequence  # type: ignore[attr-defined]
     scene = DepthScene(sequence)
     low_m, high_m = scene.bounds_m()
@@ -83,7 +85,7 @@ def of_depth(has_gpu: bool, runs: int) -> Figures:
 
 
 def of_queries(has_gpu: bool, points: int, runs: int) -> Figures:
-    """Points a second, at random and along a path."""
+    """Return points queried per second, at random and along a path."""
     rng = np.random.default_rng(1)
     medium = HapticMedium.from_frames([field()], 1000.0)
     position_sets = {"random": rng.uniform(0, (SIDE - 1) * SPACING_M, (points, 3)), "path": path(points, rng)}
@@ -106,7 +108,7 @@ def of_queries(has_gpu: bool, points: int, runs: int) -> Figures:
 
 
 def cupy_per_s(positions_m: np.ndarray[Any, Any], runs: int) -> float | None:
-    """Points a second of CuPy, three components of a dense field."""
+    """Return points per second of CuPy, for three components; None without CuPy."""
     try:
         import cupy
         from cupyx.scipy.ndimage import map_coordinates
@@ -121,14 +123,14 @@ def cupy_per_s(positions_m: np.ndarray[Any, Any], runs: int) -> float | None:
 
 
 def measure(points: int, runs: int) -> Figures:
-    """The GPU, the depth frame and the queries."""
+    """Measure the depth frame and the queries, with the name of the GPU."""
     name = gpu()
     has_gpu = name is not None
     return {"gpu": name, "depth": of_depth(has_gpu, runs), "queries": of_queries(has_gpu, points, runs)}
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Set for one NVIDIA H200; "not measured" without a GPU."""
+    """Set limits for one NVIDIA H200; "not measured" without a GPU."""
     differences = [figure(figures, *where, "difference_n") for where in (("depth",), ("queries", "random"))]
     worst = None if None in differences else max(d for d in differences if d is not None)
     return [

@@ -1,19 +1,27 @@
-"""Deformation at the receiver (paper section 6.3): error, bytes, time and stability.
+"""Deformation at the receiver (paper section 6.3): error, size, time, stability.
 
     python bench/bench_deformation.py [--nw N] [--every N] [--quick]
 
-Two inputs: a capsule that bends, whose fields are known, and the fox of the Khronos samples, six frames on
-each side of a pose. The field of one pose, deformed by tracks of 8^3 control points, is compared with the
-field computed for each frame, over the samples at which either has a force. "still" is the undeformed pose;
-"size kept" is the deformed force with its original magnitude, which has curl; "half a sample" is the mean of
-two lookups of the stored field, half a sample off on either side, a lower limit for any lookup between
-samples. Bytes are those of the file of tracks, of the fields coded by `touch`, and of their forces as
-float32.
+There are two inputs: a capsule that bends, whose fields are known in closed form, and the fox of the Khronos
+samples, with six frames on each side of a pose. The field of one pose is deformed by tracks of 8^3 control
+points and compared with the field computed for each frame, over the samples at which either has a force. The
+errors are:
 
-A query is one call of `FieldSampler.at` from Python. Loop work is the work around closed loops, over the work
-of |F| along them, by Gauss-Legendre quadrature with each piece within one cell of the control points, in a
-linear field that the sampler reproduces to float64 rounding. The hands are those of `bench_stability`, on
-walls that yield by the depth to which the hand presses them.
+* bent: the deformed field.
+* still: the undeformed field of the pose.
+* size kept: the deformed force rescaled to its original magnitude. Such a field has curl.
+* half a sample: the mean of two lookups of the stored field, half a sample to either side, against the field
+  itself. It is a lower limit for any lookup between samples.
+
+The bytes are those of the file of tracks ("track"), of all frames coded by coder `touch` ("coded"), and of
+their forces as float32 ("plain"), each per frame.
+
+A query is one call of `FieldSampler.at` from Python. Loop work is the work around closed loops over the work
+of |F| along them. It is computed by Gauss-Legendre quadrature, with each piece within one cell of the control
+points, in a linear field that the sampler reproduces to float64 rounding.
+
+Stability is tested with the hands of `bench_stability`, on walls that yield as far as the hand presses into
+them. `--every N` takes every N-th case.
 """
 
 from __future__ import annotations
@@ -40,14 +48,14 @@ from touchfield.render.sampler import FieldSampler
 from touchfield.tasks.deformation import tracks_of
 
 Float64s = NDArray[np.float64]
-SIDE = 6  # frames on each side of a rest
+SIDE = 6  # frames on each side of the stored pose
 QUERIES = 20_000
 GIVE = 1.0  # compliance times stiffness
 MATRIX = np.array([[80.0, 30, -20], [30, 120, 10], [-20, 10, 60]])
 
 
 def db(error: NDArray[Any], force: NDArray[Any]) -> float:
-    """10 log10 of the energies; -300 where there is no error."""
+    """Return the ratio of energies in dB, 10 log10; at least -300."""
     return float(10 * np.log10(max((error**2).sum() / (force**2).sum(), 1e-30)))
 
 
@@ -61,7 +69,10 @@ class Moving(NamedTuple):
 
 
 def capsule() -> Moving:
-    """A capsule of 80 x 20 mm that is bent to 76 degrees in eight steps; 400 N/m, 0.5 mm between samples."""
+    """Return a capsule of 80 x 20 mm that bends to 76 degrees in eight steps.
+
+    Its stiffness is 400 N/m; samples are 0.5 mm apart.
+    """
     half_m, radius_m = 0.03, 0.01
     grid = Grid((161, 65, 121), (0.0005,) * 3, (-0.04, -0.016, -0.016))
     at = np.stack(np.meshgrid(*(grid.axis_m(a) for a in range(3)), indexing="ij"), axis=-1)
@@ -93,18 +104,21 @@ def capsule() -> Moving:
 
 
 def model(path: Path, rest: int, nw: int, folder: Path) -> Moving:
-    """A skinned model, one pose and the frames around it, through the public functions."""
+    """Return the fields of a skinned model at a pose and around it, and its tracks.
+
+    Fields and tracks are made by the public functions.
+    """
     first, stop = rest - SIDE, rest + SIDE + 1
     spec = EncodeSpec(nw=nw, representation="voxel", frames=(first, stop))
     medium, stream, out = prepare(str(path), spec).medium, folder / "rest.touch", folder / "tracks.npz"
-    # encodes the pose only, at the placement fitted to all frames
+    # encode the pose only, with the placement fitted to all frames
     encode(str(path), stream, replace(spec, frames=(rest, rest + 1), fit_frames=(first, stop)))
     tracks = tracks_of(stream, out, Motion(path, None, (first, stop), rest))
     return Moving(list(medium), medium[SIDE], read_deformation(out), tracks.figures["rms_mm"] / 1e3)
 
 
 def deformation_errors(moving: Moving, folder: Path) -> Figures:
-    """Errors of the deformed field against the fields of each frame, and bytes."""
+    """Compare the deformed field with that of each frame; return errors and bytes."""
     frames, rest, bent, rms_m = moving
     grid = rest.grid
     sampler = FieldSampler(HapticMedium.from_frames([rest], bent.rate_hz), deformation=bent)
@@ -146,21 +160,21 @@ def deformation_errors(moving: Moving, folder: Path) -> Figures:
 
 
 def random_map(size_m: float = 0.0008) -> Deformation:
-    """Control points with random displacements."""
+    """Return control points with random displacements."""
     lattice = Deformation.at_rest((-0.02,) * 3, (0.02,) * 3)
     u = np.random.default_rng(3).normal(size=lattice.displacement_m.shape) * size_m
     return replace(lattice, displacement_m=u)
 
 
 def spring() -> HapticMedium:
-    """F = M x, whose potential is a square."""
+    """Return a field F = M x, whose potential is quadratic."""
     grid = Grid((61, 61, 61), (0.001,) * 3, (-0.03,) * 3)
     at = np.stack(np.meshgrid(*(grid.axis_m(a) for a in range(3)), indexing="ij"), axis=-1)
     return HapticMedium.from_frames([ForceField.from_dense(grid, (at @ MATRIX).astype(np.float32))], 1.0)
 
 
 def loop_work(bent: Deformation) -> float:
-    """Work around rectangles over the work of |F| along them, the worst of 20.
+    """Return the work around a rectangle over that of |F| along it, the worst of 20.
 
     The pieces of the quadrature end at the boundaries of cells.
     """
@@ -198,7 +212,7 @@ def loop_work(bent: Deformation) -> float:
 
 
 def slope(bent: Deformation, p: Float64s, axis: int) -> Float64s:
-    """du/dx along an axis, by the sampler's own formula in NumPy."""
+    """Return du/dx along an axis, by the sampler's own formula in NumPy."""
     from touchfield.medium.deformation import _basis
 
     shape = np.array(bent.displacement_m.shape[1:4])
@@ -216,7 +230,7 @@ def slope(bent: Deformation, p: Float64s, axis: int) -> Float64s:
 
 
 def exact() -> Figures:
-    """Errors of the identity, of an affine map, of the sampler against NumPy, and loop work."""
+    """Return errors for the identity, an affine map and the formula, and loop work."""
     medium, bent = spring(), random_map()
     p = np.random.default_rng(5).uniform(-0.018, 0.018, (20_000, 3))
     zero = np.zeros(len(p))
@@ -242,7 +256,7 @@ def exact() -> Figures:
 
 
 def queries() -> Figures:
-    """Microseconds of a call from Python, with and without deformation."""
+    """Time a call from Python with and without deformation, microseconds."""
     p, rows = np.random.default_rng(6).uniform(-0.018, 0.018, (QUERIES, 3)).tolist(), {}
     for name, bent in (("plain", None), ("bent", random_map())):
         at = FieldSampler(spring(), deformation=bent).at
@@ -261,7 +275,7 @@ def queries() -> Figures:
 
 
 def press_cases(every: int) -> Figures:
-    """The cases of `bench_stability` on walls that yield."""
+    """Run the cases of `bench_stability` on walls that yield."""
     rows = []
     for stiffness in hands.WALLS:
         soft = Deformation.at_rest(
@@ -286,7 +300,7 @@ def press_cases(every: int) -> Figures:
 
 
 def measure(nw: int, every: int) -> Figures:
-    """Exactness, queries, stability and errors."""
+    """Measure exactness, queries, stability and errors."""
     figures: dict[str, Any] = {
         "exact": exact(),
         "queries": queries(),
@@ -306,7 +320,7 @@ def measure(nw: int, every: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Limits on exactness, time, error, bytes and stability."""
+    """Limit errors, query time, bytes, limit cycles and energy."""
     rows, contacts = figures["carried"].values(), figures["hands"]
     return [
         at_most("identity: values of other bits", figures["exact"]["identity_bits_off"], 0),

@@ -1,10 +1,14 @@
-"""Depth map (640 x 480) to sparse force field, against numpy and NVIDIA Warp on the CPU.
+"""Depth map to sparse force field, against NumPy and NVIDIA Warp on the CPU.
 
     python bench/bench_depth.py [--quick] [--large N]
 
-touchfield is timed as a whole and uncached (noise step, normals, culling, forces). numpy and Warp receive the
-finished planes and fill the dense lattice by the same formula; their results are compared with touchfield's.
-Times are wall time. The large lattice is measured for touchfield only, in a separate process.
+The depth map (640 x 480 pixels) shows a synthetic room. touchfield is timed as a whole and without any cache:
+noise step, normals, culling and forces. NumPy and Warp receive the finished tangent planes and fill the dense
+lattice by the same formula, on 128^3 and 256^3 samples; their fields are compared with touchfield's. Times
+are wall times.
+
+A large lattice of `--large`^3 samples is measured for touchfield only, in a separate process, to record its
+peak memory.
 """
 
 from __future__ import annotations
@@ -34,7 +38,10 @@ BALLS = (((-0.3, 0.2, 1.6), 0.35), ((0.45, 0.3, 1.9), 0.3), ((0.1, -0.35, 1.4), 
 
 
 class IndoorSequence(DepthSequence):
-    """A wall, a floor and three balls, with a sensor's noise and 2 % of holes; always the same."""
+    """A wall, a floor and three balls, with sensor noise and 2 % of holes.
+
+    The noise is seeded, so the map is the same in every run.
+    """
 
     def __init__(self) -> None:
         self.name, self.rate_hz, self.frame_count = "room", 30.0, 1
@@ -59,14 +66,14 @@ class IndoorSequence(DepthSequence):
 
 
 def wall(grid: Grid) -> ForceProfile:
-    """A penalty wall eight samples thick that saturates half way in."""
+    """Return a penalty wall eight samples thick whose force saturates half way in."""
     thickness = 8 * max(grid.spacing_m)
     knee = thickness / 2
     return ForceProfile(((-thickness, -knee, 3.3, 0.0), (-knee, 0.0, 0.0, -3.3 / knee)))
 
 
 def with_numpy(surface: SurfacePlanes, grid: Grid, profile: ForceProfile) -> np.ndarray:
-    """The dense field, float32 [nx, ny, nz, 3], in camera coordinates."""
+    """Compute the dense field, float32 [nx, ny, nz, 3], in camera coordinates."""
     height, width = surface.size_px
     fx, fy, cx, cy = surface.camera_px
     x, y, z = np.ix_(*(grid.axis_m(a).astype(np.float32) for a in range(3)))
@@ -89,7 +96,10 @@ def with_numpy(surface: SurfacePlanes, grid: Grid, profile: ForceProfile) -> np.
 
 
 def warp_caller(surface: SurfacePlanes, grid: Grid, profile: ForceProfile) -> Callable[[], np.ndarray]:
-    """The same as one Warp kernel over the dense lattice, on the CPU; two pieces of profile."""
+    """Return a call of one Warp kernel that fills the dense lattice on the CPU.
+
+    The force profile has two pieces.
+    """
     wp: Any = import_module("warp")
     wp.config.quiet = True
     wp.init()
@@ -146,7 +156,7 @@ def warp_caller(surface: SurfacePlanes, grid: Grid, profile: ForceProfile) -> Ca
 
 
 def differing_fraction(field: ForceField, dense: np.ndarray) -> float:
-    """Fraction of samples that differ by more than 0.01 N.
+    """Return the fraction of samples that differ by more than 0.01 N.
 
     They come from rounding at pixel borders and at the faces of the wall.
     """
@@ -154,12 +164,15 @@ def differing_fraction(field: ForceField, dense: np.ndarray) -> float:
 
 
 def by_itself(n: int) -> Figures:
-    """A field of n^3 samples over the bounds of the scene; run it in a separate process."""
+    """Compute a field of n^3 samples over the bounds of the scene, and measure it.
+
+    Run it in a separate process: the peak memory is that of the process.
+    """
     scene = DepthScene(IndoorSequence())
     low_m, high_m = scene.bounds_m()
     grid = Grid.over_box(low_m, high_m, (n, n, n))
     profile = wall(grid)
-    scene.field(0, Grid.over_box(low_m, high_m, (16, 16, 16)), profile)  # compiled code is loaded
+    scene.field(0, Grid.over_box(low_m, high_m, (16, 16, 16)), profile)  # load the compiled code
     start = perf_counter()
     field = DepthScene(scene.sequence).field(0, grid, profile)
     elapsed_ms = (perf_counter() - start) * 1e3
@@ -176,7 +189,7 @@ def by_itself(n: int) -> Figures:
 
 
 def compare(sequence: IndoorSequence, n: int) -> Figures:
-    """touchfield and the peers on an n^3 lattice."""
+    """Time touchfield and the peers on an n^3 lattice, and compare their fields."""
     grid = Grid.over_box(LOW_M, HIGH_M, (n, n, n))
     profile = wall(grid)
     field = DepthScene(sequence).field(0, grid, profile)
@@ -196,7 +209,7 @@ def compare(sequence: IndoorSequence, n: int) -> Figures:
 
 
 def measure(large: int) -> Figures:
-    """Rows of both lattices, and of the large one."""
+    """Measure both lattices, and the large one."""
     sequence = IndoorSequence()
     figures: dict[str, Any] = {f"{n}^3": compare(sequence, n) for n in (128, 256)}
     program = f"import json, bench_depth; print(json.dumps(bench_depth.by_itself({large})))"
@@ -208,7 +221,7 @@ def measure(large: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Faster than numpy and Warp, the same field, and a memory limit for the large lattice."""
+    """Require more speed than NumPy and Warp and equal fields; limit the memory."""
     rows = {
         f"{n}^3 {peer}": figure(figures, f"{n}^3", peer) for n in (128, 256) for peer in ("numpy", "warp")
     }

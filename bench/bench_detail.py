@@ -1,13 +1,22 @@
-"""Levels of detail: mask violations, holes and peaks, against a low-pass and signed depth.
+"""Levels of detail against a low-pass pyramid: mask violations, holes and peaks.
 
     python bench/bench_detail.py [--nw N] [--quick]
 
-Each level is interpolated linearly at the samples of level 0, as a receiver renders it. "low-pass" is the
-usual pyramid: cell means by `resample`, level by level. "signed depth" continues |F| below zero in front of
-the surface with the median slope of the field, and clips at zero after the interpolation; it would need
-support in every receiver. "beyond": voxels outside max(F_0, k |F|) over the supported voxels of level 0, k
-0.1, F_0 0.05 N. "holes": columns along the main direction of the force in which a fifth of the peak or less
-remains. "peak": median over the columns of the fraction of the peak that remains.
+Each level is interpolated linearly at the samples of level 0, as a receiver renders it, and compared with
+level 0. Three ways to build the levels are compared:
+
+* kept samples: `touchfield.filters.pyramid`.
+* low-pass: the usual pyramid, cell means by `resample`, level by level.
+* signed depth: |F| continues below zero in front of the surface with the median slope of the field, and is
+  clipped at zero after the interpolation. It would need support in every receiver.
+
+The figures are:
+
+* beyond: voxels whose error exceeds max(F_0, k |F|), over the supported voxels of level 0; k = 0.1, F_0 =
+  0.05 N.
+* holes: fraction of the columns along the main direction of the force in which a fifth of the peak or less
+  remains.
+* peak: median over the columns of the fraction of the peak that remains.
 """
 
 from __future__ import annotations
@@ -30,12 +39,12 @@ Float64s = NDArray[np.float64]
 
 
 def lengths(forces_n: Float64s) -> Float64s:
-    """|F|, along the last axis."""
+    """Return |F| along the last axis."""
     return np.asarray(np.sqrt((forces_n**2).sum(axis=-1)))
 
 
 def low_pass(field: ForceField) -> list[ForceField]:
-    """The usual pyramid: cells of two samples along each axis."""
+    """Return the usual pyramid, whose cells take two samples along each axis."""
     levels = [field]
     for _ in range(LEVELS):
         grid = levels[-1].grid
@@ -47,7 +56,10 @@ def low_pass(field: ForceField) -> list[ForceField]:
 
 
 def signed(field: ForceField, level: int) -> Float64s:
-    """Level 0 from the signed depth and direction of every 2^level-th sample, float64 [x, y, z, 3]."""
+    """Interpolate level 0 from signed depth and direction, float64 [x, y, z, 3].
+
+    Every 2^level-th sample along each axis is used.
+    """
     forces, h = field.to_dense().astype(np.float64), np.asarray(field.grid.spacing_m)
     size = lengths(forces)
     supported = size > 0
@@ -70,7 +82,7 @@ def signed(field: ForceField, level: int) -> Float64s:
 
 
 def losses(original: Float64s, rendered: Float64s) -> Figures:
-    """Violations, NMSE, holes and peaks of a rendered level."""
+    """Return violations, NMSE, holes and peaks of a rendered level."""
     size, error = lengths(original), lengths(rendered - original)
     beyond = error > np.maximum(F0_N, K * size) * (1 + 1e-6)
     axis = int(np.abs(original).sum(axis=(0, 1, 2)).argmax())
@@ -85,7 +97,7 @@ def losses(original: Float64s, rendered: Float64s) -> Figures:
 
 
 def measure(nw: int) -> Figures:
-    """A row for each source, level and method."""
+    """Measure each source, level and method."""
     rows: dict[str, Figures] = {}
     fox = SHARED / "meshes" / "fox" / "Fox.glb"
     for source in (*SOURCES, *((str(fox),) if fox.is_file() else ())):
@@ -105,7 +117,7 @@ def measure(nw: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Better than the low-pass on every source."""
+    """Require fewer violations and holes and higher peaks than the low-pass."""
     rows = figures["levels"]
     pairs = [(row, rows[key.replace(OURS, LOW_PASS)], key) for key, row in rows.items() if key.endswith(OURS)]
     first = [(ours, other) for ours, other, key in pairs if "level 1" in key]

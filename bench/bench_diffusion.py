@@ -1,11 +1,14 @@
-"""Perona-Malik diffusion and force shading: dense, against numpy and medpy, and sparse.
+"""Perona-Malik diffusion and force shading, against NumPy and MedPy.
 
     python bench/bench_diffusion.py [--quick] [--samples N]
 
-Ten steps on a dense cube of 128 (or the given number of) samples with three components, and on a sphere's
-wall that fills 5 % of the same cube. The peers: the same equation in vectorised numpy, and, where it is
-installed, `medpy.filter.smoothing.anisotropic_diffusion` on each component (one conductance per component,
-which is less work than one for the vector). Each row is the best of several runs in one process.
+Perona-Malik diffusion takes ten steps on a dense cube of `--samples`^3 samples (128^3) with three components,
+and on the wall of a sphere that fills 5 % of the same cube. Force shading is timed on the wall.
+
+The peers filter the dense cube: the same equation in vectorised NumPy and, if it is installed,
+`medpy.filter.smoothing.anisotropic_diffusion` on each component. MedPy computes one conductance for each
+component, which is less work than one conductance for the vector. Each row is the best of several runs in one
+process.
 """
 
 from __future__ import annotations
@@ -26,7 +29,7 @@ Floats = NDArray[np.float32]
 
 
 def in_numpy(values: Floats) -> Floats:
-    """The equation of `touchfield.filters.shading`, float32, in whole arrays."""
+    """Apply the equation of `touchfield.filters.shading` to whole arrays, float32."""
     u = values.copy()
     for _ in range(STEPS):
         change = np.zeros_like(u)
@@ -41,7 +44,7 @@ def in_numpy(values: Floats) -> Floats:
 
 
 def medpy_row(dense: Floats) -> Callable[[], object] | None:
-    """A call of medpy, if it is installed."""
+    """Return a call of MedPy; None if it is not installed."""
     try:
         from medpy.filter.smoothing import anisotropic_diffusion
     except ImportError:
@@ -51,7 +54,7 @@ def medpy_row(dense: Floats) -> Callable[[], object] | None:
 
 
 def measure(samples: int) -> Figures:
-    """All filters, and the installed peers."""
+    """Time all filters and the installed peers."""
     normal = np.random.default_rng(0).normal(size=(samples, samples, samples, 3))
     dense = normal.astype(np.float32) / np.float32(5)
     field = shell(samples, 0.3735, 0.4)
@@ -76,7 +79,7 @@ def measure(samples: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Faster than the fastest peer with the same result, and the sparse wall at a camera's rate."""
+    """Require more speed than the peers, equal values, and the wall at 30 frames/s."""
     rows = figures["rows"]
     ours = figure(rows, f"perona_malik, dense {figures['samples']}^3 x 3", "min_ms")
     peers = [row["min_ms"] for name, row in rows.items() if name.startswith("peer")]

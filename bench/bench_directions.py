@@ -1,8 +1,11 @@
-"""Quantisation of directions and amplitudes: look-up tables against brute force (paper 5.2).
+"""Quantisation of directions and amplitudes (paper 5.2), against NumPy.
 
     python bench/bench_directions.py [--quick] [--count N]
 
-Each figure is the best of several repetitions, after one that compiles and warms.
+The nearest direction of a codebook is found by an exact table and, as the peer, by the largest dot product
+over all vertices. Amplitudes are quantised by a table and, as the peer, by `numpy.searchsorted`. The deadband
+gates are timed alone. The inputs are `--count` random forces, a smooth path of forces, and two thirds as many
+random amplitudes. Each figure is the best of several repetitions, after one that compiles.
 """
 
 from __future__ import annotations
@@ -20,27 +23,27 @@ from touchfield.perception.weber import READINGS, gate, gate_in_time
 
 
 def best_ms(job: Callable[[], Any], runs: int) -> float:
-    """Milliseconds of the fastest run."""
+    """Return the milliseconds of the fastest run."""
     return timed(job, runs)["min_ms"]
 
 
 def rate_m(job: Callable[[], Any], count: int, runs: int = 15) -> float:
-    """Millions of items a second."""
+    """Return millions of items per second."""
     return count / timed(job, runs)["min_ms"] / 1e3
 
 
 def brute_force(vertices: np.ndarray, forces: np.ndarray) -> Any:
-    """The nearest vertex by the largest product, in numpy."""
+    """Find the nearest vertex by the largest dot product, in NumPy."""
     return (forces @ vertices.T).argmax(axis=1)
 
 
 def by_weber(k: float, values: np.ndarray) -> AmplitudeLevels:
-    """The levels of a ladder up to the largest value."""
+    """Return the levels of a Weber ladder up to the largest value."""
     return weber_levels(weber_ladder(k, float(values.max())))
 
 
 def directions(random: np.ndarray, smooth: np.ndarray) -> dict[str, Any]:
-    """Nearest vertex: exact table, and brute force in numpy."""
+    """Time the nearest vertex by the exact table and by brute force in NumPy."""
     found = {}
     for name in ("ico3", "ico5", "octa3", "ico8", "ico20"):
         codebook = Codebook.get(name)
@@ -55,7 +58,7 @@ def directions(random: np.ndarray, smooth: np.ndarray) -> dict[str, Any]:
 
 
 def amplitudes(values: np.ndarray) -> dict[str, Any]:
-    """Training, and quantising."""
+    """Time fitting and quantising of each amplitude quantiser."""
     found = {}
     makers: dict[str, Callable[[np.ndarray], AmplitudeLevels]] = {
         f"lloyd-max nq={nq}": partial(lloyd_max_levels, nq=nq) for nq in (4, 6, 8, 12)
@@ -76,7 +79,10 @@ def amplitudes(values: np.ndarray) -> dict[str, Any]:
 
 
 def deadbands(smooth: np.ndarray) -> dict[str, Any]:
-    """Gates along a scan that sends about 40 % of the samples, the worst case for branch prediction."""
+    """Time the deadband gates along a scan.
+
+    About 40 % of the samples are sent, the worst case for branch prediction.
+    """
     rng = np.random.default_rng(2)
     scan = (smooth * (1 + 0.08 * rng.normal(size=(len(smooth), 1)))).astype(np.float32)
     found = {}
@@ -91,7 +97,7 @@ def deadbands(smooth: np.ndarray) -> dict[str, Any]:
 
 
 def measure(count: int) -> Figures:
-    """Directions, amplitudes and gates."""
+    """Measure directions, amplitudes and gates."""
     rng = np.random.default_rng(0)
     random = rng.normal(size=(count, 3)).astype(np.float32)
     at = np.linspace(0, 20, count)
@@ -105,7 +111,7 @@ def measure(count: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Faster look-ups than numpy, and each step on a dense 128^3 frame in 1/30 s."""
+    """Require more speed than NumPy, and each step on a dense 128^3 frame in 1/30 s."""
     rows, levels = figures["directions"], figures["amplitudes"].values()
     brute = min(row["random_m_per_s"] / row["brute_force_numpy_m_per_s"] for row in rows.values())
     search = [

@@ -1,10 +1,12 @@
-"""Lossless coders: throughput of Huffman and hold runs, throughput and bytes of the support.
+"""Lossless coding: Huffman codes, hold runs, and supports against zlib and LZMA.
 
     python bench/bench_entropy.py [--quick] [--symbols N]
 
-Supports: those of the bands and heights of `rate.py` at 128^3 samples, and always six spheres' walls, smooth
-and with a rough edge. Peers: the mask as bits, by zlib -9 and lzma. Times are the best of several, on one
-thread.
+Huffman codes and hold runs are timed on `--symbols` random symbols. A support, the set of samples that have a
+force, is coded for the band and height fields of `rate.py` at 128^3 samples (alone, and given the frame
+before) and for the walls of six spheres, once smooth and once with a rough edge. The peers of the support
+code are zlib -9 and LZMA on the mask packed into bits; only bytes are compared. Times are the best of several
+runs, on one thread.
 """
 
 from __future__ import annotations
@@ -33,7 +35,7 @@ GRID = Grid((SAMPLES,) * 3, (1e-3,) * 3, (0, 0, 0))
 
 
 def best_ms(job: Callable[[], object]) -> float:
-    """Wall time of the fastest of several runs, milliseconds."""
+    """Return the wall time of the fastest of several runs, milliseconds."""
     return timed(job, runs=9)["min_ms"]
 
 
@@ -41,12 +43,15 @@ def best_ms(job: Callable[[], object]) -> float:
 
 
 def fit(symbols: NDArray[np.uint16], count: int) -> Any:
-    """The code of the counts of symbols below `count`."""
+    """Fit a code to the counts of symbols below `count`."""
     return fitted_code(np.bincount(symbols, minlength=count))
 
 
 def plain_rates(count: int) -> dict[str, dict[str, float]]:
-    """Msym/s of plain streams: alphabets like those of levels, of 258 directions, and of 4000."""
+    """Time Huffman codes on random symbols, Msym/s.
+
+    The alphabets have the sizes of amplitude levels, of 258 directions, and of 4000 symbols.
+    """
     rng = np.random.default_rng(1)
     rows = {}
     for n, spread in ((64, 8), (258, 60), (4000, 700)):
@@ -65,7 +70,7 @@ def plain_rates(count: int) -> dict[str, dict[str, float]]:
 
 
 def run_rates(count: int) -> dict[str, dict[str, float]]:
-    """Msample/s of levels and hold runs, a fifth and half of the samples sent."""
+    """Time levels with hold runs, a fifth and half of the samples sent, Msample/s."""
     rng = np.random.default_rng(2)
     rows = {}
     for sent_fraction in (0.2, 0.5):
@@ -91,7 +96,10 @@ def run_rates(count: int) -> dict[str, dict[str, float]]:
 
 
 def spheres(roughness: float) -> NDArray[np.bool_]:
-    """The walls of six spheres; `roughness` is the standard deviation of the edge, samples."""
+    """Return the walls of six spheres.
+
+    `roughness` is the standard deviation of the edge, in samples.
+    """
     rng = np.random.default_rng(0)
     ijk = np.stack(np.meshgrid(*[np.arange(SAMPLES)] * 3, indexing="ij"), axis=-1)
     supported = np.zeros((SAMPLES,) * 3, np.bool_)
@@ -103,7 +111,7 @@ def spheres(roughness: float) -> NDArray[np.bool_]:
 
 
 def fields() -> Iterator[tuple[str, ForceField, ForceField | None]]:
-    """Name, field, and the frame before where there is one."""
+    """Yield name, field, and the frame before or None."""
     with tempfile.TemporaryDirectory() as scratch:
         for case in cases((7,)):
             if case.kind in ("band", "height"):
@@ -120,7 +128,10 @@ def fields() -> Iterator[tuple[str, ForceField, ForceField | None]]:
 
 
 def support_row(field: ForceField, before: ForceField | None) -> dict[str, float]:
-    """Bytes and Mbit/s of one support; a bit is a sample of a brick."""
+    """Return bytes, milliseconds and Mbit/s of one support.
+
+    A bit is a sample of a brick.
+    """
     grid, support = field.grid, (field.bricks, field.mask)
     previous = None if before is None else (before.bricks, before.mask)
     data = encode_support(grid, *support, previous)
@@ -144,13 +155,13 @@ def support_row(field: ForceField, before: ForceField | None) -> dict[str, float
 
 
 def measure(symbols: int) -> Figures:
-    """Symbols, runs and supports."""
+    """Measure symbols, runs and supports."""
     supports = {name: support_row(field, before) for name, field, before in fields()}
     return {"rows": {**plain_rates(symbols), **run_rates(symbols), **supports}}
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Supports shorter than the best peer's; supports and 128^3 symbols at 30 frames per second."""
+    """Require shorter supports than the peers, and 30 frames/s at 128^3 samples."""
     rows = figures["rows"]
     supports = {name: row for name, row in rows.items() if name.startswith("support")}
     over = [min(row["zlib_bytes"], row["lzma_bytes"]) / row["bytes"] for row in supports.values()]

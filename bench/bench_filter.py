@@ -1,10 +1,11 @@
-"""The device filter's speed: sparse bricks against scipy on the dense array.
+"""The device filter on sparse bricks, against SciPy on the dense array.
 
     python bench/bench_filter.py [--quick] [--samples N]
 
-A shell of force, 5 samples thick, in a cube of 256 (or the given number of) samples is taken to half the
-lattice, to 0.39 of it, and smoothed at its own rate. The peer is `scipy.ndimage.gaussian_filter` of the three
-components with the Gaussian of the same cut-off, then every second sample. Times are the best of several.
+The input is a shell of force, 5 samples thick, in a cube of 256^3 (or `--samples`^3) samples. It is resampled
+to half the number of samples along each axis, to 0.39 of it, and to the same number, which only smooths it.
+The peer is `scipy.ndimage.gaussian_filter` of the three components with a Gaussian of the same cut-off,
+followed by every second sample. Times are the best of several runs.
 """
 
 from __future__ import annotations
@@ -25,12 +26,12 @@ PEER = "scipy gaussian_filter, sliced, dense"
 
 
 def cube(samples: int) -> Grid:
-    """A unit cube with `samples` samples along each edge."""
+    """Return a unit cube with `samples` samples along each edge."""
     return Grid.over_box((-0.5,) * 3, (0.5,) * 3, (samples,) * 3)
 
 
 def shell(samples: int, low: float, high: float) -> ForceField:
-    """A sphere's wall in the cube, between two radii, its forces outward."""
+    """Return the wall of a sphere between two radii, with outward forces."""
     grid = cube(samples)
     x, y, z = np.meshgrid(*(grid.axis_m(n) for n in range(3)), indexing="ij", sparse=True)
     r = np.sqrt(x * x + y * y + z * z)
@@ -42,14 +43,14 @@ def shell(samples: int, low: float, high: float) -> ForceField:
 
 
 def scipy_half(dense: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The same cut-off with a Gaussian in scipy, then every second sample."""
+    """Smooth with a Gaussian of the same cut-off, and take every second sample."""
     sigma = 2 * 0.3748
     parts = [ndimage.gaussian_filter(dense[..., c], sigma, mode="constant", truncate=4.0) for c in range(3)]
     return np.stack([p[::2, ::2, ::2] for p in parts], axis=-1)
 
 
 def measure(samples: int) -> Figures:
-    """Each kernel to three lattices, the force limits, and scipy."""
+    """Time each kernel to three lattices, the force limits, and SciPy."""
     field = shell(samples, 0.37 - 5 / samples, 0.37)
     half = resample(field, cube(samples // 2))
     dense = field.to_dense()
@@ -65,7 +66,7 @@ def measure(samples: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """The default kernel at 30 frames per second, and faster than scipy."""
+    """Require 30 frames/s with the default kernel, and more speed than SciPy."""
     samples, rows = figures["samples"], figures["rows"]
     half = figure(rows, f"resample to {samples // 2}^3, spline, ms")
     limits, peer = (figure(rows, f"{name}, ms") for name in ("clip and floor", PEER))

@@ -1,12 +1,23 @@
-"""Fusion of depth sequences into a static world: temporal changes, bytes and accuracy.
+"""Fusion of depth sequences into a static world: changes, bytes, accuracy, speed.
 
     python bench/bench_fusion.py [--quick] [--frames N] [--rounds N]
 
-"then" are the figures of the first run, each frame on its own, with the coder and filter of that version. A
-voxel changes if it differs between frames by more than max(0.05 N, 0.1 |F|); voxels supported in both frames
-are counted. Newly seen voxels are counted separately: a sample of the oversampled lattice within the reach of
-the low-pass is supported that was not supported in the previous frame. Peers run in the Python interpreter
-TOUCHFIELD_PEERS (default: this one).
+The inputs are TUM fr1_rpy (a moving Kinect) and the ICL living room, as far as the optional folder of inputs
+has them. Each is encoded with every frame on its own ("frames"), fused from the frames so far ("causal"), and
+fused from all frames ("fused"):
+
+* standing: a voxel changes if its force differs between frames by more than max(0.05 N, 0.1 |F|). Voxels
+  supported in both frames are counted. Voxels that the camera sees for the first time are counted separately:
+  those within the reach of the low-pass of a sample of the oversampled lattice that became supported in this
+  frame. "then" holds the figures of the first run, with each frame on its own and the coder and filter of
+  that version.
+* speed: frames fused per second. The peers, Open3D and VDBFusion, run in the Python interpreter of the
+  environment variable TOUCHFIELD_PEERS (default: this one).
+* truth: error on a synthetic sequence whose surface is known (`fusion_truth`).
+* first_contact: error of the first contact along the rays of a frame.
+* at_rest: vibration of a hand that rests on the surface.
+
+`--frames` is the number of frames of the first test, `--rounds` the number of repetitions of the speed test.
 """
 
 from __future__ import annotations
@@ -54,12 +65,15 @@ STEP_M, FLOOR_N, LEVEL_N = 1e-4, 0.034, 1.0
 
 
 def spec_of(world: str, **more: Any) -> EncodeSpec:
-    """Default spec with this `world`, as voxels."""
+    """Return the default spec with this `world`, as voxels."""
     return EncodeSpec(source=SourceOptions(world=world), representation="voxel", **more)
 
 
 def requested_lattice(scene: DepthScene, spec: EncodeSpec) -> tuple[Grid, ForceProfile]:
-    """Lattice and force profile, scene metres, that the device filter requests from a scene."""
+    """Return the lattice and force profile that the device filter requests of a scene.
+
+    Both are in scene metres.
+    """
     requests: list[tuple[Grid, ForceProfile]] = []
 
     def record_request(frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
@@ -73,7 +87,10 @@ def requested_lattice(scene: DepthScene, spec: EncodeSpec) -> tuple[Grid, ForceP
 
 
 def spread(new: NDArray[np.bool_], fine: Grid, grid: Grid, reach_m: float) -> NDArray[np.bool_]:
-    """Samples of `grid` with a true sample of `fine` within `reach_m`; both in the same metres."""
+    """Return the samples of `grid` with a true sample of `fine` within `reach_m`.
+
+    Both lattices are in the same metres.
+    """
     for axis in range(3):
         at = (grid.axis_m(axis) - fine.origin_m[axis]) / fine.spacing_m[axis]
         reach, size = reach_m / fine.spacing_m[axis], new.shape[axis]
@@ -84,7 +101,7 @@ def spread(new: NDArray[np.bool_], fine: Grid, grid: Grid, reach_m: float) -> ND
 
 
 def standing(name: str, world: str, frames_bytes: int | None, count: int) -> Row:
-    """The change from frame to frame of the first `count`, and the bytes."""
+    """Return the changes between the first `count` frames, and the bytes."""
     spec = spec_of(world, nw=6, frames=(0, count))
     with tempfile.TemporaryDirectory() as folder:
         done = encode(str(FOLDERS[name]), Path(folder) / "it.touch", spec)
@@ -125,9 +142,9 @@ def standing(name: str, world: str, frames_bytes: int | None, count: int) -> Row
 
 
 def first_contact() -> Row:
-    """Error of the first contact of rays of ICL frame 0 with the filtered fused field, hand mm.
+    """Return the error of the first contact along rays of ICL frame 0, hand mm.
 
-    The contact is moved back by |F| / K and compared with the depth.
+    The field is fused and filtered. The contact is moved back by |F| / K and compared with the depth.
     """
     prepared = prepare(str(FOLDERS[ICL]), spec_of("fused"))
     field, placement = prepared.medium[0], prepared.placement
@@ -154,21 +171,27 @@ def first_contact() -> Row:
 def _first_hit_m(
     field: ForceField, start_m: NDArray[Any], rays: NDArray[Any], level_n: float, max_distance_m: float
 ) -> NDArray[np.float64]:
-    """Metres along each ray to the surface, from the first |F| of `level_n`; NaN without a hit."""
+    """Return metres along each ray to the surface, from the first |F| of `level_n`.
+
+    NaN where a ray meets no such force.
+    """
     found, open_ = np.full(len(rays), np.nan), np.arange(len(rays))
     for way_m in np.arange(0.0, max_distance_m, STEP_M):
         forces = field.sample_n(start_m + way_m * rays[open_]).astype(np.float64)
         size = np.linalg.norm(forces, axis=1)
         hit = size >= level_n
         hit_rays, at = rays[open_[hit]], forces[hit] / size[hit, None]
-        facing = np.maximum(-(at * hit_rays).sum(axis=1), 0.1)  # a grazing plane is far along the ray
+        facing = np.maximum(-(at * hit_rays).sum(axis=1), 0.1)  # limits the correction on grazing planes
         found[open_[hit]] = way_m - size[hit] / EncodeSpec().stiffness_n_per_m / facing
         open_ = open_[~hit]
     return found
 
 
 def at_rest(name: str) -> Row:
-    """Vibration (40 to 400 Hz, mN rms) of a hand at rest on the surface while the stream loops."""
+    """Return the vibration of a hand at rest while the stream loops, mN rms.
+
+    The hand rests on the surface; the band is 40 to 400 Hz.
+    """
     row: Row = {"sequence": name, "points": POINTS, "seconds": REST_S}
     points = None
     for world in ("fused", "frames"):
@@ -202,9 +225,9 @@ def at_rest(name: str) -> Row:
 
 
 def speed(name: str, rounds: int) -> Row:
-    """Frames fused per second at n_w 7, from files and from memory, and the volume's bytes.
+    """Return frames fused per second at n_w 7, and the bytes of the volume.
 
-    Peers read from memory.
+    Frames are read from files and from memory; the peers read from memory.
     """
     scene: Any = open_source(str(FOLDERS[name]), SourceOptions())
     fine, law = requested_lattice(scene, spec_of("fused"))
@@ -267,7 +290,7 @@ def speed(name: str, rounds: int) -> Row:
 
 
 def measure(frames: int, rounds: int) -> Row:
-    """All figures of the sequences that are installed."""
+    """Measure the available sequences."""
     present = [name for name, folder in FOLDERS.items() if folder.is_dir()]
     rows: list[Row] = []
     for name in present:
@@ -289,7 +312,7 @@ def measure(frames: int, rounds: int) -> Row:
 
 
 def bars(figures: Row) -> list[Bar]:
-    """A static world in a quarter of the bytes, accurate, faster than the peers and the camera."""
+    """Require a static world in a quarter of the bytes, accuracy, and speed."""
     found: list[Bar] = []
     for row in figures["standing"]:
         name, world = f"{row['sequence']}, {row['world']}", row["world"]

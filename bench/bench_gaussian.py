@@ -1,11 +1,16 @@
-"""Gaussian smoothing (sigma 2 samples, radius 8): dense 256^3 vectors, and 2 % support.
+"""Gaussian smoothing (sigma 2 samples, radius 8), against SciPy and OpenCV.
 
     python bench/bench_gaussian.py [--quick] [--samples N]
 
-The peers smooth the dense float32 array: `scipy.ndimage.gaussian_filter`; `scipy.fft` on all cores, periodic
-and without padding, which favours it; and OpenCV, plane by plane and then across planes, with one thread per
-core. Each is checked against touchfield with its own boundary. Peers and touchfield run alternately, and the
-fastest run of each counts.
+The inputs are a dense field of 256^3 (or `--samples`^3) random vectors, and two sparse fields that support 2
+% of the lattice: the wall of a sphere and a ball. The peers smooth the dense float32 array:
+
+* `scipy.ndimage.gaussian_filter`.
+* `scipy.fft` on all cores, periodic and without padding, which favours it.
+* OpenCV, each plane first and then across planes, with one thread per core.
+
+Each peer is checked against touchfield with the peer's boundary condition. Peers and touchfield run
+alternately, and the fastest run of each counts.
 """
 
 from __future__ import annotations
@@ -33,11 +38,15 @@ Dense = NDArray[np.float32]
 
 
 def by_ndimage(dense: Dense) -> Dense:
+    """Smooth with `scipy.ndimage`, reflecting boundary."""
     return np.asarray(ndimage.gaussian_filter(dense, (SIGMA, SIGMA, SIGMA, 0), mode="reflect"))
 
 
 def by_fft(dense: Dense) -> Dense:
-    """Periodic: one product in the frequency domain, the kernel's spectrum being known."""
+    """Smooth periodically by one product in the frequency domain.
+
+    The spectrum of the kernel is computed from its taps.
+    """
     taps, shape = gaussian_taps(SIGMA), dense.shape[:3]
     gains = []
     for count in shape:
@@ -52,8 +61,9 @@ def by_fft(dense: Dense) -> Dense:
 
 
 def by_opencv(pool: ThreadPoolExecutor) -> Callable[[Dense], Dense]:
-    """`sepFilter2D` (`GaussianBlur` is slower); each plane of y, z first, then along x over blocks of
-    columns.
+    """Return a call of `cv2.sepFilter2D`, which is faster than `GaussianBlur`.
+
+    It smooths each plane of y and z first, then along x over blocks of columns.
     """
     import cv2
 
@@ -79,7 +89,7 @@ def by_opencv(pool: ThreadPoolExecutor) -> Callable[[Dense], Dense]:
 
 
 def sparse_fields(samples: int) -> dict[str, ForceField]:
-    """A sphere's wall 5 samples thick and a ball, each 2 % of the lattice."""
+    """Return a sphere's wall, 5 samples thick, and a ball, each 2 % of the lattice."""
     middle, half = np.sqrt(0.02 * samples / (4 * np.pi * 5)), 2.5 / samples
     return {
         "wall": shell(samples, middle - half, middle + half),
@@ -88,7 +98,7 @@ def sparse_fields(samples: int) -> dict[str, ForceField]:
 
 
 def best_ms(jobs: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
-    """The fastest run of each job, milliseconds, the jobs taking turns."""
+    """Run the jobs alternately; return the milliseconds of the fastest run of each."""
     best = dict.fromkeys(jobs, np.inf)
     for _ in range(rounds):
         for name, job in jobs.items():
@@ -99,7 +109,7 @@ def best_ms(jobs: dict[str, Callable[[], object]], rounds: int) -> dict[str, flo
 
 
 def measure(samples: int) -> Figures:
-    """Peers and ours, checked against each other and timed in turn."""
+    """Check peers and touchfield against each other, and time them alternately."""
     dense = np.random.default_rng(0).normal(size=(samples, samples, samples, 3)).astype(np.float32)
     pool = ThreadPoolExecutor(worker_count())
     peers: dict[str, tuple[Callable[[Dense], Dense], str]] = {
@@ -137,7 +147,7 @@ def measure(samples: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Dense as fast as the fastest peer, sparse ten times as fast, with equal values."""
+    """Require the speed of the fastest peer (ten times if sparse), and equal values."""
     rows = figures["rows_ms"]
     fastest = min(ms for name, ms in rows.items() if not name.startswith("touchfield"))
     over = {name: fastest / ms for name, ms in rows.items()}

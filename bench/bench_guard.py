@@ -1,16 +1,19 @@
-"""Regression guard: processor time of each kernel over that of a frozen reference loop.
+"""Regression guard: processor time of each kernel relative to a frozen loop.
 
     python bench/bench_guard.py [--quick] [--only NAME,NAME] [--store]
 
-The kernel and the frozen loop (`reference.kernels`) run alternately on one thread. Each run of the kernel is
-divided by the mean of the frozen loop's runs before and after it, in processor time, so that neither other
-processes nor a slower machine change the median of these ratios much. A ratio that looks too large is
-measured for up to `TRIES` times as long, and then in up to `PROCESSES` other processes, which removes noise.
-A ratio above `MARGIN` times the stored one is a failure, with exit status 1, in quick runs too.
+A kernel and its frozen loop (`reference.kernels`) run alternately on one thread. The processor time of each
+run of the kernel is divided by the mean of the frozen loop's runs before and after it. The median of these
+ratios depends little on other processes or on the speed of the machine.
 
-`--store` stores the ratios of this run as the new reference (after a kernel has become faster, or slower on
-purpose). Ratios are stored per processor model, because they differ between models. On a model without stored
-ratios they are shown and none is a failure; `--store` adds the model.
+A ratio above `MARGIN` times the stored one is measured for up to `TRIES` times as long, and then in up to
+`PROCESSES` other processes, which removes noise. If it is still above the limit, the benchmark fails with
+exit status 1, in quick runs too.
+
+`--only` selects groups of kernels. `--store` stores the ratios of this run as the new reference, after a
+kernel has become faster, or slower on purpose. Ratios are stored for each processor model, because they
+differ between models. On a model without stored ratios they are shown and not judged; `--store` adds the
+model.
 """
 
 from __future__ import annotations
@@ -57,10 +60,13 @@ from touchfield.sources.mesh.mesh_scene import MeshScene
 from touchfield.sources.scene import find_bricks_by_block
 
 MARGIN = 1.15
-"""Maximal ratio over the stored one: a third slower is 1.33, noise is a few hundredths."""
+"""Largest allowed ratio over the stored one.
+
+A kernel that is a third slower has 1.33; noise is a few hundredths.
+"""
 TRIES, PROCESSES = 4, 3
 ROUNDS = {True: 15, False: 60}
-"""Runs of each of a pair, quickly and else."""
+"""Runs of each of a pair, in quick runs (True) and otherwise."""
 SIGMA = 2.0
 
 
@@ -72,12 +78,12 @@ class Pair(NamedTuple):
 
     @classmethod
     def of(cls, ours: Callable[[], Any], reference: Callable[[], Any]) -> Pair:
-        """Pair of the clocks of two whole calls."""
+        """Return the pair of clocks of two whole calls."""
         return cls(call_clock(ours), call_clock(reference))
 
 
 def depth_pairs() -> dict[str, Pair]:
-    """Tangent planes of an image, the bricks within their reach, and the forces in these."""
+    """Pairs for a depth image: tangent planes, search for bricks, and forces."""
     sequence, grid = IndoorSequence(), Grid.over_box(LOW_M, HIGH_M, (128, 128, 128))
     prepared_scene, image = DepthScene(sequence), sequence.depth_m(0)
     step_per_m = prepared_scene._noise_step_per_m()
@@ -105,7 +111,7 @@ def depth_pairs() -> dict[str, Pair]:
 
 
 def mesh_pairs() -> dict[str, Pair]:
-    """A band from triangles, and from a mesh whose tree is already built."""
+    """Pairs for the band of a mesh, with and without building the tree."""
     vertices, faces = bumpy(4)
     grid = Grid.over_box((-1.0,) * 3, (1.0,) * 3, (128, 128, 128))
     width = BAND * grid.spacing_m[0]
@@ -124,7 +130,7 @@ def mesh_pairs() -> dict[str, Pair]:
 
 
 def gaussian_pairs() -> dict[str, Pair]:
-    """A dense field, and a wall of 2 % of its samples."""
+    """Pairs for a dense field, and for a wall of 2 % of its samples."""
     side = 96
     dense = np.random.default_rng(0).normal(size=(side, side, side, 3)).astype(np.float32)
     taps = gaussian_taps(SIGMA).astype(np.float32)
@@ -141,7 +147,10 @@ def gaussian_pairs() -> dict[str, Pair]:
 
 
 def query_pairs() -> dict[str, Pair]:
-    """Forces at many points: of one frame, between two, of seven objects, and one by one."""
+    """Pairs for forces at many points.
+
+    Of one frame, between two frames, of seven objects, and their gradients.
+    """
     rng, first = np.random.default_rng(1), field()
     sampler = FieldSampler(HapticMedium.from_frames([first, first.scaled(0.5)], 1000.0))
     objects, dense = FieldSampler(scene()), first.to_dense()
@@ -162,7 +171,7 @@ def query_pairs() -> dict[str, Pair]:
 
 
 def coder_pairs() -> dict[str, Pair]:
-    """Encoding and decoding of two frames of a depth camera: whole calls, and the voxel passes."""
+    """Pairs for encoding and decoding two depth frames: whole calls, and voxel passes."""
     grid = Grid.over_box(LOW_M, HIGH_M, (48, 48, 48))
     frames = [DepthScene(IndoorSequence()).field(0, grid, wall(grid))] * 2
     symbols = (np.abs(np.random.default_rng(0).normal(0, 6, (40, 40, 40))) % 32).astype(np.uint8)
@@ -203,7 +212,7 @@ GROUPS = {
 
 
 def ratio_of(pair: Pair, rounds: int, limit: float) -> dict[str, float]:
-    """Milliseconds of both and the median of their ratios.
+    """Return the milliseconds of both, and the median of their ratios.
 
     Measures `rounds` pairs, and up to `TRIES` times as many while the ratio exceeds `limit`.
     """
@@ -220,13 +229,13 @@ def ratio_of(pair: Pair, rounds: int, limit: float) -> dict[str, float]:
 
 
 def stored_ratios() -> dict[str, dict[str, float]]:
-    """The stored ratio of each kernel, by model of processor."""
+    """Return the stored ratio of each kernel, by processor model."""
     ratios: dict[str, dict[str, float]] = stored("guard").get("stored_ratios", {})
     return ratios
 
 
 def measure(only: str, store: bool, rounds: int) -> Figures:
-    """The ratio of each kernel, beside the stored one of this model of processor."""
+    """Measure the ratio of each kernel, with the one stored for this processor model."""
     processor, ratios = machine()["processor"], stored_ratios()
     before = ratios.get(processor, {})
     rows: dict[str, Figures] = {}
@@ -264,7 +273,7 @@ def measured_again(figures: Figures, rounds: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """No ratio more than `MARGIN` above the stored one."""
+    """Require every ratio to be at most `MARGIN` times the stored one."""
     return [
         at_most(f"{name}, over the stored ratio", row["over_stored"], MARGIN)
         for name, row in figures["rows"].items()

@@ -1,9 +1,12 @@
-"""Entropy of 10^8 int16 symbols, against one read of them and numpy.bincount.
+"""Entropy of 10^8 int16 symbols, against one read of them and `numpy.bincount`.
 
     python bench/bench_information.py [--quick] [--count N]
 
-"read" is the sum of the memory as 64-bit words, once by one thread (numpy) and once by as many threads as the
-counting uses; "int16 sum" is numpy's sum of the symbols as int16. Times are the best of several runs.
+The symbols have six distributions, from 97 % zeros to all 65,536 symbols. For comparison the same memory is
+read once: "read" sums it as 64-bit words on one thread with NumPy, "read by all threads" on as many threads
+as the counting uses, and "int16 sum" with NumPy as int16. The peer is `numpy.bincount`. Histograms of other
+types and of pairs, with a tenth as many samples, are compared with `numpy.unique`. Times are the best of
+several runs.
 """
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ from touchfield.measure.information import entropy
 
 
 def sources(count: int) -> Iterator[tuple[str, NDArray[np.int16]]]:
-    """Arrays like a quantised field, like its symbols only, and harder cases."""
+    """Yield arrays like a quantised field and its non-zero symbols, and harder cases."""
     rng = np.random.default_rng(0)
     sparse = rng.integers(0, 64, count, dtype=np.int16)
     sparse[rng.random(count, dtype=np.float32) < 0.97] = 0
@@ -38,7 +41,7 @@ def sources(count: int) -> Iterator[tuple[str, NDArray[np.int16]]]:
 
 
 def row(x: NDArray[np.int16]) -> dict[str, float]:
-    """Milliseconds of one array."""
+    """Time the entropy of one array, and the comparisons, milliseconds."""
     wide, unsigned = x.view(np.uint64), x.view(np.uint16)
     measured = timed(lambda: entropy(x, interval=False), runs=15)["min_ms"]
     read = timed(lambda: wide.sum(), runs=15)["min_ms"]
@@ -56,7 +59,7 @@ def row(x: NDArray[np.int16]) -> dict[str, float]:
 
 
 def others(count: int) -> dict[str, dict[str, float]]:
-    """Other types and pairs, a tenth as many samples, beside numpy.unique."""
+    """Time histograms of other types and of pairs, against `numpy.unique`."""
     rng = np.random.default_rng(1)
     small = rng.integers(0, 100, count // 10)
     wide = rng.integers(0, 2**40, count // 1000)[rng.integers(0, count // 1000, count // 10)]
@@ -80,13 +83,13 @@ def others(count: int) -> dict[str, dict[str, float]]:
 
 
 def measure(count: int) -> Figures:
-    """Entropies, and histograms of other types."""
+    """Measure entropies, and histograms of other types."""
     rows = {name: row(x) for name, x in sources(count)}
     return {"symbols": count, "rows": rows | others(count)}
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Much faster than numpy's counting, and within a few times one read of the symbols."""
+    """Require more speed than NumPy's counting, and at most four times one read."""
     rows = figures["rows"].values()
     bincount = min(row["bincount_ms"] / row["entropy_ms"] for row in rows if "bincount_ms" in row)
     unique = min(row["unique_ms"] / row["histogram_ms"] for row in rows if "unique_ms" in row)

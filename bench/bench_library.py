@@ -1,11 +1,11 @@
-"""A library of small media: time to index a folder, against decoding alone, and to search it.
+"""A library of small media: time to index a folder and to search it.
 
     python bench/bench_library.py [--quick] [--files N]
 
-The folder holds 10,000 .touch files: balls and walls of 40 sizes, three frames in a lattice of 32^3, in 250
-copies with distinct provenance, so that none is recognised by its checksum. The decoder's time is that of
-opening every file and decoding all frames, on all cores. Decoding and indexing alternate over ten subfolders.
-Then the unchanged folder is indexed again, and searched.
+The folder has 10,000 .touch files (`--files`): balls and walls of 40 sizes, each with three frames on a
+lattice of 32^3 samples, in 250 copies. The copies differ in their provenance, so that no checksum matches.
+The time to index is compared with the time to open every file and decode all frames, on all cores; decoding
+and indexing alternate over ten subfolders. Then the unchanged folder is indexed again, and searched.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ KINDS, N = 40, 32
 
 
 def media() -> list[HapticMedium]:
-    """Balls and walls that move a little, of `KINDS` sizes."""
+    """Return balls and walls of `KINDS` sizes that move a little."""
     grid = Grid((N, N, N), (0.003,) * 3, (-0.0465,) * 3)
     x, y, z = np.meshgrid(*(grid.axis_m(n) for n in range(3)), indexing="ij")
     media_list = []
@@ -71,7 +71,7 @@ def _provenance_record(copy: str) -> bytes:
 
 
 def decode_s(folder: Path) -> float:
-    """Seconds to open and decode every file, on all cores as `index_folder` does."""
+    """Return the seconds to decode every file, on all cores as `index_folder` does."""
 
     def count_supported(path: Path) -> int:
         return sum(frame.support_count for frame in decode(path))
@@ -83,7 +83,7 @@ def decode_s(folder: Path) -> float:
 
 
 def query_times(folder: Path) -> dict[str, Any]:
-    """Milliseconds to read the index, to prepare the search, and of one query."""
+    """Return milliseconds to read the index, to prepare the search, and for one query."""
     began = perf_counter()
     library = Library.load(library_path(folder))
     read_ms, began = 1e3 * (perf_counter() - began), perf_counter()
@@ -107,7 +107,7 @@ def query_times(folder: Path) -> dict[str, Any]:
 
 
 def same_kind_fraction(folder: Path) -> float:
-    """Fraction of queries whose ten nearest media are all of the kind of the query."""
+    """Return the fraction of queries whose ten nearest media are all of the same kind."""
     index = Library.load(library_path(folder)).index()
     names = index.names[:: len(index.names) // 50]
     is_right = []
@@ -123,10 +123,10 @@ def measure(files: int) -> Figures:
         folder = Path(scratch) / "media"
         folder.mkdir()
         mean_bytes = fill_folder(folder, files)
-        index_folder(folder / "0", folder.parent / "warm.npz")  # kernels, and the disk's cache
+        index_folder(folder / "0", folder.parent / "warm.npz")  # compile kernels and fill the disk cache
         merged, pairs = Library(), []
         for part in sorted(p for p in folder.iterdir() if p.is_dir()):
-            alone_s = decode_s(part)  # in turn, for a machine that others use, too
+            alone_s = decode_s(part)  # alternate, because the load of a machine varies
             done = index_folder(part, folder.parent / f"{part.name}.npz")
             pairs.append((alone_s, done.figures["seconds"]))
             for name, row in done.library.rows.items():
@@ -144,7 +144,7 @@ def measure(files: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Indexing within twice the decoding time, fast queries, and correct neighbours."""
+    """Limit indexing to twice the decoding time; require fast, correct queries."""
     index, query = figures["index"], figures["query"]
     return [
         at_most("time to describe a folder over the decoder's own", index["times_the_decoder"], 2.0),

@@ -1,10 +1,12 @@
-"""Coding limits: throughput at 128^3, and bits of general-purpose coders.
+"""Coding limits (`measure.limits`): throughput, against bits of zlib and LZMA.
 
     python bench/bench_limits.py [--quick] [--nw N]
 
-Fields: the samples terrain and motorcycle, and three frames of the optional folder ../shared/data where it is
-there, quantised by weber:0.1/ico5. Peers: the symbols as int16 in raster order, by zlib -9 and lzma. Times
-are the best of several, on one thread; a voxel is any sample of the lattice, empty ones among them.
+The fields are the samples terrain and motorcycle, and three frames of each depth sequence of the optional
+folder ../shared/data, on 2^n_w samples along each axis, quantised by weber:0.1/ico5. The conditional entropy
+of a symbol given its three neighbours is compared with zlib -9 and LZMA on the symbols as int16 in raster
+order. The throughput counts every sample of the lattice, empty ones included. Times are the best of several
+runs, on one thread.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from touchfield.measure.limits import ContextCounter, coding_limits
 
 
 def media(nw: int) -> Iterator[tuple[str, list[FieldSymbols]]]:
-    """Name and frames."""
+    """Yield the name of each field and its quantised frames."""
     sources = {"terrain": "sample:terrain", "motorcycle": "sample:motorcycle"}
     for folder in ("rgbd_iclnuim_livingroom1", "rgbd_tum_fr1_rpy"):
         if (SHARED / folder).is_dir():
@@ -37,7 +39,7 @@ def media(nw: int) -> Iterator[tuple[str, list[FieldSymbols]]]:
 
 
 def row(frames: list[FieldSymbols]) -> dict[str, float]:
-    """Rates of the first frame, and the limits of all."""
+    """Return the throughput for the first frame, and the limits of all frames."""
     first = frames[0]
     voxels = first.voxel_count
     found: dict[str, float] = {"frames": len(frames), "support_share": first.object_count / voxels}
@@ -57,12 +59,12 @@ def row(frames: list[FieldSymbols]) -> dict[str, float]:
 
 
 def measure(nw: int) -> Figures:
-    """All fields."""
+    """Measure all fields."""
     return {"nw": nw, "rows": {name: row(frames) for name, frames in media(nw)}}
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Limits below the bits of the best peer, and 30 million voxels per second."""
+    """Require limits below the bits of the best peer, and 30 million voxels/s."""
     rows = figures["rows"].values()
     peers = [min(row["zlib_bits_a_supported"], row["lzma_bits_a_supported"]) for row in rows]
     over = [peer / row["axes_bits_a_supported"] for peer, row in zip(peers, rows, strict=True)]

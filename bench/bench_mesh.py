@@ -1,11 +1,13 @@
-"""Signed distance band of a mesh: 20,480 triangles, 256^3 samples, 4 voxels.
+"""Signed distance band of a mesh, against five libraries.
 
     python bench/bench_mesh.py [--quick] [--samples N]
 
-touchfield is timed from the triangles to the force field. Each installed peer (Warp, Open3D, libigl,
-point-cloud-utils) is timed with the construction of its search tree and evaluates exactly the samples of the
-band, with sign; it does not have to find them. OpenVDB builds the band itself, in a separate process
-(`openvdb_peer.py`; Debian's package python3-openvdb works, too). Distances and signs are compared.
+The mesh is a sphere with bumps, of 20,480 triangles, on 256^3 (or `--samples`^3) samples; the band is 4
+voxels wide on each side. touchfield is timed from the triangles to the force field. Each installed peer
+(Warp, Open3D, libigl, point-cloud-utils) is timed with the construction of its search tree, and evaluates
+exactly the samples of the band, with sign; it does not have to find them. OpenVDB builds the band itself, in
+a separate process (`openvdb_peer.py`; Debian's package python3-openvdb works, too). Distances and signs are
+compared.
 """
 
 from __future__ import annotations
@@ -31,20 +33,21 @@ from touchfield.sources.mesh.mesh_scene import MeshScene
 
 Floats = NDArray[np.floating[Any]]
 Peer = Callable[[Floats, NDArray[np.int32], Floats], Floats]
-BAND = 4  # voxels
-RUNS = 3  # of a peer
+BAND = 4  # voxels on each side of the surface
+RUNS = 3  # timed runs of a peer
 APPROXIMATE = ("point-cloud-utils", "openvdb")
-"""Peers whose distances are not exact. At some samples of its band the signs of OpenVDB differ from all
-others.
+"""Peers whose distances are not exact.
+
+At some samples of its band the signs of OpenVDB differ from all others.
 """
 OPENVDB = str(Path(__file__).with_name("openvdb_peer.py"))
 _BARE = {
     name: value for name, value in os.environ.items() if not name.startswith("PYTHON")
-}  # of another interpreter
+}  # environment for another interpreter
 
 
 def bumpy(subdivisions: int = 5) -> tuple[Floats, NDArray[np.int32]]:
-    """A sphere with bumps, 20 * 4^subdivisions triangles, within the cube from -1 to 1."""
+    """Return a sphere with bumps, of 20 * 4^subdivisions triangles, within [-1, 1]^3."""
     trimesh = import_module("trimesh")
     mesh = trimesh.creation.icosphere(subdivisions=subdivisions)
     x, y, z = np.asarray(mesh.vertices).T
@@ -55,8 +58,9 @@ def bumpy(subdivisions: int = 5) -> tuple[Floats, NDArray[np.int32]]:
 
 
 def igl(vertices: Floats, faces: NDArray[np.int32], points: Floats) -> Floats:
-    """libigl: axis-aligned box tree, sign by the pseudo-normal (with the fast winding number, distances are
-    off).
+    """Compute distances by libigl: axis-aligned box tree, sign by the pseudo-normal.
+
+    With the fast winding number, its distances are wrong.
     """
     library = import_module("igl")
     kind = library.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
@@ -65,13 +69,13 @@ def igl(vertices: Floats, faces: NDArray[np.int32], points: Floats) -> Floats:
 
 
 def point_cloud_utils(vertices: Floats, faces: NDArray[np.int32], points: Floats) -> Floats:
-    """point-cloud-utils: Embree, sign by the fast winding number."""
+    """Compute distances by point-cloud-utils: Embree, sign by the fast winding number."""
     library = import_module("point_cloud_utils")
     return np.asarray(library.signed_distance_to_mesh(points.astype(np.float64), vertices, faces)[0])
 
 
 def open3d(vertices: Floats, faces: NDArray[np.int32], points: Floats) -> Floats:
-    """Open3D: Embree, sign by the parity of a ray."""
+    """Compute distances by Open3D: Embree, sign by the parity of a ray."""
     library = import_module("open3d")
     scene = library.t.geometry.RaycastingScene()
     scene.add_triangles(
@@ -81,7 +85,10 @@ def open3d(vertices: Floats, faces: NDArray[np.int32], points: Floats) -> Floats
 
 
 def warp(vertices: Floats, faces: NDArray[np.int32], points: Floats, winds: bool = False) -> Floats:
-    """Warp on the processor: box tree, sign by the normal of the nearest point, or by the winding number."""
+    """Compute distances by Warp on the CPU, with a box tree.
+
+    The sign is that of the normal at the nearest point or, with `winds`, of the winding number.
+    """
     library = import_module("warp")
     mesh = library.Mesh(
         points=library.array(vertices.astype(np.float32), dtype=library.vec3, device="cpu"),
@@ -121,8 +128,9 @@ def _warp_kernel(library: Any, winds: bool) -> Any:
 
 @cache
 def openvdb_python() -> tuple[str, str] | None:
-    """The interpreter that has OpenVDB, this one or the system's, and the version;
-    None where neither has it.
+    """Return an interpreter that has OpenVDB, and the version; None if there is none.
+
+    This interpreter is tried first, then the system's.
     """
     for interpreter in (sys.executable, "/usr/bin/python3"):
         try:
@@ -138,8 +146,9 @@ def openvdb_python() -> tuple[str, str] | None:
 def openvdb(
     vertices: Floats, faces: NDArray[np.int32], points: Floats, runs: int
 ) -> tuple[Floats, dict[str, float]]:
-    """OpenVDB, in a process of its own: signed distances, and milliseconds of the runs without the
-    process.
+    """Run OpenVDB in a separate process; return signed distances and milliseconds.
+
+    The milliseconds are those of the runs, without the start of the process.
     """
     found = openvdb_python()
     assert found is not None
@@ -162,7 +171,7 @@ PEERS: dict[str, tuple[str, Peer]] = {
 
 
 def missing(names: Iterable[str]) -> list[str]:
-    """The peers that cannot be imported."""
+    """Return the names of the peers that cannot be imported."""
     absent = []
     for name in names:
         try:
@@ -173,7 +182,7 @@ def missing(names: Iterable[str]) -> list[str]:
 
 
 def differences(values: Floats, phi: Floats, voxel: float) -> dict[str, float]:
-    """How far a peer's signed distances are from ours."""
+    """Return how far a peer's signed distances are from touchfield's."""
     is_wrong = (values > 0) != (phi > 0)
     return {
         "largest_difference_voxels": float(np.abs(np.abs(values) - np.abs(phi)).max() / voxel),
@@ -183,11 +192,12 @@ def differences(values: Floats, phi: Floats, voxel: float) -> dict[str, float]:
 
 
 def measure(samples: int) -> Figures:
-    """Times and differences of touchfield and the peers on one mesh."""
+    """Measure times and differences of touchfield and the peers on one mesh."""
     vertices, faces = bumpy()
     grid = Grid.over_box((-1,) * 3, (1,) * 3, (samples,) * 3)
     voxel = grid.spacing_m[0]
-    law = ForceProfile(((-BAND * voxel, BAND * voxel, 2.0, 1 / (BAND * voxel)),))  # |F| tells phi
+    # |F| = 2 + phi / (BAND * voxel), so the field gives phi back
+    law = ForceProfile(((-BAND * voxel, BAND * voxel, 2.0, 1 / (BAND * voxel)),))
 
     field = MeshScene(vertices, faces).field(0, grid, law)
     points = grid.to_m(field.positions())
@@ -226,7 +236,7 @@ def measure(samples: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Twice as fast as the fastest peer, with equal signed distances."""
+    """Require twice the speed of the fastest peer, and equal signed distances."""
     peers = {name: row for name, row in figures["rows"].items() if "version" in row}
     fastest = min(column(peers, "times_touchfield"), default=None)
     exact = {name: row for name, row in peers.items() if name not in APPROXIMATE}

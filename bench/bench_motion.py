@@ -1,13 +1,18 @@
-"""Vibration of coder `touch` in a moving hand, against the vibration of the source.
+"""Vibration that coder `touch` adds for a moving and for a still hand.
 
     python bench/bench_motion.py [--quick] [--effort NAME] [--largest N]
 
-Slides: a ball and the terrain from n_w 7 to the largest (8), k 0.1, F_0 0.05 N, at 50, 100 and 200 mm/s, and
-inside the ball, where the force saturates. Figures are millinewtons from 40 to 400 Hz, and the margin to the
-threshold of a hand that holds a stylus, in the worst third of an octave. Holds: bodies at rest as voxels at
-1 kHz, and a room at 30 Hz, with the receiver's transition between segments; "decoded" is without it. "before"
-is the first coder `touch` (format version 0), measured by another script on other paths; the bytes before are
-those of the same commands.
+Slides: a simulated hand slides over a ball and over the terrain at 50, 100 and 200 mm/s. The fields are coded
+at n_w 7 up to `--largest` (8), with k = 0.1 and F_0 = 0.05 N. The figures are the vibration of the coding
+error and of the source itself from 40 to 400 Hz, in millinewtons, and the margin of the error below the
+threshold of a hand that holds a stylus, in the worst third of an octave. Another slide is inside the ball,
+where the force saturates.
+
+Holds: the hand keeps still in bodies at rest (voxels at 1 kHz) and in a room at 30 Hz, with the receiver's
+transition between segments; "decoded" is without it.
+
+"before" holds the figures of the first coder `touch` (format version 0), which another script measured on
+other paths. The bytes before are those of the same commands.
 """
 
 from __future__ import annotations
@@ -53,7 +58,7 @@ ICL_BEFORE = {"start_error_mn": 123, "error_step_mn": 30}
 def encode_and_compare(
     source: str | Scene, spec: EncodeSpec, slides: SlideSpec | None = None
 ) -> tuple[HandMotion, Encoded]:
-    """Encode a source and compare: the hand's motion figures, and the encoding."""
+    """Encode a source and compare; return the hand's motion figures and the encoding."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "it.touch"
         done = encode(source, path, spec)
@@ -61,9 +66,9 @@ def encode_and_compare(
 
 
 def inside_ball(nw: int, touch: TouchSpec) -> Figures:
-    """Error on sixteen circles of 20 mm radius inside the ball, where the force saturates.
+    """Return the error on sixteen circles of 20 mm radius inside the ball.
 
-    The hand moves at 100 mm/s; lengths are hand metres.
+    The force saturates there. The hand moves at 100 mm/s; lengths are hand metres.
     """
     rate_hz, radius_m, speed_m_s, rng = 1000.0, 0.02, 0.1, np.random.default_rng(0)
     with tempfile.TemporaryDirectory() as folder:
@@ -89,7 +94,7 @@ def inside_ball(nw: int, touch: TouchSpec) -> Figures:
 
 
 def slide_rows(name: str, nw: int, touch: TouchSpec) -> list[Figures]:
-    """One row for each speed."""
+    """Return one row for each speed."""
     found, done = encode_and_compare(SOURCES[name], EncodeSpec(nw=nw, touch=touch))
     rows = []
     for slide in found.slides:
@@ -107,14 +112,14 @@ def slide_rows(name: str, nw: int, touch: TouchSpec) -> list[Figures]:
 
 
 def hold_row(name: str, source: str, spec: EncodeSpec, before: Mapping[str, float]) -> Figures:
-    """The hold of a medium of many frames."""
+    """Return the figures of a hold on a medium of many frames."""
     found, done = encode_and_compare(source, spec, SlideSpec(paths=1, duration_s=0.25))
     assert found.hold is not None
     return {"medium": name, "bytes": done.file_bytes, "before": before, **found.hold.summary()}
 
 
 def measure(effort: str, largest: int) -> Figures:
-    """Slides and holds."""
+    """Measure slides and holds."""
     touch = TouchSpec(effort=effort)
     slides = [row for name in SOURCES for nw in range(7, largest + 1) for row in slide_rows(name, nw, touch)]
     rest = EncodeSpec(nw=6, representation="voxel", frames=(1700, 2000), touch=touch)
@@ -127,7 +132,7 @@ def measure(effort: str, largest: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Error up to twice the source's, 6 dB below the threshold, few more bytes, none at rest."""
+    """Limit the error relative to the source and the threshold, the bytes, and steps."""
     found: list[Bar] = []
     for row in figures["slides"]:
         name = f"{row['field']}, nw {row['nw']}, {row['speed_mm_s']:.0f} mm/s"

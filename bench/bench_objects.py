@@ -1,10 +1,12 @@
-"""Seven moving objects: a voxelised frame of 128^3 samples, one query, and a million.
+"""Seven moving objects, against SciPy: a voxelised frame, one query, many queries.
 
     python bench/bench_objects.py [--quick] [--queries N]
 
-The objects' own lattices have 30^3 to 64^3 samples. The peer is scipy's `map_coordinates` (order 1) on the
-same fields as dense arrays, one call for each object and component; for a frame it evaluates only the samples
-within the box of each object's lattice. Forces are compared.
+Seven rigid bodies tumble through a cube of 128 mm. Each has its own lattice of 30^3 to 64^3 samples. Three
+things are timed: the voxel representation of a frame on 128^3 samples, one force query, and `--queries`
+(10^6) queries at once. The peer is SciPy's `map_coordinates` (order 1) on the same fields as dense arrays,
+with one call for each object and component; for a frame it evaluates only the samples within the box of each
+object's lattice. Forces are compared.
 """
 
 from __future__ import annotations
@@ -33,7 +35,10 @@ FRAMES = 5
 
 
 def scene() -> HapticScene:
-    """Balls, boxes and superquadrics with the default wall, tumbling through a cube of 128 mm."""
+    """Return balls, boxes and superquadrics that tumble through a cube of 128 mm.
+
+    They have the default penalty wall.
+    """
     rng = np.random.default_rng(0)
     law, origin = penalty(LawSpec(), LawSpec().saturation_m), (0.0, 0.0, 0.0)
     objects = []
@@ -61,7 +66,10 @@ class Scipy:
         self.components = [np.moveaxis(body.field(0).to_dense(), 3, 0).copy() for body in of.objects]
 
     def forces_n(self, frame: int, points_m: Floats) -> Floats:
-        """Newtons at points [n, 3]; of each object only where a point may lie within its lattice."""
+        """Return newtons at points [n, 3].
+
+        Each object is evaluated only where a point may lie within its lattice.
+        """
         total = np.zeros(points_m.shape)
         for body, components in zip(self.scene.objects, self.components):
             grid: Grid = body.medium.grid
@@ -77,20 +85,23 @@ class Scipy:
         return limited
 
     def frame(self, frame: int) -> ForceField:
-        """The voxelised frame."""
+        """Return the voxelised frame."""
         grid = self.scene.grid
         points = grid.to_m(np.moveaxis(np.indices(grid.shape), 0, -1)).reshape(-1, 3)
         return ForceField.from_dense(grid, self.forces_n(frame, points).reshape(*grid.shape, 3))
 
 
 def kernel_us(medium: HapticScene, point: Floats) -> float:
-    """Microseconds of a query without the interpreter: one point repeated, on one thread."""
+    """Return the microseconds of a query without the interpreter, on one thread.
+
+    One point is repeated in a batch.
+    """
     many = np.repeat(point[None], 2000, axis=0)  # too few for a second thread
     return timed(lambda: medium.sample_n(0, many), runs=200)["min_ms"] / len(many) * 1e3
 
 
 def measure(queries: int) -> Figures:
-    """Frames and queries by touchfield and by scipy."""
+    """Measure frames and queries by touchfield and by SciPy."""
     composed = scene()
     peer, frames = Scipy(composed), composed.voxelise()
     points = np.random.default_rng(1).uniform(0, 0.128, (queries, 3))
@@ -137,7 +148,7 @@ def measure(queries: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """A faster frame than the prototype's, a query within a tick, faster than scipy, equal forces."""
+    """Limit frame and query time; require more speed than SciPy, and equal forces."""
     rows = figures["rows"]
     return [
         at_most("a voxelised frame; the prototype took 24 ms", rows["voxelised frame"]["min_ms"], 24.0, "ms"),

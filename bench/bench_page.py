@@ -1,10 +1,12 @@
-"""The page in headless Chromium: time to first force and picture, size, decoder speed, memory.
-
-The decoder is `c/touch.h` as WebAssembly, in node, against compiled Python on one thread, on the same files.
-A moving file plays for some minutes, and another for an hour of media time, as fast as the browser draws; the
-growth of memory is reported.
+"""The page of `touchfield view` in headless Chromium: waiting times, size, memory.
 
     python bench/bench_page.py [--quick] [--minutes N] [--rounds N]
+
+The waiting times are those from opening a file to its first force, and from requesting a page to its first
+picture (median of `--rounds` rounds). The decoder of the page, `c/touch.h` as WebAssembly, runs in node and
+is compared with the numba decoder on one thread, on the same files. A moving file is played for `--minutes`
+minutes, and another for an hour of media time, as fast as the browser draws; the growth of memory is
+reported.
 """
 
 from __future__ import annotations
@@ -67,14 +69,17 @@ SAMPLED = (
 
 
 def decoder() -> bytes:
-    """The WebAssembly of the page, gzip-compressed as embedded."""
+    """Return the WebAssembly of the page, gzip-compressed as embedded."""
     packed = re.search(r'id="decoder">([^<]+)<', empty_page())
     assert packed is not None
     return base64.b64decode(packed[1])
 
 
 def decode_ms(folder: Path, stream: Path) -> tuple[float, float]:
-    """Milliseconds of a first frame in WebAssembly and compiled Python, the least of twelve."""
+    """Return milliseconds to decode a first frame in WebAssembly and with numba.
+
+    Each is the fastest of twelve runs.
+    """
     wasm, script = folder / "touch.wasm", folder / "speed.mjs"
     wasm.write_bytes(gzip.decompress(decoder()))
     script.write_text(WASM_SPEED)
@@ -91,7 +96,7 @@ def decode_ms(folder: Path, stream: Path) -> tuple[float, float]:
 
 
 def opened_ms(folder: Path, name: str, stream: Path, rounds: int) -> dict[str, float]:
-    """Milliseconds from opening a file to a force, and from requesting a page to its picture."""
+    """Return milliseconds to the first force of a file, and to a page's first picture."""
     empty, page = folder / "page.html", view(stream).save(folder / f"{name}.html")
     empty.write_text(empty_page(), encoding="utf-8")
     forces, pictures = [], []
@@ -108,9 +113,10 @@ def opened_ms(folder: Path, name: str, stream: Path, rounds: int) -> dict[str, f
 
 
 def growth(folder: Path, minutes: float) -> dict[str, float]:
-    """Growth of memory during playback: minimum of the last third less that of the first.
+    """Return the growth of memory during playback.
 
-    Each sample includes garbage that has not been returned yet; the minimum of many is nearly free of it.
+    It is the minimum of the last third of the samples minus that of the first third. Each sample includes
+    garbage that has not been collected yet; the minimum of many is nearly free of it.
     """
     moving = folder / "falling.touch"
     encode("sample:falling-4", moving, EncodeSpec(frames=(0, 30)))
@@ -129,7 +135,10 @@ def growth(folder: Path, minutes: float) -> dict[str, float]:
 
 
 def hour(folder: Path) -> dict[str, float]:
-    """Growth of memory over an hour of media time, against minutes 10 to 30."""
+    """Return the growth of memory over an hour of media time.
+
+    It is the median after minute 40 minus that of minutes 10 to 30.
+    """
     page = folder / "hour.html"
     page.write_text(empty_page(), encoding="utf-8")
     rows = hour_played(folder, page.as_uri())
@@ -145,7 +154,7 @@ def hour(folder: Path) -> dict[str, float]:
 
 
 def measure(minutes: float, rounds: int) -> Figures:
-    """The page's size, its decoder, its waits and its memory."""
+    """Measure the page's size, decoder, waiting times and memory."""
     if why_not():
         leave_out(str(why_not()))
     figures: dict[str, float] = {
@@ -169,7 +178,7 @@ def measure(minutes: float, rounds: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """A small page, short waits, a decoder near the speed of compiled Python, and no leaks."""
+    """Require a small page, short waits, a fast decoder, and no growth of memory."""
     waits = {
         f"{scene}, {label}": (figure(figures, f"{scene}_{key}_ms"), limit)
         for scene in ("terrain", "motorcycle")

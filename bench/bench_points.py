@@ -1,17 +1,21 @@
-"""Fewest points (paper section 6.2): on modes, and with a curl-free kernel.
+"""Fewest points that rebuild a field (paper section 6.2): modes, and a kernel.
 
     python bench/bench_points.py [--quick] [--most N]
 
-"moving": media of many frames. The modes are learnt from all frames and the error is that of all ("same"), or
-learnt from the even frames and the error is that of the odd ones ("held out"). The floor is the error of the
-modes themselves on those frames. There are as many modes as points.
+A field is rebuilt from the forces at a few points, either through modes learnt from a moving medium, or by
+curl-free kernel interpolation of a single field.
 
-"still": the middle frame of media, and a recording of a hand that guides a robot (`shared`; skipped without
-that folder). The error is over all supported or recorded samples. Random points are the median of five draws,
-with the best of all tried kernels, chosen afterwards. "times" is the factor by which more of them are needed
-for the same error, at most 4. The same is measured for points of greatest variance alone, which ignore the
-forces, with the best kernel: they lie at the rim of the field, where forces are weak, so they are no better
-than random.
+"moving": media of many frames. The modes are learnt from all frames and the error is that of all ("same"), or
+they are learnt from the even frames and the error is that of the odd ones ("held out"). There are as many
+modes as points. The floor is the error of the modes themselves on these frames. The points are compared with
+random points.
+
+"still": the middle frame of media, and a recording of a hand that guides a robot (skipped without the
+optional folder of inputs), with up to `--most` points. The error is over all supported or recorded samples.
+The peer is random points: the median of five draws, with the best of all tried kernels, chosen afterwards.
+"times" is the factor by which more random points are needed for the same error, at most 4. "variance times"
+is the same for points of greatest variance, which ignore the forces, with the best kernel. They lie at the
+rim of the field, where forces are weak, so they are no better than random points.
 """
 
 from __future__ import annotations
@@ -36,7 +40,7 @@ POINTS, MOVING_POINTS = (10, 20, 40), (10, 15, 20)
 
 
 def sphere() -> tf.HapticMedium:
-    """A ball of 15 mm that goes round, 64 frames."""
+    """Return a ball of 15 mm that moves along a closed curve, 64 frames."""
     grid = tf.Grid.over_box((-0.04,) * 3, (0.04,) * 3, (32, 32, 32))
     at, frames = grid.to_m(np.moveaxis(np.indices(grid.shape), 0, -1)), []
     for angle in np.linspace(0, 2 * np.pi, 64, endpoint=False):
@@ -47,7 +51,7 @@ def sphere() -> tf.HapticMedium:
 
 
 def moving_media() -> Iterator[tuple[str, tf.HapticMedium]]:
-    """Name and medium of every available source of many frames."""
+    """Yield name and medium of every available source of many frames."""
     yield "sphere", sphere()
     yield "falling bodies", prepare("sample:falling-4", EncodeSpec(nw=5, representation="voxel")).medium
     for name, path in (("fox", "fox/Fox.glb"), ("morph", "morph_stress_test/MorphStressTest.gltf")):
@@ -56,7 +60,7 @@ def moving_media() -> Iterator[tuple[str, tf.HapticMedium]]:
 
 
 def single_fields(moving: dict[str, Any]) -> Iterator[tuple[str, Any, Any]]:
-    """Name, positions and forces of single fields."""
+    """Yield name, positions and forces of single fields."""
     for name in ("shapes", "terrain"):
         field = prepare(f"sample:{name}", EncodeSpec(nw=5)).medium[0]
         yield name, field.grid.to_m(field.positions()), field.vectors_n().astype(float)
@@ -74,12 +78,15 @@ def single_fields(moving: dict[str, Any]) -> Iterator[tuple[str, Any, Any]]:
 
 
 def ratio_db(error: Any, reference: Any) -> float:
-    """Energy of the error over that of the reference, dB."""
+    """Return the energy of the error over that of the reference, dB."""
     return float(10 * np.log10((np.asarray(error) ** 2).sum() / (np.asarray(reference) ** 2).sum()))
 
 
 def on_modes(every: Modes, learnt: Any, tested: Any, count: int) -> Figures:
-    """Points on the first modes, against the floor and random points, on the rows `tested`."""
+    """Choose points on the first modes, and compare with the floor and random points.
+
+    The modes are learnt from the rows `learnt`; errors are those of the rows `tested`.
+    """
     modes, rng = every.first(min(count, every.rank)), np.random.default_rng(count)
     missed_n2 = ((learnt - modes.rebuild(modes.coefficients(learnt))) ** 2).mean(axis=0)
     selected = mode_points(modes, count, missed_n2.reshape(-1, 3).sum(axis=1))
@@ -103,13 +110,13 @@ def on_modes(every: Modes, learnt: Any, tested: Any, count: int) -> Figures:
 
 
 def rebuilt_db(positions_m: Any, forces: Any, selected: Any, kernel: Kernel) -> float:
-    """Error of the field rebuilt from some points, dB."""
+    """Return the error of the field rebuilt from some points, dB."""
     through = CurlFree.through(positions_m[selected], forces[selected], kernel.length_m, kernel.noise)
     return ratio_db(through.forces_n(positions_m) - forces, forces)
 
 
 def on_kernel(positions_m: Any, forces: Any, count: int) -> Figures:
-    """Points chosen by error and by variance, against random points."""
+    """Choose points by error and by variance, and compare with random points."""
     began = time.perf_counter()
     _, kernel, back = _best_points(positions_m, forces, count)
     took, error = time.perf_counter() - began, ratio_db(back - forces, forces)
@@ -154,7 +161,7 @@ def on_kernel(positions_m: Any, forces: Any, count: int) -> Figures:
 
 
 def measure(most: int) -> Figures:
-    """Moving media, single fields, and the time of the choice by variance."""
+    """Measure moving media, single fields, and the time to choose points by variance."""
     moving, rows = {}, {}
     for name, medium in moving_media():
         frames = np.unique(np.linspace(0, len(medium) - 1, min(len(medium), FRAMES)).astype(int)).tolist()
@@ -179,7 +186,7 @@ def measure(most: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Near the floor, within the bound, and half as many points as at random."""
+    """Require errors near the floor and within the bound, and half the random points."""
     rows, single = figures["moving"], figures["still"]
     same, held_out = ({n: r for n, r in rows.items() if n.endswith(kind)} for kind in ("same", "held out"))
     real = {n: r for n, r in single.items() if n.startswith("recording")}

@@ -1,11 +1,13 @@
-"""The coder of pose tracks: bytes a pose, and poses a second both ways.
+"""The coder of pose tracks, against zlib and LZMA: bytes per pose and speed.
 
     python bench/bench_poses.py [--quick] [--frames N]
 
-Tracks of 2000 frames at 1 kHz: the seven bodies of `sample:falling-7`, which tumble and bounce; one that
-spins; one that stands still. Steps are those with which no point of a body of 4 cm leaves its place by more
-than 100, 10 and 1 um. Peers: zlib -9 and lzma of the same whole numbers, component by component, the
-differences of order 1 or 2 as int32, whichever is shorter; and the poses as seven float32.
+The tracks have 2000 frames (`--frames`) at 1 kHz: the seven bodies of `sample:falling-7`, which tumble and
+bounce; a body that spins; and a body that stands still. The quantisation steps are those that move no point
+of a body of 4 cm by more than 100, 10 and 1 um.
+
+The peers are zlib -9 and LZMA on the same quantised integers, component by component, as first or second
+differences in int32, whichever is shorter; and the poses as seven float32.
 """
 
 from __future__ import annotations
@@ -31,7 +33,7 @@ Float64s = NDArray[np.float64]
 
 
 def spinning(frames: int) -> PoseTrack:
-    """About one axis at 3 turns a second, in place."""
+    """Return a track that spins about one axis at 3 turns per second, in place."""
     half = np.pi * 3 * np.arange(frames) / RATE_HZ
     return PoseTrack(
         np.column_stack([np.cos(half), 0 * half, 0.6 * np.sin(half), 0.8 * np.sin(half)]),
@@ -40,12 +42,15 @@ def spinning(frames: int) -> PoseTrack:
 
 
 def packed(numbers: NDArray[np.int64], pack: Callable[[bytes], bytes]) -> int:
-    """Bytes of the differences by a general-purpose coder, the better of two orders."""
+    """Return the bytes of the differences by a general-purpose coder.
+
+    The better of the first and second differences counts.
+    """
     return min(len(pack(np.diff(numbers, order, axis=0).T.astype("<i4").tobytes())) for order in (1, 2))
 
 
 def row_of(track: PoseTrack, steps: PoseSteps) -> dict[str, float]:
-    """Bytes a pose, of the peers too, and million poses a second."""
+    """Return bytes per pose, also of the peers, and million poses per second."""
     data = encode_poses(track, steps)
     turns = np.rint(track.quaternions / steps.quaternion)
     numbers = np.column_stack([np.rint(track.positions_m / steps.position_m), turns]).astype(np.int64)
@@ -64,7 +69,7 @@ def row_of(track: PoseTrack, steps: PoseSteps) -> dict[str, float]:
 
 
 def measure(frames: int) -> Figures:
-    """Each track at three tolerances."""
+    """Measure each track at three tolerances."""
     scene = prepare("sample:falling-7", EncodeSpec(frames=(0, frames))).scene
     assert scene is not None
     tracks = {
@@ -83,7 +88,7 @@ def measure(frames: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Shorter than the best packer, 3 kB for two seconds of a falling body, and real-time speed."""
+    """Require fewer bytes than the peers, 3 kB for a falling body, and 0.1 M poses/s."""
     rows = figures["rows"]
     over = [
         min(row["zlib_bytes_a_pose"], row["lzma_bytes_a_pose"]) / row["bytes_a_pose"] for row in rows.values()

@@ -1,11 +1,12 @@
-"""The error bound max(F_0, k |F|) on every available input: no voxel may exceed it.
+"""Test of the error bound max(F_0, k |F|) on every available input.
 
     python bench/bench_promise.py [--quick] [--frames N] [--nw N]
 
-Every scene of the optional folder ../shared/data, and the samples of the package, at n_w 6 for a Phantom
-Omni, at k = 0.05, 0.1 and 0.25 and F_0 = 0.05 N, efforts fast and default, 3 frames of each. The decoded
-frames are compared with the original fields by `touchfield.perception.mask`, independently of the coder's own
-check. The exit status is 1 if a voxel exceeds the bound.
+The inputs are all scenes of the optional folder ../shared/data and the samples of the package, at n_w 6
+(`--nw`) for a Phantom Omni. Coder `touch` encodes 3 frames (`--frames`) of each with k = 0.05, 0.1 and 0.25,
+F_0 = 0.05 N, and efforts fast and default. The decoded frames are compared with the original fields by
+`touchfield.perception.violations`, independently of the coder's own check. The exit status is 1 if a voxel
+exceeds the bound.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ F0_N = 0.05
 
 
 def sources(nw: int) -> Iterator[tuple[str, str, EncodeSpec]]:
-    """Name, source and spec of every input."""
+    """Yield name, source and spec of every input."""
     for name in ("terrain", "motorcycle", "falling-7"):
         yield name, f"sample:{name}", EncodeSpec(nw=nw, representation="voxel")
     for name in ("rgbd_tum_fr1_rpy", "rgbd_iclnuim_livingroom1"):
@@ -48,7 +49,7 @@ def sources(nw: int) -> Iterator[tuple[str, str, EncodeSpec]]:
 
 
 def row_of(name: str, grid: Grid, frames: list[ForceField], spec: TouchSpec) -> Figures:
-    """Bytes of a segment of frames, and the worst of its voxels."""
+    """Code a segment; return its bytes and its largest error relative to the bound."""
     encoder = TouchEncoder(grid, spec)
     body = encoder.encode_segment(frames).body
     decoded = TouchDecoder(grid, encoder.parameters).frames(body, len(frames))
@@ -66,7 +67,7 @@ def row_of(name: str, grid: Grid, frames: list[ForceField], spec: TouchSpec) -> 
 
 
 def measure(frames: int, nw: int) -> Figures:
-    """Every input at every k and effort."""
+    """Measure every input at every k and effort."""
     rows = []
     for name, source, spec in sources(nw):
         medium = prepare(source, spec).medium
@@ -79,7 +80,7 @@ def measure(frames: int, nw: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """No voxel beyond its mask on any input."""
+    """Allow no voxel beyond its mask on any input."""
     return [
         at_most("voxels beyond max(F_0, k |F|)", figures["beyond"], 0),
         at_most("largest error, in units of the mask", max(column(figures["rows"], "worst")), 1.0),

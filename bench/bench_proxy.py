@@ -1,12 +1,18 @@
-"""The proxy against the plain field: penetration, accuracy, energy, vibration and query time.
+"""Proxy rendering against the plain field: contact, accuracy, energy, vibration.
 
     python bench/bench_proxy.py [--quick] [--seconds S] [--walks N]
 
-A simulated hand of 0.1 kg is pushed with 3 N into plates of 1, 2 and 5 mm, near their edge, into an inner
-corner, onto an outer edge and, guided by a spring of 500 N/m, into the desk of TUM fr1_rpy, rendered with the
-proxy and as the plain field. A press holds if the hand comes to rest with the proxy on the side it came from.
-Slides at 50 mm/s: vibration from 40 to 400 Hz. Energy: the largest net energy that the hand receives in 60 s
-of random pressing.
+A simulated hand of 0.1 kg is rendered with the proxy and with the plain field:
+
+* holds: the hand is pushed with 3 N into plates of 1, 2 and 5 mm, near their edge, into an inner corner, onto
+  an outer edge and, guided by a spring of 500 N/m, into the desk of TUM fr1_rpy. A press holds if the hand
+  comes to rest with the proxy on the side that it came from.
+* truth: errors of force and friction where the exact force is known.
+* energy: the largest net energy that the hand receives in `--seconds` (60) of random pressing.
+* speed: time of a proxy query while a hand slides over the surface.
+* hum: vibration from 40 to 400 Hz while a hand slides at 50 mm/s.
+
+`--walks` is the number of paths over the surface in the last two tests.
 """
 
 from __future__ import annotations
@@ -38,13 +44,13 @@ PUSH_N, DESK_POINTS = 3.0, 24
 
 
 def plate(thickness_m: float) -> ForceField:
-    """A plate of 60 x 40 mm."""
+    """Return a plate of 60 x 40 mm."""
     field: ForceField = field_of(Box((0.0, 0.0, 0.0), (0.03, 0.02, thickness_m / 2)))
     return field
 
 
 def comes_to_rest(field: ForceField, start: Any, push: Any, is_proxy: bool) -> bool:
-    """True if a pushed hand comes to rest, and the proxy was never within the field."""
+    """Return whether a pushed hand comes to rest and the proxy stays out of the field."""
     rig = Held(field, is_proxy=is_proxy)
     hand, forces, proxy = rig.pushed(start, push, 1.5)
     rests = float(np.linalg.norm(hand[-1] - hand[-100])) < 2e-4 and float(np.linalg.norm(forces[-1])) > 1.0
@@ -55,7 +61,7 @@ def comes_to_rest(field: ForceField, start: Any, push: Any, is_proxy: bool) -> b
 
 
 def holds() -> Figures:
-    """Number of presses of each kind that hold."""
+    """Count the presses of each kind that hold."""
     cases: dict[str, list[tuple[ForceField, Any, Any]]] = {}
     for mm in (1, 2, 5):
         field = plate(1e-3 * mm)
@@ -93,7 +99,10 @@ def holds() -> Figures:
 
 
 def truth() -> Figures:
-    """Relative errors of forces of 1 to 3 N, and of friction with mu from 0.2 to 0.8."""
+    """Return relative errors of forces of 1 to 3 N, and of friction.
+
+    The friction coefficient mu is from 0.2 to 0.8.
+    """
     rng, errors, slips = np.random.default_rng(1), [], []
     ball, block = Held(field_of(BALL)), Held(field_of(BLOCK))
     for depth in np.linspace(0.002, 0.006, 9):
@@ -126,7 +135,7 @@ def truth() -> Figures:
 
 
 def energies(damping: float, seconds: int) -> Figures:
-    """Largest and final net energy that a hand receives in random pressing, joules."""
+    """Return the largest and the final net energy of random pressing, joules."""
     rows = {}
     for name, shape, surface_m in (("ball", BALL, 0.025), ("block", BLOCK, 0.015)):
         rng, rig = np.random.default_rng(2), Held(field_of(shape), damping=damping)
@@ -157,7 +166,7 @@ def _nothing(i8, u8, f8, f4, frame, x, y, z):  # type: ignore[no-untyped-def]
 
 
 def speeds(fields: dict[str, ForceField], count: int) -> Figures:
-    """Microseconds of a query while a hand slides 2 mm deep, edges included."""
+    """Time a query while a hand slides 2 mm deep, edges included, microseconds."""
     rows = {}
     for name, field in fields.items():
         rig, rng = Held(field), np.random.default_rng(3)
@@ -176,16 +185,17 @@ def speeds(fields: dict[str, ForceField], count: int) -> Figures:
                     run[n] = time.perf_counter() - began
             took.append(
                 1e6 * np.percentile(times.min(axis=0), [50, 99, 99.9])
-            )  # the minimum excludes other programs
+            )  # the minimum excludes interruptions
         quick = took[0] - np.median(took[1])
         rows[name] = dict(zip(("p50_us", "p99_us", "p99_9_us"), quick.tolist(), strict=True))
     return rows
 
 
 def hums(fields: dict[str, ForceField], count: int) -> Figures:
-    """Vibration of slides from 40 to 400 Hz, mN rms, with the proxy and of the plain field.
+    """Return the vibration of slides from 40 to 400 Hz, mN rms.
 
-    The hand hangs on a spring of 500 N/m, whose far end goes along the surface 2 mm below the level of 1 N.
+    With the proxy and of the plain field. The hand hangs on a spring of 500 N/m, whose far end moves along
+    the surface 2 mm below the level of 1 N.
     """
     rows = {}
     for name, field in fields.items():
@@ -208,14 +218,14 @@ def hums(fields: dict[str, ForceField], count: int) -> Figures:
 
 
 def stiffness_of(field: ForceField) -> float:
-    """Stiffness of a field's wall, N/m."""
+    """Return the stiffness of a field's wall, N/m."""
     wall = wall_of(field)
     assert wall is not None
     return float(wall.stiffness_n_per_m)
 
 
 def measure(seconds: int, walks: int) -> Figures:
-    """All figures, on the available fields."""
+    """Measure all figures on the available fields."""
     fields: dict[str, ForceField] = {
         "ball": field_of(BALL),
         "block": field_of(BLOCK),
@@ -235,7 +245,7 @@ def measure(seconds: int, walks: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """All presses hold, accurate forces, no energy gain, and a query well within a tick."""
+    """Require that all presses hold, accurate forces, no energy, and fast queries."""
     missed = {name: row["presses"] - row["proxy"] for name, row in figures["holds"].items()}
     return [
         *(

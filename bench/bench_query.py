@@ -1,11 +1,14 @@
-"""Point queries of a field of 128^3 samples, random, supported and along a path; of objects.
+"""Force queries of a field of 128^3 samples and of objects, against SciPy.
 
     python bench/bench_query.py [--quick] [--points N]
 
-Peers are scipy's `map_coordinates` (order 1, one call for each component) and `RegularGridInterpolator` on
-the same dense field, and a compiled trilinear loop over it by all threads; forces are compared. The
-path is that of a hand that wanders through the box; the seven objects are those of `bench_objects`. One query
-is timed within compiled code by the processor's own counter, and from Python.
+Batches of `--points` points are at random in the box, at random in the supported region, and along the path
+of a hand that wanders through the box. The field is queried at one frame and between two frames; the seven
+objects are those of `bench_objects`. The peers interpolate the same dense field: SciPy's `map_coordinates`
+(order 1, one call for each component), `RegularGridInterpolator`, and a compiled trilinear loop on all
+threads. Forces are compared.
+
+A single query is timed within compiled code by the processor's cycle counter, and from Python.
 """
 
 from __future__ import annotations
@@ -39,21 +42,24 @@ BETWEEN_S = 0.4 / RATE_HZ
 
 
 def field() -> ForceField:
-    """A ball and a box with the default wall."""
+    """Return a ball and a box with the default wall."""
     shapes = [Sphere((0.045, 0.045, 0.05), 0.03), Box((0.09, 0.08, 0.085), (0.02, 0.025, 0.03))]
     grid = Grid((SIDE,) * 3, (SPACING_M,) * 3, (0.0,) * 3)
     return AnalyticScene(shapes).field(0, grid, penalty(LawSpec(), LawSpec().saturation_m))
 
 
 def path(count: int, rng: np.random.Generator) -> Floats:
-    """Path of a randomly pushed hand, reflected at the walls; some hundredths of a sample per step."""
+    """Return the path of a randomly pushed hand, reflected at the walls.
+
+    A step is some hundredths of a sample.
+    """
     velocity = np.cumsum(rng.normal(0, 0.02, (count, 3)), axis=0)
     distance = np.cumsum(0.02 * velocity, axis=0) / (SIDE - 2)
     return (np.abs(distance % 2 - 1) * (SIDE - 2) + 0.5) * SPACING_M
 
 
 class Peers:
-    """The same field by scipy."""
+    """The same field by SciPy."""
 
     def __init__(self, of: ForceField) -> None:
         dense = of.to_dense()
@@ -63,19 +69,19 @@ class Peers:
         self.interpolator = RegularGridInterpolator(axes, dense, bounds_error=False, fill_value=0.0)
 
     def map_coordinates(self, points_m: Floats) -> Floats:
-        """Newtons at points [n, 3]."""
+        """Return newtons at points [n, 3]."""
         at = np.ascontiguousarray((points_m / SPACING_M).T)
         return np.stack(
             [map_coordinates(c, at, np.float32, order=1, prefilter=False) for c in self.components], 1
         )
 
     def regular_grid(self, points_m: Floats) -> Floats:
-        """Newtons at points [n, 3]."""
+        """Return newtons at points [n, 3]."""
         forces: Floats = self.interpolator(points_m)
         return forces
 
     def compiled_dense(self, points_m: Floats) -> Floats:
-        """Newtons at points [n, 3], by a compiled loop over the dense field."""
+        """Return newtons at points [n, 3] by a compiled loop over the dense field."""
         out = np.empty_like(points_m)
         trilinear(self.dense, np.minimum(points_m / SPACING_M, SIDE - 1.001), out)
         return out
@@ -83,7 +89,7 @@ class Peers:
 
 @intrinsic
 def _counter(context):  # type: ignore[no-untyped-def]
-    """The processor's counter."""
+    """Read the processor's cycle counter."""
 
     def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         read = builder.module.declare_intrinsic(
@@ -99,7 +105,7 @@ counter: Any = _counter
 
 @njit(nogil=True, parallel=True, fastmath=True)
 def trilinear(dense, at, out):  # type: ignore[no-untyped-def]
-    """Trilinear interpolation of a dense field [n, n, n, 3] at points [m, 3] in samples."""
+    """Interpolate a dense field [n, n, n, 3] at points [m, 3], in samples."""
     for p in prange(at.shape[0]):
         i, j, k = int(at[p, 0]), int(at[p, 1]), int(at[p, 2])
         u, v, w = at[p, 0] - i, at[p, 1] - j, at[p, 2] - k
@@ -113,7 +119,7 @@ def trilinear(dense, at, out):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def time_queries(points, i8, u8, f8, f4, a, b, blend, counts, forces):  # type: ignore[no-untyped-def]
-    """Counts of each single query, and of an empty interval."""
+    """Count the cycles of each single query, and of an empty interval."""
     for p in range(points.shape[0]):
         x, y, z = points[p, 0], points[p, 1], points[p, 2]
         start = counter()
@@ -126,7 +132,7 @@ def time_queries(points, i8, u8, f8, f4, a, b, blend, counts, forces):  # type: 
 
 @njit(nogil=True)
 def count_now():  # type: ignore[no-untyped-def]
-    """The counter, for Python."""
+    """Return the counter, for Python."""
     return counter()
 
 
@@ -136,7 +142,7 @@ def call(compiled: Any, *values: Any) -> Any:
 
 
 def counter_ns() -> float:
-    """Nanoseconds per count."""
+    """Return nanoseconds per count."""
     count_now()
     began_ns, began = perf_counter_ns(), count_now()
     while perf_counter_ns() - began_ns < 50e6:
@@ -146,12 +152,12 @@ def counter_ns() -> float:
 
 
 def percentiles(us: Floats) -> dict[str, float]:
-    """Of the microseconds of many calls."""
+    """Return percentiles of the microseconds of many calls."""
     return {f"p{q:g}_us": float(np.percentile(us, q)) for q in (50, 99, 99.9)} | {"worst_us": float(us.max())}
 
 
 def compiled(sampler: FieldSampler, time_s: float, points_m: Floats) -> dict[str, float]:
-    """One query in compiled code, less the time to read the counter."""
+    """Time single queries in compiled code, less the time to read the counter."""
     first, second, blend = sampler._instant(time_s)
     pair = sampler._pair(first, second)
     counts, forces = np.zeros((len(points_m), 2), np.int64), np.zeros(points_m.shape)
@@ -161,7 +167,7 @@ def compiled(sampler: FieldSampler, time_s: float, points_m: Floats) -> dict[str
 
 
 def from_python(call: Callable[[float, float, float], Any], points_m: Floats) -> dict[str, float]:
-    """One call from Python each."""
+    """Time single calls from Python."""
     call(*points_m[0].tolist())
     times_us = np.empty(len(points_m))
     for n, (x, y, z) in enumerate(points_m.tolist()):
@@ -172,12 +178,15 @@ def from_python(call: Callable[[float, float, float], Any], points_m: Floats) ->
 
 
 def rate(call: Callable[[Floats], Any], points_m: Floats, runs: int) -> float:
-    """Millions of points a second."""
+    """Return millions of points per second."""
     return len(points_m) / timed(lambda: call(points_m), runs)["min_ms"] / 1e3
 
 
 def batch(sampler: FieldSampler, objects: FieldSampler, peers: Peers, points: Floats) -> dict[str, float]:
-    """Millions of points per second, differences, and the fraction of points with a force."""
+    """Return millions of points per second, differences, and the supported fraction.
+
+    The supported fraction is that of the points with a force.
+    """
     few = points[:PEER_POINTS]
     found = sampler.force_n(0.0, few)
     row = {
@@ -202,7 +211,7 @@ def batch(sampler: FieldSampler, objects: FieldSampler, peers: Peers, points: Fl
 def queries(
     sampler: FieldSampler, objects: FieldSampler, peers: Peers, point_sets: dict[str, Floats]
 ) -> dict[str, dict[str, float]]:
-    """One query at a time."""
+    """Time one query at a time."""
     some = {name: points[:QUERIES] for name, points in point_sets.items()}
     along = some["path"]
     return {
@@ -219,7 +228,7 @@ def queries(
 
 
 def measure(points: int) -> Figures:
-    """Many points at once, and one query at a time."""
+    """Measure many points at once, and one query at a time."""
     rng, first = np.random.default_rng(1), field()
     sampler = FieldSampler(HapticMedium.from_frames([first, first.scaled(0.5)], RATE_HZ))
     objects, peers = FieldSampler(scene()), Peers(first)
@@ -240,7 +249,7 @@ def measure(points: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Batches faster than scipy and a dense loop, one query well within a tick, equal forces."""
+    """Require more speed than the peers, fast single queries, and equal forces."""
     batches, single = figures["batches"], figures["single"]
     alone = [single[f"compiled, {name}"] for name in ("random", "path")]
     return [

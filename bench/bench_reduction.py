@@ -1,16 +1,18 @@
-"""Reduction of a medium (paper section 6.1): modes on held-out frames, bytes, and culling.
+"""Reduction of a medium (paper section 6.1): modes, their bytes, and culling.
 
     python bench/bench_reduction.py [--quick] [--frames N] [--paths N]
 
-"modes": a skinned fox and a morph target (`shared`; left out without that folder), and bodies that fall.
-Modes are learnt from the even frames, and the odd ones are represented by them at -30 dB; the share is that
-of the numbers, without the modes and with them. "bytes": the same frames by coder touch at the same error,
-beside the modes as 16-bit floats and the rounded coefficients, both through LZMA, which is no coder made for
-them, but shows the order.
+"modes": the media are a skinned fox and a morph target (skipped without the optional folder of inputs), and
+falling bodies. Modes are learnt from the even frames, as many as represent the odd frames at -30 dB. "share"
+is the amount of numbers that a receiver needs for coefficients and modes, relative to the medium without
+modes; "share of coefficients" leaves out the modes. "kb" are the bytes of the modes as 16-bit floats and of
+the rounded coefficients, both compressed by LZMA. LZMA is no coder made for them, but shows the order of
+magnitude. "touch kb" are the bytes of the same frames by coder `touch` at about the same error.
 
-"culling": a static pillow that a source fills (--thickness-m inf), and a heaving solid floor. Figures are the
-samples removed, and the forces that differ along adversarial paths of hands: they press against the force,
-swing with it so that each turn gains energy, and approach from far away.
+"culling": the media are a static solid pillow (`thickness_m` inf) and a solid floor with a travelling wave.
+The figures are the samples that remain after samples out of the hand's reach are removed, and the forces that
+differ along `--paths` adversarial paths of hands. These press against the force, swing with it so that each
+turn gains energy, or approach from far away.
 """
 
 from __future__ import annotations
@@ -41,7 +43,7 @@ exponents = [0.5, 0.5]
 
 
 def media(frames: int) -> dict[str, tuple[tf.HapticMedium, tuple[str, ...]]]:
-    """Available media, with the kinds of modes to try."""
+    """Return the available media, with the kinds of modes to try."""
     meshes, found = SHARED / "meshes", dict[str, tuple[tf.HapticMedium, tuple[str, ...]]]()
     spec = tf.EncodeSpec(nw=6, representation="voxel")
     if (meshes / "fox" / "Fox.glb").exists():
@@ -56,12 +58,12 @@ def media(frames: int) -> dict[str, tuple[tf.HapticMedium, tuple[str, ...]]]:
 
 
 def in_memory(medium: tf.HapticMedium) -> tf.HapticMedium:
-    """The same medium with its frames in memory."""
+    """Return the same medium with its frames in memory."""
     return tf.HapticMedium.from_frames([medium[i] for i in range(len(medium))], medium.rate_hz, medium.axes)
 
 
 def by_modes_bytes(found: ReducedMedium, min_n: float) -> int:
-    """Modes and coefficients of a medium, through LZMA."""
+    """Return the bytes of modes and coefficients of a medium, compressed by LZMA."""
     coefficients = np.concatenate([found.coefficients(i) for i in range(len(found.medium))])
     coefficients[np.abs(coefficients) < min_n] = 0
     step = max(float(np.sqrt((found.modes.energy * 1e-4 * 12) / coefficients.size)), 1e-12)
@@ -73,7 +75,7 @@ def by_modes_bytes(found: ReducedMedium, min_n: float) -> int:
 
 
 def by_touch(medium: tf.HapticMedium) -> tuple[float, float]:
-    """Kilobytes and NMSE of coder touch, with the step expected to give -30 dB."""
+    """Return kilobytes and NMSE of coder `touch`, at the step expected to give -30 dB."""
     squares = [(field.forces_n.astype(float) ** 2).sum() / max(1, field.support_count) for field in medium]
     coder = tf.codec.TouchSpec(mode="nmse", step_n=2 * float(np.sqrt(1e-3 * np.mean(squares))))
     meter = FidelityMeter(0.1, 0.05)
@@ -86,7 +88,7 @@ def by_touch(medium: tf.HapticMedium) -> tuple[float, float]:
 
 
 def modes_of(frames: int) -> Figures:
-    """Held-out frames, degrees of freedom and bytes of each."""
+    """Return held-out error, degrees of freedom and bytes of each medium."""
     rows: Figures = {}
     for name, (source, kinds) in media(frames).items():
         medium = in_memory(source)
@@ -115,7 +117,7 @@ def modes_of(frames: int) -> Figures:
 
 
 def pillow() -> tf.HapticMedium:
-    """A static solid in a box of 381 x 267 x 191 mm."""
+    """Return a static solid in a box of 381 x 267 x 191 mm."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "pillow.toml"
         path.write_text(PILLOW)
@@ -126,7 +128,10 @@ def pillow() -> tf.HapticMedium:
 
 
 def floor() -> tf.HapticMedium:
-    """A moving solid: a floor with a travelling wave of 6 mm, 144 mm wide, 36 frames."""
+    """Return a solid floor with a travelling wave.
+
+    The wave is 6 mm high, the floor 144 mm wide; 36 frames.
+    """
     count, step_m = 48, 0.003
     grid = tf.Grid((count,) * 3, (step_m,) * 3, (0.0,) * 3)
     x = np.stack(np.meshgrid(*[grid.axis_m(a) for a in range(3)], indexing="ij"), axis=-1)
@@ -146,7 +151,7 @@ def floor() -> tf.HapticMedium:
 def paths(
     medium: tf.HapticMedium, shell: tf.HapticMedium, hand: Hand, count: int, ticks: int = 600
 ) -> Figures:
-    """Forces that differ along paths of up to a second, in ticks of 1 ms."""
+    """Count the forces that differ along paths of `ticks` ticks of 1 ms."""
     rng, dt, grid = np.random.default_rng(5), 1e-3, medium.grid
     low, high = grid.to_m(np.zeros(3)), grid.to_m(np.array(grid.shape) - 1)
     x = rng.uniform(low, high, (20 * count, 3))
@@ -173,12 +178,12 @@ def paths(
 
 
 def supported_samples(medium: tf.HapticMedium) -> int:
-    """Supported samples of all frames."""
+    """Return the number of supported samples of all frames."""
     return sum(medium[i].support_count for i in range(len(medium)))
 
 
 def culling(count: int) -> Figures:
-    """Samples, bytes and forces of two solids after culling."""
+    """Return samples, bytes and forces of two solids after culling."""
     rows = {}
     for name, medium in (("pillow", pillow()), ("floor", floor())):
         began = time.perf_counter()
@@ -203,12 +208,12 @@ def culling(count: int) -> Figures:
 
 
 def measure(frames: int, paths: int) -> Figures:
-    """Culling and modes."""
+    """Measure culling and modes."""
     return {"hand": HAND.text, "culling": culling(paths), "modes": modes_of(frames)}
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Held-out frames at -30 dB with a tenth of the numbers; half of a solid culled, equal forces."""
+    """Require a tenth of the numbers at -30 dB, half of a solid culled, equal forces."""
     rows, solid = figures["modes"], figures["culling"]
 
     def of(name: str, key: str) -> float | None:

@@ -1,13 +1,15 @@
-"""Scene 1 of the paper (seven falling bodies, 2000 frames) as objects and as voxels.
+"""Scene 1 of the paper (seven falling bodies), as objects and as voxels.
 
     python bench/bench_scene_1.py [--quick] [--frames N]
 
-Each representation is simulated, built, encoded and written by a separate process, so that its peak memory is
-its own; times are of a second run, with compiled kernels. Voxels are encoded for the first quarter of the
-frames and compared with the objects of the same frames. Further figures: the bytes by purpose; the difference
-of the decoded objects to the voxel representation of the scene (the device's low-pass, no objects); zlib and
-lzma on the poses as float32; and the cost of the error bound of the composed field: the bytes of the fields,
-and those of fields that each keep the mask on their own.
+The scene has 2000 frames (`--frames`) at 1 kHz. Each representation is simulated, built, encoded and written
+by a separate process, so that the peak memory is its own; kernels are compiled beforehand. Voxels are encoded
+for the first quarter of the frames and compared with the objects of the same frames.
+
+Further figures are the bytes of fields and poses; the difference between the decoded objects and the voxel
+representation of the scene (which has the device's low-pass and no objects); zlib and LZMA on the poses as
+float32; and the cost of the error bound of the composed field, as the bytes of the fields beside those of
+fields that each keep the mask on their own.
 """
 
 from __future__ import annotations
@@ -40,14 +42,17 @@ print(json.dumps({{**done.summary(), "peak_mb": peak}}))
 
 
 def coded(representation: str, frames: int, out: Path) -> dict[str, Any]:
-    """Summary of one encoding in a separate process."""
+    """Return the summary of one encoding in a separate process."""
     code = [sys.executable, "-c", JOB.format(scene=SCENE), representation, str(frames), str(out)]
     output = subprocess.run(code, check=True, capture_output=True, text=True).stdout
     return dict(json.loads(output.splitlines()[-1]))
 
 
 def difference(objects: Path, frames: int) -> dict[str, float]:
-    """Decoded objects against the voxel representation, on evenly spaced frames."""
+    """Compare the decoded objects with the voxel representation.
+
+    The frames are evenly spaced. The result also has the bytes of fields and poses.
+    """
     from touchfield.measure.fidelity import FidelityMeter
     from touchfield.pipeline import prepare
     from touchfield.pipeline.decoding import open_file
@@ -86,7 +91,7 @@ def difference(objects: Path, frames: int) -> dict[str, float]:
 
 
 def measure(frames: int) -> Figures:
-    """Both representations."""
+    """Measure both representations."""
     figures: dict[str, Any] = {"frames": frames}
     with tempfile.TemporaryDirectory() as folder:
         for name, representation, count in (
@@ -95,7 +100,7 @@ def measure(frames: int) -> Figures:
             ("voxel, a quarter", "voxel", frames // 4),
         ):
             out = Path(folder) / f"{name}.touch"
-            coded(representation, 2, out)  # compiles
+            coded(representation, 2, out)  # compile the kernels
             summary = coded(representation, count, out)
             selected = {
                 k: summary[k] for k in ("encode_s", "file_bytes", "peak_mb", "supported_voxels", "grid_shape")
@@ -106,7 +111,7 @@ def measure(frames: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Time, memory and bytes of objects; the error bound; poses shorter than packed ones."""
+    """Limit time, memory, bytes and error of objects; require short poses."""
     row = figures["object"]
     quarter, voxels = (figure(figures, f"{name}, a quarter", "file_bytes") for name in ("object", "voxel"))
     over = voxels / quarter if voxels and quarter else None

@@ -1,13 +1,16 @@
-"""The servo loop: rate, jitter, lateness and underruns, by scheduling class and load.
+"""The servo loop: rate, jitter, lateness and underruns, by scheduling and load.
 
     python bench/bench_servo.py [--quick] [--seconds 150] [--others 45]
 
-A turning body in 64^3 voxels at 30 frames per second is decoded ahead from a file (effort fast) and looped;
-the device only reports its position, on a circle through the body. Each row is a separate run. `jitter` is
-|dT - 1/rate|; lateness is the delay of the start of a tick after its absolute deadline. "loaded": as many
-busy processes as cores. "bare" is a loop that only sleeps until its deadline, in a separate process: the
-limit of the system. "stolen" is the fraction of processor time withheld from a virtual machine. `seeks` is
-the time from a seek to the first force where nothing is decoded ahead.
+A turning body of 64^3 voxels at 30 frames per second is decoded ahead from a file (effort fast) and looped.
+The device is simulated: it reports positions on a circle through the body. Each row is a separate run with a
+scheduling class (SCHED_FIFO or normal), a tick rate, and a load: "loaded" runs as many busy processes as
+cores. `--seconds` is the duration of the first row, `--others` that of the other rows.
+
+The jitter is |dT - 1/rate|. The lateness is the delay from the absolute deadline of a tick to its start.
+"bare" is a loop in a separate process that only sleeps until its deadline, which shows the limit of the
+system. "stolen" is the fraction of processor time withheld from a virtual machine. "seeks" is the time from a
+seek to the first force when nothing is decoded ahead.
 """
 
 from __future__ import annotations
@@ -76,7 +79,7 @@ print(*(late[int(share * count)] for share in (0.5, 0.99, 0.999)), late[-1], 1e9
 
 
 class Circle(PointDevice):
-    """A device on a circle, whatever the force."""
+    """A device that moves on a circle, whatever the force."""
 
     def __init__(self) -> None:
         self._angle = 0.0
@@ -103,7 +106,7 @@ class SimulatedCircle(Circle):
 
 
 def write_medium(path: Path) -> None:
-    """A tetrahedron that turns once in 2 s, as voxels."""
+    """Write a tetrahedron that turns once in 2 s, as voxels."""
     corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], float)
     faces = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
     turns = Rotation.from_euler("xyz", np.outer(np.arange(FRAMES), [2 * math.pi / FRAMES, 0, 0]))
@@ -113,7 +116,10 @@ def write_medium(path: Path) -> None:
 
 
 def cpu_s(pid: int | None) -> float:
-    """Processor seconds of a process so far; NaN where the system does not report them."""
+    """Return the processor seconds of a process so far.
+
+    NaN where the system does not report them.
+    """
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
@@ -124,7 +130,7 @@ def cpu_s(pid: int | None) -> float:
 def run(
     medium: HapticMedium, seconds: float, rate_hz: float, is_realtime: bool, is_loaded: bool
 ) -> dict[str, Any]:
-    """Statistics of one run, and the fraction of a core used by the servo."""
+    """Return the statistics of one run, and the fraction of a core used by the servo."""
     with ExitStack() as stack:
         if is_loaded:
             for _ in range(worker_count()):
@@ -142,7 +148,7 @@ def run(
 
 
 def stolen_s() -> float:
-    """Steal time of a virtual machine so far, seconds; 0 where it is not reported."""
+    """Return the steal time of a virtual machine so far, s; 0 if it is not reported."""
     try:
         return int(Path("/proc/stat").read_text().split("\n", 1)[0].split()[8]) / os.sysconf("SC_CLK_TCK")
     except (OSError, ValueError, IndexError):
@@ -150,7 +156,10 @@ def stolen_s() -> float:
 
 
 def bare(seconds: float) -> dict[str, float]:
-    """Lateness of an empty 1 kHz loop, microseconds; under SCHED_FIFO where allowed."""
+    """Return the lateness of an empty 1 kHz loop, microseconds.
+
+    It runs under SCHED_FIFO where that is allowed.
+    """
     output = subprocess.run(
         [sys.executable, "-c", BARE, str(seconds)], capture_output=True, text=True, check=True
     )
@@ -159,7 +168,7 @@ def bare(seconds: float) -> dict[str, float]:
 
 
 def seeks(medium: HapticMedium) -> dict[str, float]:
-    """Milliseconds from a seek to the first force, with nothing decoded ahead."""
+    """Return milliseconds from a seek to the first force, with nothing decoded ahead."""
     waited_ms = []
     with Player(medium, PROFILE, Circle, loop=True, log_rows=0) as player:
         player.play()
@@ -175,7 +184,7 @@ def seeks(medium: HapticMedium) -> dict[str, float]:
 
 
 def measure(seconds: float, others: float, offline: float) -> Figures:
-    """The offline loop, an empty loop, every row (the first for `seconds`), and seeks."""
+    """Measure the offline loop, an empty loop, every row, and seeks."""
     figures: Figures = {"seconds": seconds, "others_seconds": others}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "turning.touch"
@@ -198,7 +207,7 @@ def measure(seconds: float, others: float, offline: float) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """The requested rate, punctual ticks on an idle machine, no underruns, and fast seeks."""
+    """Require the requested rate, punctual ticks, no underruns, and fast seeks."""
     first = figures[ROWS[0][0]]
     idle = f"{ROWS[0][0]}: "
     off = abs(first["mean_rate_hz"] / first["rate_hz"] - 1)

@@ -1,8 +1,8 @@
-"""Size of the code base: lines and files of each package, long functions and lines.
+"""Size of the code base: lines and files of each package, and long functions.
 
     python bench/bench_size.py [--quick]
 
-Lines are those of the files that git tracks, with docstrings, blank lines and imports. There is no bar.
+The lines are those of the files that git tracks, with docstrings, blank lines and imports. There is no bar.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ MAX_PARAMETERS, MAX_LINES, MAX_COLUMNS = 10, 80, 110
 
 
 def texts() -> dict[Path, str]:
-    """Text of every Python file of the package, by its path below it."""
+    """Return the text of every Python file of the package, by its path in the package."""
     listed = subprocess.run(
         ["git", "ls-files", PACKAGE], cwd=ROOT, check=True, capture_output=True, text=True
     )
@@ -29,7 +29,7 @@ def texts() -> dict[Path, str]:
 
 
 def large_functions(path: Path, text: str) -> list[str]:
-    """Functions with many parameters or many lines."""
+    """List the functions with many parameters or many lines."""
     found = []
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
@@ -41,7 +41,10 @@ def large_functions(path: Path, text: str) -> list[str]:
 
 
 def local_imports(text: str) -> int:
-    """Imports of the package's own modules within functions; one in a nested function counts once."""
+    """Count imports of the package's own modules within functions.
+
+    An import in a nested function counts once.
+    """
     imports = set()
     for function in ast.walk(ast.parse(text)):
         if not isinstance(function, (ast.FunctionDef, ast.AsyncFunctionDef)):
@@ -53,7 +56,7 @@ def local_imports(text: str) -> int:
 
 
 def measure() -> Figures:
-    """Counts of each package, and of all."""
+    """Count for each package, and for all."""
     packages = dict[str, Counter[str]]()
     large = list[str]()
     for path, text in texts().items():
@@ -71,7 +74,7 @@ def measure() -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """None: sizes are information."""
+    """Return no bars: sizes are information."""
     return []
 
 

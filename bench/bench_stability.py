@@ -1,21 +1,23 @@
-"""A hand and a device in closed loop on a wall: limit cycles, energy, rendered stiffness.
+"""A hand and a device in closed loop on a wall: limit cycles, energy, stiffness.
 
     python bench/bench_stability.py [--quick] [--every N]
 
-Mass of the device and of the hand in one, the device's damping b, the spring of the hand; exact between the
-ticks. The device reports its position in steps of its resolution, and its force acts after a delay of some
-samples. The hand starts 10 mm before the wall, presses for at least two seconds, until the oscillation decays
-no further, and retreats (the hand itself has no damping: a decaying oscillation is no limit cycle). Reported
-for each way to render:
+The masses of hand and device are one mass, with the damping b of the device and the spring of the hand.
+Between the ticks the motion is computed exactly. The device reports its position in steps of its resolution,
+and its force acts after a delay of 0 to 2 ticks. The hand starts 10 mm before the wall, presses with 2 N for
+at least two seconds, until the oscillation decays no further, and retreats. The hand itself has no damping,
+so a decaying oscillation is no limit cycle.
 
-* rms, N: force about its mean in the last second of pressing; "cycles" counts those above 20 mN;
-* held, mJ: energy from the renderer in that second, less the work of the mean force; "drives" counts those
-  above 0.01 mJ;
-* given, mJ: energy that the hand receives in the whole touch, less the device's own damping; "gives" counts
-  those above 0.01 mJ;
-* soft: cases in which Colgate's b > K T (1/2 + delay) allows the wall and its stiffness is over 10 % off.
+Each way to render is run on all combinations of wall stiffness, damping, delay, resolution and hand; `--every
+N` takes every N-th case. The figures are:
 
-`--every N` takes every N-th case.
+* rms, N: force about its mean in the last second of pressing. "cycles" counts the cases above 20 mN.
+* held, mJ: energy from the renderer in that second, less the work of the mean force. "drives" counts the
+  cases above 0.01 mJ.
+* given, mJ: energy that the hand receives in the whole touch, less that lost in the device's damping. "gives"
+  counts the cases above 0.01 mJ.
+* soft: cases in which Colgate's condition b > K T (1/2 + delay) allows the wall but its stiffness is more
+  than 10 % off.
 """
 
 from __future__ import annotations
@@ -43,7 +45,7 @@ from tick_makers import OMNI, Bench as Bench, wall as wall
 from touchfield.medium import Grid
 
 CYCLE_N, ENERGY_J, STIFFNESS_TOLERANCE = 0.020, 1e-5, 0.10
-"""The bars."""
+"""Limits of the bars."""
 DEVICE_KG, PRESS_N, TICK_S = 0.045, 2.0, 1e-3
 APPROACH_TICKS, SECOND_TICKS, MAX_PRESS_TICKS, RETREAT_TICKS = 300, 1000, 60_000, 400
 SETTLED_N = 0.005
@@ -59,7 +61,11 @@ GRID = Grid((17, 17, 129), (0.01, 0.01, 0.0005), (-0.08, -0.08, -0.048))
 
 @njit(cache=True)
 def touch(i8, u8, f8, f4, frame, step, k, b, depth, delay, resolution):  # type: ignore[no-untyped-def]
-    """One touch: rms, mean and energy of the last second, net energy, mean depth, seconds."""
+    """Simulate one touch.
+
+    Returns rms, mean and energy of the last second of pressing, net energy, mean depth and seconds of
+    pressing.
+    """
     x, v, work_j, hold_j, first, second, deep = START_M, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     late = np.zeros(delay + 1)
     start_x, rms, mean, energy, depth_now, stop, n = x, 1e9, 0.0, 0.0, 0.0, 1 << 60, 0
@@ -104,12 +110,18 @@ def call(compiled: Any, *values: Any) -> Any:
 
 
 def tick_matrix(kg: float, k: float, b: float) -> Any:
-    """Transition matrix of a tick for mass, spring and damper, float64 [3, 3]."""
+    """Return the transition matrix of a tick, float64 [3, 3].
+
+    Of a mass, a spring and a damper.
+    """
     return expm(np.array([[0, 1, 0], [-k / kg, -b / kg, 1 / kg], [0, 0, 0]]) * TICK_S)
 
 
 def run(render: Any, every: int) -> dict[str, Any]:
-    """All cases with one way to render: `render(bench, K, b, delay, resolution)` sets the block up."""
+    """Run all cases with one way to render.
+
+    `render(bench, K, b, delay, resolution)` sets up the memory block of a case.
+    """
     began, rows = time.perf_counter(), []
     for stiffness in WALLS:
         block = Bench(wall(stiffness, MAX_FORCE_N), device=STRONG, grid=GRID)
@@ -125,7 +137,7 @@ def run(render: Any, every: int) -> dict[str, Any]:
 
 
 def summary_of(rows: Any) -> dict[str, Any]:
-    """Summary of all cases of one way to render."""
+    """Summarise all cases of one way to render."""
     stiffness, b, delay = rows.T[:3]
     rms, mean, hold_j, work_j, deep, lasting = rows.T[6:]
     allowed = b > stiffness * TICK_S * (0.5 + delay)
@@ -151,7 +163,7 @@ def summary_of(rows: Any) -> dict[str, Any]:
 
 
 def plain(**options: Any) -> Any:
-    """A way to render that ignores device and medium."""
+    """Return a way to render that ignores device and medium."""
 
     def render(bench: Bench, stiffness: float, b: float, delay: int, resolution: float) -> None:
         bench.restart(RenderSpec(**{"damping_n_s_per_m": 0.0, "coupling_n_per_m": 0.0, **options}))
@@ -160,7 +172,7 @@ def plain(**options: Any) -> Any:
 
 
 def passivity_only(bench: Bench, stiffness: float, b: float, delay: int, resolution: float) -> None:
-    """Only the passivity controller, with the delay known."""
+    """Render with the passivity controller only, with the delay known."""
     bench.device = replace(STRONG, delay_ms=1e3 * delay * TICK_S)
     plain(passivity=True)(bench, stiffness, b, delay, resolution)
 
@@ -168,7 +180,7 @@ def passivity_only(bench: Bench, stiffness: float, b: float, delay: int, resolut
 def auto(
     bench: Bench, stiffness: float, b: float, delay: int, resolution: float, spec: RenderSpec | None = None
 ) -> None:
-    """The choice of the player without options."""
+    """Render with the settings that the player chooses for the described device."""
     spec = RenderSpec() if spec is None else spec
     described = replace(
         STRONG, inertia_kg=DEVICE_KG, damping_n_s_per_m=b, delay_ms=1e3 * delay * TICK_S,
@@ -192,12 +204,12 @@ WAYS = {
 
 
 def measure(every: int) -> Figures:
-    """All ways to render."""
+    """Measure all ways to render."""
     return {"rows": {name: run(render, every) for name, render in WAYS.items()}}
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """No limit cycle, no energy gain, and the requested stiffness, with the player's choice."""
+    """Require stability and the wall's stiffness with the player's settings."""
     row = figures["rows"]["auto"]
     return [
         at_most("limit cycles above 20 mN, cases", row["cycles"], 0),

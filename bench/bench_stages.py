@@ -2,9 +2,9 @@
 
     python bench/bench_stages.py [--quick] [--nw N]
 
-One frame of each field as a segment, as it stands in a file, support and all. First every stage at its
-default step and the coder without one; then the bytes of every stage at the NMSE of the coder without one,
-its step searched for. Fields are those of `rate.py`.
+The stages are dpcm, adpcm, dct, wavelet and runs. One frame of each field of `rate.py` is coded as a segment,
+with its support. First every stage is measured at its default step, and the coder without a stage. Then the
+bytes of every stage are measured at the NMSE of the coder without a stage, for which the step is searched.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ TRIALS = 9
 
 
 def measured(field: ForceField, spec: PaperSpec) -> tuple[float, int]:
-    """NMSE in dB, and bytes of a segment of one frame."""
+    """Return NMSE in dB, and the bytes of a segment of one frame."""
     encoder = PaperEncoder(field.grid, spec)
     body = encoder.encode_segment([field]).body
     (decoded,) = PaperDecoder(field.grid, encoder.parameters).frames(body, 1)
@@ -37,7 +37,10 @@ def measured(field: ForceField, spec: PaperSpec) -> tuple[float, int]:
 
 
 def rows_of(field: ForceField) -> dict[str, dict[str, float]]:
-    """Every stage on one frame: at its default step, and at the error without a stage."""
+    """Measure every stage on one frame, at its default step and at equal error.
+
+    The error is that of the coder without a stage.
+    """
     target_db, plain = measured(field, PaperSpec())
     rows = {"none": {"bytes": plain, "nmse_db": target_db}}
     for stage in STAGES[1:]:
@@ -53,13 +56,13 @@ def rows_of(field: ForceField) -> dict[str, dict[str, float]]:
 
 
 def measure(nw: int) -> Figures:
-    """Every stage on every field."""
+    """Measure every stage on every field."""
     with tempfile.TemporaryDirectory() as scratch:
         return {"fields": {c.title: rows_of(c.frames(Path(scratch))[0]) for c in cases((nw,), NAMES)}}
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """A predictive stage saves bytes on every field, and so does the best stage."""
+    """Require that dpcm, and the best stage, save bytes on every field."""
     over = []
     for rows in figures["fields"].values():
         if "none" in rows:

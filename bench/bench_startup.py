@@ -1,9 +1,10 @@
-"""Start-up time: the import, a first `touchfield encode` without compiled kernels, a second.
+"""Start-up time: import, a first `touchfield encode`, and a second.
 
     python bench/bench_startup.py [--quick]
 
-The first also as one process, without helpers that compile ahead; and the seconds of all cores that each way
-takes. A quick run has its kernels compiled.
+The first encoding finds no compiled kernels. It is measured with the helper processes that compile ahead, and
+without them in a single process ("alone"). Wall seconds and the processor seconds of all cores are given. A
+quick run uses kernels that are already compiled.
 """
 
 from __future__ import annotations
@@ -20,14 +21,14 @@ from machine import Bar, Figures, at_most, bench
 
 
 def seconds(code: list[str], environment: dict[str, str] | None = None) -> float:
-    """Wall seconds of a fresh interpreter."""
+    """Return the wall seconds of a fresh interpreter."""
     began = perf_counter()
     subprocess.run([sys.executable, *code], check=True, env=environment, stdout=subprocess.DEVNULL)
     return perf_counter() - began
 
 
 def measure(is_cold: int) -> Figures:
-    """The import and three encodings."""
+    """Measure the import and three encodings."""
     bare, ours = (
         median(seconds(["-c", f"import {name}"]) for _ in range(7)) for name in ("numpy", "touchfield")
     )
@@ -35,7 +36,7 @@ def measure(is_cold: int) -> Figures:
     with tempfile.TemporaryDirectory() as folder:
         job = ["-m", "touchfield", "encode", "sample:terrain", str(Path(folder) / "out.touch")]
         for name, helpers in (("first_encode_alone", "0"), ("first_encode", "")):
-            cache = {"NUMBA_CACHE_DIR": str(Path(folder) / name)} if is_cold else {}  # which is not there yet
+            cache = {"NUMBA_CACHE_DIR": str(Path(folder) / name)} if is_cold else {}  # an empty cache
             environment = {**os.environ, **cache, "TOUCHFIELD_HELPERS": helpers}
             before = os.times()
             figures[f"{name}_s"] = seconds(job, environment)
@@ -49,7 +50,7 @@ def measure(is_cold: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Limits on the import, and on the first and second encoding."""
+    """Limit the time of the import, and of the first and second encoding."""
     return [
         at_most("import, beyond numpy's", figures["import_touchfield_beyond_numpy_s"], 0.5, "s"),
         at_most("first encode, nothing compiled", figures["first_encode_s"], 10.0, "s"),

@@ -1,9 +1,9 @@
-"""Time of the tests without compiled kernels, as in a new clone.
+"""Time of `make test` without compiled kernels, as in a new clone.
 
     python bench/bench_suite.py [--quick]
 
-A Python loop is timed before and after, because the speed of a shared machine varies. Quick: the tests of one
-file.
+A Python loop is timed before and after, because the speed of a shared machine varies. A quick run tests one
+file only.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ PYTEST_COMMAND = (sys.executable, "-m", "pytest", "tests/measure/test_partition.
 
 
 def loop_s() -> float:
-    """Seconds of 20 million turns of a loop."""
+    """Return the seconds of 20 million iterations of a Python loop."""
     began, total = perf_counter(), 0
     for i in range(20_000_000):
         total += i * i % 7
@@ -32,7 +32,7 @@ def loop_s() -> float:
 
 
 def measure(tests: str) -> Figures:
-    """One run of the tests; RuntimeError with the names of failed tests."""
+    """Run the tests once; RuntimeError with the names of failed tests."""
     before_s = loop_s()
     with TemporaryDirectory() as cache:
         began = perf_counter()
@@ -52,7 +52,7 @@ def measure(tests: str) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Limit on the time of `make test`."""
+    """Limit the time of `make test`."""
     return [at_most("minutes of make test", figure(figures, "minutes"), 8)]
 
 

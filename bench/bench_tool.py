@@ -1,12 +1,14 @@
-"""Time of a tick with a tool of many points.
+"""Time of a servo tick with a tool of many points.
 
     python bench/bench_tool.py [--quick] [--points N] [--seconds S]
 
-The tool is a sphere of 20 mm of so many points (10,000 unless told) that goes round through a soft ball,
-turning, with about half of its points in contact; one part of voxels, either one frame or a blend of two that
-differ, and a scene of four bodies that move. `kernels.tick`, with all limits, is called at 1 kHz: it waits in
-between, as the servo does, so that caches are as cold as they will be. Beside the time by the clock stands
-that of the processor, as other work on the machine lengthens the first.
+The tool is a sphere of 20 mm radius with `--points` (10,000) points. It moves in a circle through a soft ball
+and turns, with about half of its points in contact. There are three media: one frame of voxels, a blend of
+two different frames, and a scene of four moving bodies.
+
+The kernel `tick`, with all limits, is called at 1 kHz for `--seconds`. The program waits between the calls as
+the servo does, so that caches are as cold as in use. Wall time and processor time are given, because other
+work on the machine lengthens the wall time.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ AXES = "x right, y up, z towards the user"
 
 
 def ball(radius: float, stiffness: float) -> ForceField:
-    """A soft ball on the lattice."""
+    """Return a soft ball on the lattice."""
     axes = [GRID.origin_m[n] + GRID.spacing_m[n] * np.arange(128, dtype=np.float32) for n in range(3)]
     p = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     distance = np.maximum(np.linalg.norm(p, axis=-1, keepdims=True), 1e-6)
@@ -42,7 +44,7 @@ def ball(radius: float, stiffness: float) -> ForceField:
 
 
 def block(tool: Tool, fields: list[ForceField], parts: list[list[FramePart]]) -> tuple[Memory, list[int]]:
-    """A memory block with fields, frames and the tool, and the offsets of the frames.
+    """Return a memory block with fields, frames and the tool, and the frames' offsets.
 
     The parts of a frame refer to a field by its number.
     """
@@ -64,7 +66,7 @@ def block(tool: Tool, fields: list[ForceField], parts: list[list[FramePart]]) ->
 
 
 def run(memory: Memory, frames: list[int], blend: float, seconds: float) -> dict[str, float]:
-    """Milliseconds of a tick at 1 kHz, by the clock and of the processor."""
+    """Return percentiles of a tick at 1 kHz, in wall and processor milliseconds."""
     f8, views, count = memory.f8, memory.views, round(1000 * seconds)
     took, spent = np.empty(count), np.empty(count)
     contact_ticks = 0
@@ -96,7 +98,7 @@ def run(memory: Memory, frames: list[int], blend: float, seconds: float) -> dict
 
 
 def measure(points: int, seconds: float) -> Figures:
-    """Ticks of each medium."""
+    """Time the ticks of each medium."""
     tool = Tool.sphere(0.02, points)
     rng = np.random.default_rng(2)
     big, other = ball(0.05, 300.0), ball(0.052, 310.0)
@@ -121,7 +123,7 @@ def measure(points: int, seconds: float) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """At most half a tick of 1 kHz."""
+    """Limit a tick to half of the period of 1 kHz."""
     return [
         at_most(f"a tick, {name}, p99.9 {label}", row[f"{key}_p99_9_ms"], 0.5, "ms")
         for name, row in figures["rows"].items()

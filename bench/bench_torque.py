@@ -2,12 +2,14 @@
 
     python bench/bench_torque.py [--nw N] [--quick]
 
-A tool of points computes its torque from the force field, the sum of r x F over its points (`render.tool`),
-and turns with the hand. A torque stored at each sample would be valid for one tool in one orientation. Here
-it is computed for a pen of 60 mm and a sphere of 5 mm, held upright, at all samples near a surface, and coded
-by `touch` like force (k 0.1; F_0 times 10 mm). Then the hand tilts, and the stored torque is compared with
-that of the points. A record in the medium would be worth its code if, at the tilt of a pen of a writing hand
-(20 degrees), at most a tenth of the positions were off by more than a tenth.
+A tool of points computes its torque from the force field, as the sum of r x F over its points
+(`render.tool`), and turns with the hand. A torque stored at each sample would be valid for one tool in one
+orientation only. This benchmark tests whether storing it would be accurate enough.
+
+The torque is computed for a pen of 60 mm and a sphere of 5 mm, held upright, at all samples near a surface,
+and coded by `touch` like a force (k 0.1; F_0 times 10 mm). Then the hand tilts, and the upright torque is
+compared with the torque of the tilted points. A torque record in the medium would be worthwhile if, at the
+tilt of a pen of a writing hand (20 degrees), at most a tenth of the positions were off by more than a tenth.
 """
 
 from __future__ import annotations
@@ -31,7 +33,10 @@ Float64s = NDArray[np.float64]
 
 
 def pen(length_m: float = 0.06, radius_m: float = 0.004, points: int = 200) -> Tool:
-    """A cylinder towards the user (z is forward), its far end, a round tip, at the device's point."""
+    """Return a cylinder that points towards the user (z is forward).
+
+    Its far end, a round tip, is at the device's point.
+    """
     n = np.arange(points)
     height, turn = (n + 0.5) / points * length_m, n * 2.399963
     radial = np.stack([np.cos(turn), np.sin(turn), np.zeros(points)], axis=-1)
@@ -42,7 +47,10 @@ def pen(length_m: float = 0.06, radius_m: float = 0.004, points: int = 200) -> T
 
 
 def torque(field: ForceField, tool: Tool, at: Float64s, turns: Rotation | None = None) -> Float64s:
-    """Torque about the device's point at `at` [n, 3], N m [n, 3]; `turns` [n] rotate the tool."""
+    """Return the torque about the device's point at `at` [n, 3], N m [n, 3].
+
+    `turns` [n] rotate the tool.
+    """
     total = np.zeros_like(at)
     for point, normal in zip(tool.points_m, tool.normals, strict=True):
         arm = np.broadcast_to(point, at.shape) if turns is None else turns.apply(np.array(point))
@@ -55,7 +63,7 @@ def torque(field: ForceField, tool: Tool, at: Float64s, turns: Rotation | None =
 
 
 def stored_torque(field: ForceField, tool: Tool) -> ForceField:
-    """The torque at all samples of the bricks of a field, N m in place of N."""
+    """Return the torque at all samples of the bricks of a field, N m in place of N."""
     grid, bricks = field.grid, field.bricks
     local = np.stack(np.meshgrid(*(np.arange(8),) * 3, indexing="ij"), axis=-1)
     index = 8 * bricks[:, None, None, None, :].astype(np.int64) + local
@@ -67,7 +75,7 @@ def stored_torque(field: ForceField, tool: Tool) -> ForceField:
 
 
 def measure(nw: int) -> Figures:
-    """A row for each source and tool."""
+    """Measure each source and tool."""
     rows: dict[str, Figures] = {}
     for source in SOURCES:
         field = prepare(source, EncodeSpec(nw=nw, representation="voxel")).medium[0]
@@ -95,7 +103,7 @@ def measure(nw: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Whether a stored torque is accurate enough."""
+    """Test whether a stored torque is accurate enough."""
     worst = max(row["off_at_20"] for row in figures["tools"].values())
     return [
         at_most(

@@ -1,15 +1,20 @@
-"""Vibration (paper section 6.4): properties of the split, bits, and rendered textures.
+"""Vibration (paper section 6.4): splitting, reduction, and rendered textures.
 
     python bench/bench_vibrotactile.py [--quick] [--seconds S]
 
-"recordings": forces of a hand that guides a robot (`shared`, six, about 700 samples per second; skipped
-without that folder), split at 30 Hz, the high part mapped to one axis and reduced. "made": synthetic noise
-like a rough surface, ridges, and taps, at 2 kHz. Bits are those of an adaptive code, against 16 per sample of
-one axis. The margin is the distance of the error below the threshold of a hand that holds a stylus, in the
-worst third of an octave and half second, by a measure of thirds that the reduction does not use.
+"laws": errors of three exact operations on random signals: the crossover into low and high frequencies,
+DFT321 (three axes to one), and the STFT and its inverse.
 
-"slide": a simulated hand slides over a wall with a texture table of three speeds and two forces. Figures are
-the deviation of the device's force from the table in thirds of an octave, and the time of a tick with and
+"reduction": a vibration of one axis is reduced to what can be felt. "recordings" are the forces of a hand
+that guides a robot (six, about 700 samples per second; skipped without the optional folder of inputs), split
+at 30 Hz; the high part is mapped to one axis. The synthetic signals of `--seconds` at 2 kHz are noise like a
+rough surface, ridges, and taps. The bits are those of an adaptive code, compared with 16 bits per sample of
+one axis. The margin is the distance of the error below the threshold of a hand that holds a stylus, in the
+worst third of an octave and half second. It is computed by `third_octave_power`, which the reduction does not
+use.
+
+"slide": a simulated hand slides over a wall with a texture table of three speeds and two forces. The figures
+are the deviation of the device's force from the table in thirds of an octave, and the time of a tick with and
 without the texture.
 """
 
@@ -40,7 +45,7 @@ GRID = tf.Grid((65, 33, 33), (0.005,) * 3, (-0.16, -0.08, -0.08))
 
 
 def laws(seconds: float) -> Figures:
-    """Worst errors of crossover, DFT321 and STFT over ten signals."""
+    """Return the worst errors of crossover, DFT321 and STFT over ten signals."""
     worst = {"crossover": 0.0, "dft321": 0.0, "stft_db": np.inf}
     for seed in range(10):
         signal = (
@@ -63,7 +68,10 @@ def laws(seconds: float) -> Figures:
 
 
 def recordings() -> dict[str, Any]:
-    """One axis of the high part of each recorded force; none without the folder."""
+    """Return one axis of the high part of each recorded force.
+
+    Empty without the folder of inputs.
+    """
     if not RECORDED.exists():
         return {}
     from scipy.io import loadmat
@@ -73,7 +81,7 @@ def recordings() -> dict[str, Any]:
 
 
 def synthetic(seconds: float) -> dict[str, Any]:
-    """Vibrations of one axis, newtons, at `MADE_HZ`."""
+    """Return vibrations of one axis, newtons, at `SYNTHETIC_HZ`."""
     rng, t = np.random.default_rng(6), np.arange(int(seconds * SYNTHETIC_HZ)) / SYNTHETIC_HZ
     rough = np.convolve(rng.normal(size=len(t) + 31), np.hanning(32) * np.cos(0.6 * np.arange(32)), "valid")
     hits = np.exp(-((t * 40) % 1) * 8) * np.sin(2 * np.pi * 180 * t) * (1 + 0.2 * rng.normal(size=len(t)))
@@ -82,7 +90,7 @@ def synthetic(seconds: float) -> dict[str, Any]:
 
 
 def margin_db(error: Any, rate_hz: float) -> float:
-    """Decibels to the threshold, in the third and the half second where they are least."""
+    """Return the least distance to the threshold, dB, over thirds and half seconds."""
     if rate_hz < 1000:  # third_octave_power needs at least 1 kHz
         error, rate_hz = resample_poly(error, 2, 1), 2 * rate_hz
     length = int(rate_hz / 2)
@@ -93,7 +101,7 @@ def margin_db(error: Any, rate_hz: float) -> float:
 
 
 def reduction(signals: dict[str, Any], rate_hz: float) -> Figures:
-    """Bits and margin of each."""
+    """Return bits and margin of each signal."""
     rows = {}
     for name, signal in signals.items():
         began = time.perf_counter()
@@ -110,7 +118,7 @@ def reduction(signals: dict[str, Any], rate_hz: float) -> Figures:
 
 
 def slides() -> Figures:
-    """Slides over a texture table of three speeds, at these speeds and between."""
+    """Slide over a texture table of three speeds, at these speeds and between two."""
     force = np.zeros((1, *GRID.shape, 3))
     force[..., 2] = np.maximum(-300.0 * (GRID.origin_m[2] + GRID.spacing_m[2] * np.arange(GRID.shape[2])), 0)
     medium = tf.HapticMedium.from_array(force, GRID, 30.0)
@@ -126,7 +134,7 @@ def slides() -> Figures:
         at = np.array([[-0.14, 0, -0.0025], [-0.14, 0, -0.0025], [0.14, 0, -0.0025]])
         seconds = 0.1 + 0.28 / speed
         opener = point_device("sim", Trace(np.array([0, 0.1, seconds]), at)).opener
-        run_offline(medium, profile, opener, spec, seconds=0.05)  # compiles and loads the kernels
+        run_offline(medium, profile, opener, spec, seconds=0.05)  # compile and load the kernels
         took = []
         for run_spec in (spec, replace(spec, materials=())):
             began = time.perf_counter()
@@ -149,7 +157,7 @@ def slides() -> Figures:
 
 
 def measure(seconds: float) -> Figures:
-    """Properties, reduction and slides."""
+    """Measure exact operations, reduction and slides."""
     reduction_rows = reduction(recordings(), RECORDED_HZ) | reduction(synthetic(seconds), SYNTHETIC_HZ)
     slide_rows = slides()
     return {
@@ -161,7 +169,7 @@ def measure(seconds: float) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Exact splits, imperceptible errors at few bits in real time, and accurate textures."""
+    """Require exact operations, imperceptible errors, few bits, accurate textures."""
     rows = figures["reduction"]
     real = {name: row for name, row in rows.items() if name.startswith("recording")}
     return [
@@ -180,7 +188,7 @@ def bars(figures: Figures) -> list[Bar]:
 
 
 def synthetic_rows(rows: Figures) -> Figures:
-    """Rows of synthetic signals."""
+    """Return the rows of synthetic signals."""
     return {name: row for name, row in rows.items() if not name.startswith("recording")}
 
 

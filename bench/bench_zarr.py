@@ -2,9 +2,10 @@
 
     python bench/bench_zarr.py [--nw N] [--runs N] [--quick]
 
-The stereo picture on 2^n_w samples an axis. zstd is zarr's own choice; the codec of the coder `touch`
-promises k 0.1, F_0 0.05 N in every chunk, and is written tile by tile from the source. Best of the runs,
-taken in turn.
+The field is that of a stereo picture on 2^n_w samples along each axis. The zarr store is written with zstd,
+zarr's default, and with the codec of coder `touch`. That codec guarantees the error bound with k = 0.1 and
+F_0 = 0.05 N in every chunk, and the store is written tile by tile from the source. The formats take turns,
+and the best of `--runs` runs counts.
 """
 
 from __future__ import annotations
@@ -25,14 +26,14 @@ SOURCE = "sample:motorcycle"
 
 
 def seconds(work: Callable[[Path], object], path: Path) -> float:
-    """Wall seconds of a call."""
+    """Return the wall seconds of a call."""
     began = perf_counter()
     work(path)
     return perf_counter() - began
 
 
 def size(path: Path) -> int:
-    """Bytes of a file, or of all in a folder."""
+    """Return the bytes of a file, or of all files in a folder."""
     return sum(p.stat().st_size for p in ([path] if path.is_file() else path.rglob("*")) if p.is_file())
 
 
@@ -62,7 +63,7 @@ def measure(nw: int, runs: int) -> Figures:
             }
             for way, (file, write, read) in ways.items():
                 took = {"write_s": seconds(write, folder / file), "read_s": seconds(read, folder / file)}
-                if run:  # the first compiles
+                if run:  # the first run compiles
                     rows[way] = {k: min(v, rows[way].get(k, v)) for k, v in took.items()}
                     rows[way]["bytes"] = size(folder / file)
     return {
@@ -74,7 +75,7 @@ def measure(nw: int, runs: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """At least half the speed of ``.npz``."""
+    """Require at least half the speed of ``.npz``."""
 
     def ratio(key: str) -> float:
         npz, zarr = (figure(figures, "ways", way, key) for way in ("npz", "zarr, zstd"))

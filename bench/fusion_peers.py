@@ -1,10 +1,11 @@
-"""Peers of depth fusion on the same depth maps, in the interpreter that has them installed.
+"""Frames per second of Open3D and VDBFusion on the depth maps of `bench_fusion`.
 
     PYTHON fusion_peers.py DEPTHS.npz
 
-reads depths_m float32 [n, h, w], poses float64 [n, 4, 4] (world from camera), intrinsics float64 [4] (fx, fy,
-cx, cy) and voxel_m, and prints JSON: for each peer the frames a second of the best of nine runs, or why there
-are none. Truncation is Open3D's default of eight voxels. Needs numpy only, and what it measures.
+`bench_fusion` runs this file in the interpreter that has the peers installed; it needs NumPy besides. The
+input has depths_m float32 [n, h, w], poses float64 [n, 4, 4] (world from camera), intrinsics float64 [4] (fx,
+fy, cx, cy) and voxel_m. The output is JSON: for each peer the frames per second of the best of nine runs, or
+why it was not measured. The truncation distance is Open3D's default of eight voxels.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ TRUNCATION_VOXELS = 8.0
 
 
 def open3d_rate(data: Any) -> float:
-    """Frames a second of VoxelBlockGrid on the CPU."""
+    """Return frames per second of `VoxelBlockGrid` on the CPU."""
     o3d: Any = import_module("open3d")
     core, device = o3d.core, o3d.core.Device("CPU:0")
     fx, fy, cx, cy = data["intrinsics"]
@@ -50,7 +51,7 @@ def open3d_rate(data: Any) -> float:
 
 
 def vdbfusion_rate(data: Any) -> float:
-    """Frames a second of VDBFusion, given points; making them of the depth map counts."""
+    """Return frames per second of VDBFusion, including the conversion to points."""
     vdbfusion: Any = import_module("vdbfusion")
 
     fx, fy, cx, cy = data["intrinsics"]

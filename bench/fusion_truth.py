@@ -1,4 +1,4 @@
-"""A synthetic Kinect sequence with a known surface: a wall, a floor, a ball and a box."""
+"""A synthetic Kinect sequence with a known surface: wall, floor, ball and box."""
 
 from __future__ import annotations
 
@@ -18,10 +18,14 @@ STIFFNESS_N_PER_M, WALL_M = 18.0, 0.18
 LOOKED_AT_M = (-0.06, -0.03)
 """Depths behind the true surface that are compared; both fields have forces there."""
 QUANTUM_PER_M = 2.85e-3
+"""Step of the inverse depth, 1/m: one step of the Kinect's disparity."""
 
 
 def distance_m(points_m: Float64s) -> Float64s:
-    """The signed distance to the surface, metres, negative inside; points [..., 3]."""
+    """Return the signed distance to the surface at points [..., 3], metres.
+
+    It is negative inside.
+    """
     wall, floor = 2.6 - points_m[..., 2], 0.8 - points_m[..., 1]
     ball = np.linalg.norm(points_m - (-0.5, 0.2, 2.1), axis=-1) - 0.35
     beyond = np.abs(points_m - (0.55, 0.3, 2.2)) - (0.25, 0.4, 0.2)
@@ -31,8 +35,10 @@ def distance_m(points_m: Float64s) -> Float64s:
 
 
 class SyntheticKinect(DepthSequence):
-    """The scene before a camera that turns, with the axial noise of Nguyen, Izadi and Lovell (2012) and the
-    steps of a Kinect's disparity."""
+    """The scene before a camera that turns.
+
+    Depths have the axial noise of Nguyen, Izadi and Lovell (2012) and the steps of a Kinect's disparity.
+    """
 
     def __init__(self) -> None:
         self.name, self.rate_hz, self.frame_count, self.notes = "room", 30.0, FRAMES, ()
@@ -52,7 +58,7 @@ class SyntheticKinect(DepthSequence):
         return self._depths[frame]
 
     def _rendered(self, pose: Float64s) -> Float64s:
-        """Depth by sphere tracing, metres; 0 where nothing is within 6 m."""
+        """Render the depth by sphere tracing, metres; 0 where nothing is within 6 m."""
         k = self.intrinsics
         v, u = np.mgrid[: self.height, : self.width]
         rays = np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy, np.ones(u.shape)], -1) @ pose[:3, :3].T
@@ -69,9 +75,10 @@ def _measured(depth_m: Float64s, rng: np.random.Generator) -> NDArray[np.float32
 
 
 def contact_errors_mm() -> dict[str, float]:
-    """Median |error| of the rendered surface: of a single frame's field, of the fused one, their ratio.
+    """Return the median |error| of the surface in a single and in the fused field.
 
-    The surface lies |F| / K in front of a sample; the same samples are compared in both fields.
+    The surface lies |F| / K in front of a sample; the same samples are compared in both fields. "ratio" is
+    the fused error over that of the single frame.
     """
     sequence = SyntheticKinect()
     single, fused = DepthScene(sequence), FusedScene(sequence)

@@ -1,14 +1,15 @@
-"""Fuzzing of the decoder of coder `touch`: named errors only, bounded memory and time.
+"""Fuzzing of the decoder of coder `touch`: errors, memory and time.
 
     python bench/fuzz_touch.py [--seconds N] [--seed S] [--only NAME ...] [--bounds] [--replay SEED CASE]
 
-Valid segments of every mode, effort and base layer are damaged bytewise, or in one part with consistent
-lengths, and decoded by a child process. A case fails if an error other than `FormatError` occurs, if more
-memory or time is used than the bytes and the grid allow (`tracemalloc`, and the limit of the process), or if
-the process dies. A case is identified by the seed and its number: `--replay` runs one again. `--bounds`
-checks every index in the compiled loops, which is slow.
+Valid segments of every mode, effort and base layer are damaged at random bytes, or in one part with
+consistent lengths. A child process decodes them. A case fails if another error than `FormatError` occurs, if
+it uses more memory or time than the number of bytes allows (measured by `tracemalloc` and limited for the
+process), or if the process dies.
 
-`run_all.py` does not run it: it has no figures.
+A case is identified by the seed and its number; `--replay` runs it again. `--only` selects the segments.
+`--bounds` checks every index in the compiled loops, which is slow. `run_all.py` does not run this file,
+because it has no figures.
 """
 
 from __future__ import annotations
@@ -39,13 +40,19 @@ from touchfield.medium import ForceField, Grid
 
 MEBI = 1 << 20
 PROCESS_BYTES = 6 << 30
-"""Address space of a child: compiled code and its heap take some of it."""
+"""Address space of a child, some of which compiled code and its heap take."""
 
 FREE_BYTES = 24 * MEBI
-"""The models of a frame take 3 MiB, several times at once, and the table of a lattice 2."""
+"""Memory allowed for any case.
+
+The models of a frame take 3 MiB, several times at once, and the table of a lattice 2 MiB.
+"""
 
 BYTES_PER_BYTE = 512 << 10
-"""Memory for each byte of a body: sixteen bricks of 6 KiB and their cells of 16, several times at once."""
+"""Memory allowed for each byte of a body.
+
+A byte may list sixteen bricks, each of 6 KiB with cells of 16 KiB, several times at once.
+"""
 
 FREE_SECONDS = 1.0
 SECONDS_PER_BYTE = 4e-3
@@ -57,7 +64,7 @@ GRID = Grid((22, 19, 26), (0.0025, 0.002, 0.001), (-0.01, -0.008, -0.004))
 
 @dataclass(frozen=True)
 class Good:
-    """A segment as the encoder wrote it."""
+    """A valid segment, as the encoder wrote it."""
 
     name: str
     grid: Grid
@@ -67,7 +74,7 @@ class Good:
 
     @property
     def decoder(self) -> TouchDecoder:
-        """Of its stream."""
+        """The decoder of its stream."""
         return TouchDecoder(self.grid, self.parameters)
 
 
@@ -75,7 +82,7 @@ class Good:
 
 
 def wall(grid: Grid, t: float, saturated: bool = False) -> ForceField:
-    """A bent wall that pushes outward, and moves with t."""
+    """Return a bent wall that pushes outward, and moves with t."""
     x, y, z = np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij")
     depth = z - 9 - 2.5 * np.sin((x + t) / 5) * np.cos((y - t) / 4)
     inside = (depth > 0) & (saturated | (depth < 5))
@@ -85,7 +92,7 @@ def wall(grid: Grid, t: float, saturated: bool = False) -> ForceField:
 
 
 def makers() -> dict[str, Callable[[], Good]]:
-    """Functions that encode the segments to damage, by name."""
+    """Return functions that encode the segments to damage, by name."""
     walls = [wall(GRID, t) for t in range(3)]
     solid = [wall(GRID, t, saturated=True) for t in range(2)]
     step = wall(GRID, 0, saturated=True).to_dense()
@@ -109,7 +116,10 @@ def makers() -> dict[str, Callable[[], Good]]:
 
 
 def encoded(name: str, frames: list[ForceField], spec: TouchSpec) -> Good:
-    """A segment of frames; outliers are rare, so the worst kind is added."""
+    """Encode a segment of frames.
+
+    Outliers are rare, so the last frame gets one if it has none.
+    """
     encoder = TouchEncoder(GRID, spec)
     good = Good(name, GRID, encoder.parameters, encoder.encode_segment(frames).body, len(frames))
     if spec.mode not in ("mask", "mask-direction"):
@@ -124,12 +134,12 @@ def encoded(name: str, frames: list[ForceField], spec: TouchSpec) -> Good:
 
 
 def damaged(data: bytes, rng: np.random.Generator, others: list[bytes]) -> bytes:
-    """Damage bytes in one of many ways."""
+    """Damage bytes in one of nine ways."""
     out = bytearray(data)
     n = len(out)
     kind = int(rng.integers(9))
     at = int(rng.integers(n)) if n else 0
-    early = min(at, int(rng.integers(1, 24)))  # sizes are in the heads of codes
+    early = min(at, int(rng.integers(1, 24)))  # the head of a code has sizes
     if kind == 0 or n == 0:
         for _ in range(int(rng.integers(1, 6))):
             if n:
@@ -159,7 +169,7 @@ def damaged(data: bytes, rng: np.random.Generator, others: list[bytes]) -> bytes
 
 
 def damaged_record(record: FrameRecord, rng: np.random.Generator, others: list[bytes]) -> FrameRecord:
-    """A frame with one of its parts changed."""
+    """Return a frame with one of its parts changed."""
     kind = int(rng.integers(8))
     if kind < 4:
         return replace(record, payload=damaged(record.payload, rng, others))
@@ -173,7 +183,7 @@ def damaged_record(record: FrameRecord, rng: np.random.Generator, others: list[b
 
 
 def case_of(pool: list[Good], seed: int, number: int) -> Good:
-    """Case `number`: the same for the same bodies."""
+    """Return case `number`, which is the same for the same segments and seed."""
     rng = np.random.default_rng([seed, number])
     good = pool[int(rng.integers(len(pool)))]
     others = [segment.body for segment in pool]
@@ -204,7 +214,7 @@ def case_of(pool: list[Good], seed: int, number: int) -> Good:
 
 
 def bytes_allowed(case: Good) -> float:
-    """Memory that a case may take at once."""
+    """Return the memory that a case may take at once."""
     return FREE_BYTES + BYTES_PER_BYTE * len(case.body)
 
 
@@ -244,7 +254,10 @@ def start_child(names: list[str], seed: int) -> None:
 
 
 def work(seed: int, number: int) -> tuple[str, str, float, float]:
-    """Name and outcome of a case, and the fractions used of the allowed memory and time."""
+    """Run a case in the child.
+
+    Returns name and outcome, and the fractions used of the allowed memory and time.
+    """
     case = case_of(POOL, seed, number)
     tracemalloc.reset_peak()
     before, began = tracemalloc.get_traced_memory()[0], time.process_time()
@@ -278,13 +291,13 @@ class Tally:
 
 
 def watch(arguments: argparse.Namespace) -> Tally:
-    """Run cases until the time is over; restart after a case that killed the child."""
+    """Run cases until the time is over; restart the child after a case that killed it."""
     tally, number, spent = Tally(Counter(), {}), arguments.first, 0.0
     while spent < arguments.seconds:
         with multiprocessing.get_context("spawn").Pool(
             1, start_child, (arguments.only, arguments.seed)
         ) as child:
-            child.apply_async(os.getpid).get(1200)  # all is compiled
+            child.apply_async(os.getpid).get(1200)  # wait until all is compiled
             patient = True
             while patient and spent < arguments.seconds:
                 began = time.monotonic()

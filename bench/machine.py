@@ -1,4 +1,4 @@
-"""Shared by all benchmarks: command line, timing, tables, bars with verdicts, stored results."""
+"""Shared code of the benchmarks: command line, tables, bars, stored results."""
 
 from __future__ import annotations
 
@@ -20,34 +20,39 @@ from touchfield.errors import MissingExtra
 
 RESULTS = Path(__file__).parent / "results"
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
-"""The optional folder of real inputs."""
+"""Optional folder of real inputs."""
 WIDEST = 9
-"""Columns of a table; wider rows are printed one by one."""
+"""Largest number of columns of a table; wider rows are printed one by one."""
 SKIPPED = 77
 """Exit status of a benchmark whose requirements are missing."""
 ABOUT = ("machine", "run", "code", "bars")
-"""Keys of a stored result that are no figures."""
+"""Keys of a stored result that are not figures."""
 QUICK = Path(__file__).parent / "reference" / "quick"
-"""The exact figures of quick runs by their path, a file for each benchmark."""
+"""Exact figures of quick runs by their path, a file for each benchmark."""
 STORE_QUICK = "TOUCHFIELD_BENCH_STORE_QUICK"
 EXACT = (
     *("*bytes*", "*voxels*", "*support*", "*bricks*", "*triangles*", "*tiles*", "*cases*"),
     *("*db", "*ratio*", "*worst*"),
 )
-"""Patterns of figures that are equal in every run."""
+"""Patterns of the paths of figures that are equal in every run."""
 NOT_EXACT = (
     *("*peer*", "*/numpy/*", "*/warp/*", "*_ms*", "*_us*", "*_s", "*seconds", "*_mb", "*per_s*", "*_hz*"),
     "absent*",
 )
+"""Patterns of the paths that are left out of these, such as times and peers."""
 SAME = 0.02
-"""Tolerated relative difference of exact figures: summation order depends on the processor, and choices
-of an encoder depend on it. On one machine the figures are equal."""
+"""Tolerated relative difference of exact figures between machines.
+
+The order of summation depends on the processor, and choices of an encoder depend on it. On one machine the
+figures are equal.
+"""
 VERDICTS = {True: "met", False: "NOT MET", None: "not measured"}
 
 Figures = dict[str, Any]
 Bar = dict[str, Any]
-"""A limit on a figure: "bar" (its name), "measured", "way" ("at most" or "at least"), "limit", "unit",
-"met".
+"""A limit on a figure.
+
+Keys: "bar" (its name), "measured", "way" ("at most" or "at least"), "limit", "unit", "met".
 """
 
 
@@ -55,7 +60,7 @@ Bar = dict[str, Any]
 
 
 def machine() -> Figures:
-    """Processor, cores and versions."""
+    """Return processor, cores and versions."""
     model = platform.processor() or platform.machine()
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
@@ -77,12 +82,12 @@ def machine() -> Figures:
 
 
 def at_most(name: str, measured: float | None, limit: float, unit: str = "") -> Bar:
-    """A figure that may not be larger; None is one that was not measured."""
+    """Return a bar for a figure that may not be larger; None is not measured."""
     return _bar(name, measured, "at most", limit, unit)
 
 
 def at_least(name: str, measured: float | None, limit: float, unit: str = "") -> Bar:
-    """A figure that may not be smaller; None is one that was not measured."""
+    """Return a bar for a figure that may not be smaller; None is not measured."""
     return _bar(name, measured, "at least", limit, unit)
 
 
@@ -93,7 +98,7 @@ def _bar(name: str, measured: float | None, way: str, limit: float, unit: str) -
 
 
 def figure(figures: Any, *keys: Any) -> Any:
-    """The figure under these keys, one within the other; None where a run did not measure it."""
+    """Return the figure under nested keys; None if a run did not measure it."""
     for key in keys:
         if not isinstance(figures, Mapping) or key not in figures:
             return None
@@ -102,13 +107,13 @@ def figure(figures: Any, *keys: Any) -> Any:
 
 
 def column(rows: Mapping[str, Figures] | Iterable[Figures], key: str) -> list[Any]:
-    """Values of `key` in the rows that have it."""
+    """Return the values of `key` in the rows that have it."""
     every = rows.values() if isinstance(rows, Mapping) else rows
     return [row[key] for row in every if row.get(key) is not None]
 
 
 def bar_line(bar: Bar) -> str:
-    """A bar as a line: name, measured, limit, verdict."""
+    """Format a bar as a line: verdict, name, measured, limit."""
     measured, limit = (f"{text(bar[key])} {bar['unit']}".strip() for key in ("measured", "limit"))
     return f"{VERDICTS[bar['met']]:12} {bar['bar']}: {measured} ({bar['way']} {limit})"
 
@@ -117,7 +122,7 @@ def bar_line(bar: Bar) -> str:
 
 
 def text(value: Any) -> str:
-    """A cell of a table."""
+    """Format a cell of a table."""
     if value is None or isinstance(value, bool):
         return {None: "-", True: "yes", False: "no"}[value]
     if isinstance(value, float) or hasattr(value, "dtype"):
@@ -130,7 +135,7 @@ def text(value: Any) -> str:
 
 
 def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Rows in columns, the first to the left."""
+    """Format rows in columns; the first column is aligned to the left."""
     widths = [max(map(len, each)) for each in zip(head, *rows, strict=True)]
     lines = ["  ".join([r[0].ljust(widths[0]), *map(str.rjust, r[1:], widths[1:])]) for r in (head, *rows)]
     return "\n".join(["", title, lines[0], "-" * len(lines[0]), *lines[1:]])
@@ -181,7 +186,10 @@ def _flat(row: Figures) -> Figures:
 
 
 def arguments(doc: str | None, options: Mapping[str, tuple[Any, Any]]) -> tuple[Figures, bool]:
-    """Parsed options, and whether the run is quick; an option has a value and one of quick runs."""
+    """Parse the options; return their values, and whether the run is quick.
+
+    Each option has a value, and a smaller one for quick runs.
+    """
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="small settings; no result is kept")
     for name, (value, small) in options.items():
@@ -205,7 +213,7 @@ def need_module(name: str) -> None:
     """Skip a benchmark if a library that it measures cannot be imported."""
     try:
         import_module(name)
-    except Exception as error:  # zarr, for one, ends with a ValueError beside zfpy 1.0.1.post0
+    except Exception as error:  # zarr raises a ValueError next to zfpy 1.0.1.post0
         leave_out(f"{name} does not import: {type(error).__name__}: {error}")
 
 
@@ -217,7 +225,10 @@ def keep(
     run: Figures | None = None,
     code: dict[str, str] | None = None,
 ) -> None:
-    """Print a verdict for each bar; write ``results/NAME.json`` with machine, run, code, figures, bars."""
+    """Print a verdict for each bar; write ``results/NAME.json``.
+
+    The file has machine, run, code, figures and bars. A quick run is not stored.
+    """
     print()
     for bar in bars:
         print(bar_line(bar))
@@ -231,7 +242,7 @@ def keep(
 
 
 def code_path(name: str) -> Path:
-    """Path of the hashes of the files that a result was measured with."""
+    """Return the path of the hashes of the files that a result was measured with."""
     return RESULTS / "code" / f"{name}.txt"
 
 
@@ -242,13 +253,16 @@ def write(name: str, content: Figures) -> None:
 
 
 def stored(name: str) -> Figures:
-    """The figures of the last run; none if there was none."""
+    """Return the result of the last run; empty if there was none."""
     path = RESULTS / f"{name}.json"
     return dict(json.loads(path.read_text())) if path.exists() else {}
 
 
 def stale(name: str) -> list[str]:
-    """Files that have changed since the stored result was measured; empty if it is up to date."""
+    """Return files that have changed since the stored result was measured.
+
+    Empty if the result is up to date.
+    """
     return provenance.changed(code_path(name), stored(name).get("code"))
 
 
@@ -256,9 +270,9 @@ def stale(name: str) -> list[str]:
 
 
 def exact_figures(figures: Figures, without: Iterable[str] = ()) -> dict[str, float]:
-    """Reproducible numbers by their path: bytes, counts and errors, without peers and times.
+    """Return reproducible numbers by their path: bytes, counts, errors of touchfield.
 
-    `without` are patterns of paths that are left out.
+    Figures of peers and times are left out, and those that match a pattern of `without`.
     """
     patterns = [*NOT_EXACT, *without]
     return {
@@ -270,7 +284,7 @@ def exact_figures(figures: Figures, without: Iterable[str] = ()) -> dict[str, fl
 
 
 def _numbers(value: Any, path: str = "") -> Iterator[tuple[str, float]]:
-    """Every finite number in `value`, with its path of keys."""
+    """Yield every finite number in `value`, with its path of keys."""
     if isinstance(value, Mapping):
         for key, part in value.items():
             yield from _numbers(part, f"{path}/{key}" if path else str(key))
@@ -282,19 +296,19 @@ def _numbers(value: Any, path: str = "") -> Iterator[tuple[str, float]]:
 
 
 def _name_of(row: Any) -> str:
-    """The texts of a row, which identify it independently of its position."""
+    """Join the texts of a row, which identify it independently of its position."""
     texts = [cell for cell in row.values() if isinstance(cell, str)] if isinstance(row, Mapping) else []
     return ", ".join(texts)
 
 
 def stored_quick(name: str) -> dict[str, float]:
-    """The exact figures of a quick run; none if none are stored."""
+    """Return the exact figures of a quick run; empty if none are stored."""
     path = QUICK / f"{name}.json"
     return dict(json.loads(path.read_text())) if path.exists() else {}
 
 
 def quick_differences(name: str, figures: Figures, without: Iterable[str] = ()) -> list[str]:
-    """Exact figures of a quick run that differ from the stored ones, a line each.
+    """Return a line for each exact figure of a quick run that differs from the stored.
 
     Missing figures do not count where the optional folder of inputs is absent.
     """
@@ -309,9 +323,9 @@ def quick_differences(name: str, figures: Figures, without: Iterable[str] = ()) 
 
 
 def check_quick(name: str, figures: Figures, without: Iterable[str] = ()) -> None:
-    """Compare a quick run with the stored exact figures, or store them if `STORE_QUICK` is set.
+    """Compare a quick run with the stored exact figures.
 
-    SystemExit, with the figures, where any differs.
+    Stores them instead if `STORE_QUICK` is set. SystemExit, with the figures, if any differs.
     """
     if os.environ.get(STORE_QUICK):
         QUICK.mkdir(parents=True, exist_ok=True)
@@ -336,10 +350,20 @@ def bench(
     without: Iterable[str] = (),
     **options: tuple[Any, Any],
 ) -> list[Bar]:
-    """Run a benchmark's command: print and store the figures of `measure(**options)` and their bars.
+    """Run a benchmark: measure, print and store its figures and their bars.
 
-    `reads` are patterns of files that it measures and Python does not import; `without` are patterns of
-    figures that differ between runs although they are named like exact ones.
+    Parameters
+    ----------
+    measure : callable
+        Called with the options as keywords; returns the figures.
+    bars : callable
+        Returns the bars of the figures.
+    reads : iterable of str
+        Patterns of files that are measured and not imported by Python.
+    without : iterable of str
+        Patterns of figures that differ between runs although they are named like exact ones.
+    options : (value, value)
+        The value of each option, and that of quick runs.
     """
     values, is_quick = arguments(doc, options)
     trace, run = provenance.Trace(), provenance.Run()

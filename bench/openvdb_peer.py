@@ -1,9 +1,10 @@
-"""Signed distances by OpenVDB for `bench_mesh`: a separate program that needs only numpy.
+"""Signed distances by OpenVDB for `bench_mesh`, in a separate process.
 
     PYTHON bench/openvdb_peer.py INPUT.npz OUTPUT.npz RUNS
 
-Debian's package has the module under its own name, built for Debian's Python and numpy: another numpy crashes
-it. Without arguments it prints the version, and fails where the module is missing.
+The program needs only NumPy, because Debian's OpenVDB is built for Debian's Python and NumPy and crashes with
+another NumPy. The module is called `openvdb` or `pyopenvdb`. Without arguments the program prints the
+version, and fails if the module is missing.
 """
 
 from __future__ import annotations
@@ -25,12 +26,12 @@ def library() -> Any:
 
 
 def version() -> str:
-    """Such as 10.0.1."""
+    """Return the version, such as 10.0.1."""
     return ".".join(map(str, library().LIBRARY_VERSION))
 
 
 def distances(vertices: Any, faces: Any, points: Any, band: float) -> Any:
-    """Signed distances of `points` on a lattice, from OpenVDB's narrow band of `band` voxels."""
+    """Return signed distances of lattice `points`, from a band of `band` voxels."""
     vdb = library()
     voxel = float(np.diff(np.unique(points[:, 2])[:2])[0])
     transform = vdb.createLinearTransform(voxelSize=voxel)

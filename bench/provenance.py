@@ -1,9 +1,9 @@
 """Code, commit and machine load of a measured result.
 
 The code of a result is every source file that the processes of its benchmark loaded, the data files of loaded
-packages (profiles, the page) and the files that the benchmark names (C that it compiles). Hashes ignore
-comments, docstrings and layout of Python, C and TypeScript, and the folder of a file, since other files then
-import the same names from another module.
+packages (device profiles, the page), and the files that the benchmark names (such as C that it compiles).
+Hashes ignore comments, docstrings and layout of Python, C and TypeScript. They also ignore the folder of a
+file, because other files then import the same names from another module.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ NOT_MEASURED: Final = frozenset(
     f"bench/{name}"
     for name in ("machine.py", "provenance.py", "run_all.py", "quotes.py", "trace/sitecustomize.py")
 )
-"""Files that run, report and store, without a part in a measurement."""
+"""Files that run, report and store, and take no part in a measurement."""
 VARIABLE: Final = "TOUCHFIELD_BENCH_TRACE"
+"""Environment variable with the folder where processes list the files they loaded."""
 _STRINGS: Final = r"\"(?:\\.|[^\"\\])*\"|'(?:\\.|[^'\\])*'|`(?:\\.|[^`\\])*`"
 _C_TOKENS: Final = re.compile(rf"{_STRINGS}|//[^\n]*|/\*.*?\*/|\s+", re.DOTALL)
 
@@ -52,7 +53,10 @@ class Trace:
         os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(BENCH / "trace"), before]))
 
     def files(self, also: Iterable[str] = ()) -> list[str]:
-        """Paths below the root of the repository, sorted; `also` are patterns of further files."""
+        """Return the loaded files as sorted paths below the root of the repository.
+
+        `also` are patterns of further files.
+        """
         loaded = {str(getattr(module, "__file__", None) or "") for module in list(sys.modules.values())}
         loaded.add(str(Path(sys.argv[0]).resolve()))
         for path in Path(self._folder.name).glob("*.txt"):
@@ -65,7 +69,7 @@ class Trace:
 
 
 def _require_this_package() -> None:
-    """SystemExit if Python would import the package of another folder, which has other code."""
+    """Exit if Python would import the package of another folder, whose code differs."""
     found = find_spec("touchfield")
     origin = None if found is None else found.origin
     if origin is None or not Path(origin).is_relative_to(ROOT):
@@ -73,14 +77,17 @@ def _require_this_package() -> None:
 
 
 def _source(name: str) -> Iterator[Path]:
-    """The file of a module, if it is one of the repository."""
+    """Yield the file of a module if it belongs to the repository."""
     path = Path(name)
     if path.suffix == ".py" and path.is_relative_to(ROOT) and path.relative_to(ROOT).parts[0] in FOLDERS:
         yield path
 
 
 def _data_of(package: Path) -> Iterator[Path]:
-    """Files of a package other than Python, without those of nested packages."""
+    """Yield the files of a package that are not Python.
+
+    Files of nested packages are left out.
+    """
     for path in package.iterdir():
         if path.is_dir() and path.name != "__pycache__" and not (path / "__init__.py").exists():
             yield from _data_of(path)
@@ -90,7 +97,7 @@ def _data_of(package: Path) -> Iterator[Path]:
 
 @cache
 def digest(file: str) -> str:
-    """Hash of the meaning of a file below the root; "missing" if there is none."""
+    """Return a hash of the meaning of a file; "missing" if there is none."""
     path = ROOT / file
     if not path.is_file():
         return "missing"
@@ -107,10 +114,10 @@ def digest(file: str) -> str:
 
 
 def python_meaning(text: str, is_bench: bool = False) -> str:
-    """Python without comments, docstrings and layout, equal in all versions of Python.
+    """Return Python without comments, docstrings and layout, equal in all versions.
 
-    Of imports only the names count, in alphabetical order: the modules that they come from are files of their
-    own. In a benchmark the function `bars` does not count, because it only judges figures.
+    Of imports only the names count, in alphabetical order, because the modules they come from are files of
+    their own. In a benchmark the function `bars` does not count, because it only judges figures.
     """
     tree = ast.parse(text)
     parts = [f"imports {' '.join(sorted(_imported_names(tree)))}\n"]
@@ -119,7 +126,7 @@ def python_meaning(text: str, is_bench: bool = False) -> str:
 
 
 def _imported_names(tree: ast.Module) -> Iterator[str]:
-    """Names that imports define, with the names they had in their modules."""
+    """Yield the names that imports define, with the names they had in their modules."""
     for node in ast.walk(tree):
         if isinstance(node, (ast.Import, ast.ImportFrom)):
             yield from (f"{alias.name.rpartition('.')[2]}:{alias.asname or ''}" for alias in node.names)
@@ -131,7 +138,7 @@ def _write_node(node: ast.AST, parts: list[str], is_bench: bool) -> None:
     parts.append(f"({type(node).__name__}")
     for name, value in ast.iter_fields(node):
         if value is None or value == []:
-            continue  # newer versions of Python have more fields, empty mostly
+            continue  # newer versions of Python have more fields, mostly empty
         parts.append(f" {name}=")
         if isinstance(value, list):
             for item in _without_strings(value) if name == "body" else value:
@@ -149,7 +156,7 @@ def _write_node(node: ast.AST, parts: list[str], is_bench: bool) -> None:
 
 
 def _without_strings(body: list[Any]) -> list[Any]:
-    """The statements of a body without docstrings and other standalone strings."""
+    """Return the statements of a body without docstrings and other string statements."""
 
     def is_string(statement: Any) -> bool:
         return (
@@ -162,7 +169,7 @@ def _without_strings(body: list[Any]) -> list[Any]:
 
 
 def c_meaning(text: str) -> str:
-    """C or TypeScript without comments, with white space collapsed."""
+    """Return C or TypeScript without comments, with white space collapsed."""
     return (
         _C_TOKENS.sub(lambda found: found[0] if found[0][0] in "\"'`" else " ", text)
         .replace("  ", " ")
@@ -174,17 +181,17 @@ def c_meaning(text: str) -> str:
 
 
 def code_of(files: Iterable[str]) -> dict[str, str]:
-    """The hash of each file, by its path."""
+    """Return the hash of each file, by its path."""
     return {file: digest(file) for file in files}
 
 
 def overall(code: dict[str, str]) -> str:
-    """One hash of all."""
+    """Return one hash of all hashes."""
     return hashlib.sha256(json.dumps(code, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def write_code(path: Path, code: dict[str, str]) -> None:
-    """A line for each file: hash and path."""
+    """Write a line for each file: hash and path."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("".join(f"{value}  {file}\n" for file, value in sorted(code.items())), encoding="utf-8")
 
@@ -198,9 +205,9 @@ def read_code(path: Path) -> dict[str, str] | None:
 
 
 def changed(path: Path, code: str | None) -> list[str]:
-    """Files that changed since the result with this overall hash was measured; a reason if unknown.
+    """Return files that changed since a result was measured; a reason if unknown.
 
-    A moved file counts as unchanged.
+    `code` is the overall hash of the result. A moved file counts as unchanged.
     """
     before = read_code(path)
     if before is None or code is None:
@@ -214,7 +221,7 @@ def changed(path: Path, code: str | None) -> list[str]:
 
 @cache
 def _all_digests() -> frozenset[str]:
-    """Hashes of all files that can be measured, in any folder."""
+    """Return the hashes of all files that can be measured, in any folder."""
     suffixes = (".py", ".toml", ".json", ".html", ".c", ".h")
     found = (path for folder in FOLDERS for path in (ROOT / folder).rglob("*") if path.suffix in suffixes)
     return frozenset(digest(path.relative_to(ROOT).as_posix()) for path in found)
@@ -230,7 +237,10 @@ class Run:
         self._load, self._wall, self._cpu = os.getloadavg()[0], time.monotonic(), _processor_s()
 
     def summary(self) -> dict[str, Any]:
-        """Commit, whether the tree differed from it, load of a minute before and after, seconds."""
+        """Return commit, load and duration.
+
+        "dirty" is whether the tree differed from the commit; "load" is that of a minute, before and after.
+        """
         return {
             "commit": _git("rev-parse", "--short=12", "HEAD") or "unknown",
             "dirty": bool(_git("status", "--porcelain", "--", ".", ":!bench/results")),
@@ -241,7 +251,7 @@ class Run:
 
 
 def _processor_s() -> float:
-    """Processor seconds of this process and its finished children."""
+    """Return the processor seconds of this process and its finished children."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(usage.ru_utime + usage.ru_stime for usage in used)
 

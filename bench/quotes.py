@@ -1,11 +1,11 @@
-"""Figures quoted by README and the docs: phrases of a page with the results they come from.
+"""Figures that README and the docs quote from the stored results.
 
     python bench/quotes.py [--write]
 
-Lists the quoted phrases, those that a page does not have, and the results that are stale. `--write` puts the
-figures of the results into the pages. Speeds are quoted as ratios to a peer of the same run: machines change
-from day to day. Exit status 1 if a page lacks a phrase, or README quotes a stale result; so README quotes
-only what is measured in minutes.
+Lists the quoted phrases, the phrases that a page lacks, and the results that are stale. `--write` puts the
+figures of the results into the pages. Speeds are quoted as ratios to a peer of the same run, because machines
+change from day to day. The exit status is 1 if a page lacks a phrase, or if README quotes a stale result.
+README therefore quotes only what is measured in minutes.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ README = "README.md"
 
 
 class Quote(NamedTuple):
-    """A phrase of a page with {} for each figure, the figures as text, and the result that they are of."""
+    """A phrase of a page with {} for each figure, its figures, and their result."""
 
     page: str
     result: str
@@ -37,19 +37,19 @@ class Quote(NamedTuple):
 
     @property
     def pattern(self) -> re.Pattern[str]:
-        """The phrase with any figures, over the ends of lines."""
+        """A pattern of the phrase with any figures, across line ends."""
         parts = [re.sub(r"(?:\\ |\\\n)+", r"\\s+", re.escape(part)) for part in self.phrase.split("{}")]
         return re.compile(r"(\d[\d.,]*\d|\d)".join(parts))
 
 
 def row(rows: Iterable[dict[str, Any]], **fields: Any) -> dict[str, Any]:
-    """The only row with these fields."""
+    """Return the only row with these fields."""
     (found,) = (row for row in rows if all(row[key] == value for key, value in fields.items()))
     return found
 
 
 def speed_quotes() -> list[Quote]:
-    """Times of peers over ours."""
+    """Return times of peers relative to touchfield."""
     depth, mesh, query = (stored(name) for name in ("depth", "mesh", "query"))
     peers = [f"{depth['128^3'][name]['ratio']:.0f}" for name in ("numpy", "warp")]
     fastest = min(peer["times_touchfield"] for peer in mesh["rows"].values() if "version" in peer)
@@ -62,7 +62,10 @@ def speed_quotes() -> list[Quote]:
 
 
 def rate_quotes() -> list[Quote]:
-    """Bytes beside those of the best peer, bodies in motion, and effort fast beside default."""
+    """Return bytes relative to the best peer, bodies in motion, and effort fast.
+
+    Effort fast is relative to effort default.
+    """
     page, rate = "docs/coding.md", stored("rate")
     peers = rate["best_peer_over_ours"]
     bound, mean = (
@@ -89,7 +92,7 @@ def rate_quotes() -> list[Quote]:
 
 
 def motion_quotes() -> list[Quote]:
-    """A ball: its bytes, and the error met by a hand that slides over it."""
+    """Return the bytes of a ball, and the error that a hand meets on it."""
     page, ball = "docs/coding.md", row(stored("motion")["slides"], field="ball", nw=7, speed_mm_s=100.0)
     errors = f"{ball['error_mn']:.1f}", f"{ball['lattice_mn']:.1f}"
     return [
@@ -99,7 +102,10 @@ def motion_quotes() -> list[Quote]:
 
 
 def fusion_quotes() -> list[Quote]:
-    """Fraction of samples that jump between single frames; none do when fused, in a fifth of the bytes."""
+    """Return the fraction of samples that jump when each frame is rendered alone.
+
+    ValueError if fused frames jump, or do not take a fifth of the bytes.
+    """
     rows = stored("fusion")["standing"]
     alone, fused = (row(rows, sequence="TUM fr1_rpy", world=world) for world in ("frames", "fused"))
     if fused["share"] != 0 or round(1 / fused["of_frames"]) != 5:
@@ -109,24 +115,25 @@ def fusion_quotes() -> list[Quote]:
 
 
 def quotes() -> list[Quote]:
-    """All of them."""
+    """Return all quotes."""
     return [*speed_quotes(), *rate_quotes(), *motion_quotes(), *fusion_quotes()]
 
 
 def text_of(page: str) -> str:
-    """The text of a page, by its path from the root."""
+    """Return the text of a page, by its path from the root."""
     return (ROOT / page).read_text(encoding="utf-8")
 
 
 def missing(page: str, text: str) -> list[Quote]:
-    """The quotes of a page that a text does not have."""
+    """Return the quotes of a page that a text does not have."""
     flat = " ".join(text.split())
     return [quote for quote in quotes() if quote.page == page and quote.text not in flat]
 
 
 def written(page: str, text: str) -> str:
-    """The text with the figures of the results in every phrase of the page; ValueError if a phrase is not in
-    it.
+    """Return the text with the figures of the results in every phrase of the page.
+
+    ValueError if a phrase is not in it.
     """
     for quote in quotes():
         if quote.page != page:

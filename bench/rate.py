@@ -1,17 +1,24 @@
-"""Size against error: coder `touch`, coder `paper` and general-purpose coders.
+"""Rate and distortion of coder `touch`, coder `paper` and general-purpose coders.
 
     python bench/rate.py [--quick] [--nw 5 6 7] [--fields NAME ...] [--efforts NAME ...] [--only WHAT ...]
                          [--keep FOLDER]
 
-Two comparisons of one frame, and of five in one segment: the bytes at the NMSE of coder `paper` (n_q 6, 258
-directions, no deadband), and the bytes under the promise |e| <= max(F_0, k |F|), k = 0.1 and F_0 = 0.05 N,
-which every peer keeps too; among the peers is the source itself, coded (`rate_source`). Then the speed of
-each effort on two cores, and falling bodies as objects. At the end the bars, against the figures of
-``reference/rate_before.json``, and the range of the best peer over ours. `--quick` takes one frame of one
-field at n_w 5. A peer that is not installed is named and left out. The speed is measured first, alone, and
-anew in every run; then every core has a process. With `--keep` the other figures are kept in a folder, and a
-run that was interrupted, or is repeated after a change of some source, measures only what is not there. A
-full run also writes ``results/rate.json`` and ``results/rate.png``.
+The fields are those of `rate_fields`. There are two comparisons, each of one frame and of five frames in one
+segment:
+
+* NMSE: bytes at the NMSE of coder `paper` (n_q 6, 258 directions, no deadband).
+* promise: bytes within the error bound |e| <= max(F_0, k |F|) with k = 0.1 and F_0 = 0.05 N. Every peer keeps
+  the bound, too.
+
+The peers are the coders of `rate_peers`, and for depth sequences the coded depth maps (`rate_source`). A peer
+that is not installed is named and left out. Then follow the speed of each effort on two cores, and the bytes
+of falling bodies as objects. The bars compare with the former figures of ``reference/rate_before.json``; the
+range of the best peer's bytes over those of `touch` is printed.
+
+The speed is measured first, alone, and in every run; the other figures use one process per core. `--keep`
+keeps the other figures in a folder. A run that was interrupted, or is repeated after a change of some source,
+measures only what is missing there. `--quick` takes one frame of one field at n_w 5. A full run writes
+``results/rate.json`` and ``results/rate.png``.
 """
 
 from __future__ import annotations
@@ -42,7 +49,10 @@ SECTIONS = ("NMSE", "promise", "five", "speed", "objects", "picture")
 PICTURE_NW = 6
 DEFAULT = "default"
 MEAN, P_OVER_I = 1.0, 1.0
-"""Limits relative to the former figures: mean bytes of the fields; later frames over single frames."""
+"""Limits relative to the former figures.
+
+MEAN is for the mean bytes of the fields, P_OVER_I for later frames over single frames.
+"""
 SPEEDS = {
     ("tum band", DEFAULT, "decode"): 60,
     ("tum band", DEFAULT, "encode"): 12,
@@ -51,9 +61,9 @@ SPEEDS = {
     ("tum band", "fast", "encode"): 40,
     ("icl band", "fast", "encode"): 20,
 }
-"""Frames a second at 128^3 on two cores, at least."""
+"""Minimum frames per second at 128^3 samples on two cores."""
 SAME_DB = 0.1
-"""Errors nearer than this are compared."""
+"""Largest difference of NMSE at which bytes are compared with the former ones."""
 TITLES = {
     ("NMSE", 1): "1. One frame at the NMSE of coder paper: bytes",
     ("promise", 1): f"2. One frame, |e| <= max({F0_N:g} N, {K:g} |F|): bytes; the peers keep it too",
@@ -64,19 +74,19 @@ BEFORE = json.loads((Path(__file__).parent / "reference" / "rate_before.json").r
 
 
 def best(sizes: Figures) -> tuple[str, float]:
-    """Name and size of the smallest finite size."""
+    """Return name and size of the smallest finite size."""
     finite = [(size, name) for name, size in sizes.items() if math.isfinite(size)]
     size, name = min(finite, default=(math.nan, "-"))
     return name, size
 
 
 def mean(ratios: Sequence[float]) -> float | None:
-    """Geometric mean; None for an empty list."""
+    """Return the geometric mean; None for an empty list."""
     return math.exp(sum(map(math.log, ratios)) / len(ratios)) if ratios else None
 
 
 def former_of(before: Figures, row: Figures) -> Any:
-    """The figure of the same field before; None if there is none."""
+    """Return the former figure of the same field; None if there is none."""
     return before.get(row["field"])
 
 
@@ -85,8 +95,9 @@ class Report:
     """All figures of a run.
 
     A row of `sizes` has "field", "kind", "at" ("NMSE" or "promise"), "frames", "nmse_db", "touch" by effort
-    (bytes), "p_over_i" by effort, "peers" and what else its parts told; one of `speeds` has "field", "effort"
-    and the figures of `rate_ours.speed`; `before` are the figures that the bars are held against.
+    (bytes), "p_over_i" by effort, "peers", and what else its jobs returned. A row of `speeds` has "field",
+    "effort" and the figures of `rate_ours.speed`. `before` has the former figures, with which the bars
+    compare.
     """
 
     efforts: tuple[str, ...]
@@ -97,11 +108,11 @@ class Report:
     curves: dict[str, Figures] = field(default_factory=dict)
 
     def at(self, at: str, frames: int) -> list[Figures]:
-        """The rows of a table."""
+        """Return the rows of a table."""
         return [row for row in self.sizes if row["at"] == at and (row["frames"] > 1) is (frames > 1)]
 
     def tables(self) -> Iterator[str]:
-        """The tables with at least one row."""
+        """Yield the tables with at least one row."""
         peer_columns = ("best peer", "bytes", "over default", "coded source", "on paper's symbols")
         head = ("field", "NMSE dB", "paper", *self.efforts, "P over I", "beyond", "worst", *peer_columns)
         for (at, frames), title in TITLES.items():
@@ -126,14 +137,14 @@ class Report:
         return [a / b for a, b in pairs if a and b and math.isfinite(a / b)]
 
     def _former(self, row: Figures) -> float | None:
-        """Bytes of the same field before, if they were measured at the same error."""
+        """Return the former bytes of the same field, if measured at the same error."""
         old = self.before[row["at"]].get(row["field"], {})
         return (
             old.get(DEFAULT) if abs(old.get("nmse_db", row["nmse_db"]) - row["nmse_db"]) < SAME_DB else None
         )
 
     def bytes(self) -> Figures:
-        """Bytes of every effort for each field."""
+        """Return the bytes of every effort for each field."""
         return {
             f"{row['field']}, {row['at']}, {row['frames']} frames": {
                 f"{effort}_bytes": n for effort, n in row["touch"].items()
@@ -142,7 +153,7 @@ class Report:
         }
 
     def ranges(self) -> dict[str, list[float]]:
-        """Bytes of the best peer over those of coder touch: least and greatest over all fields."""
+        """Return the range over all fields of the best peer's bytes over those of `touch`."""
         found = {}
         for at, frames in TITLES:
             over = self._ratios(at, frames, lambda r: best(r["peers"])[1], lambda r: r["touch"].get(DEFAULT))
@@ -151,7 +162,7 @@ class Report:
         return found
 
     def bars(self) -> list[Bar]:
-        """Bars against the former figures, the best peer, and frames per second."""
+        """Return bars for the former figures, the best peer, and frames per second."""
         verdicts: list[Bar] = []
         for at in ("promise", "NMSE"):
             over = self._ratios(at, 1, lambda r: r["touch"].get(DEFAULT), self._former)
@@ -177,7 +188,10 @@ class Report:
 
 
 def jobs_of(case: Case, at: str, count: int, efforts: Sequence[str]) -> list[Job]:
-    """Coder `touch` and the peers; of five frames the default effort, and each frame alone, too."""
+    """Return the jobs of a row: coder `touch` at each effort, and the peers.
+
+    Five frames are coded at the default effort only, once with inter-frame prediction and once without.
+    """
     jobs = [Job(case, "by_peers", count, {"at": at})]
     for effort in efforts:
         if count == 1 or effort == DEFAULT:
@@ -187,7 +201,7 @@ def jobs_of(case: Case, at: str, count: int, efforts: Sequence[str]) -> list[Job
 
 
 def row_of(case: Case, at: str, count: int, pool: Pool, efforts: Sequence[str]) -> dict[str, Any]:
-    """The row of those jobs."""
+    """Collect the row of these jobs."""
     row: dict[str, Any] = {"field": case.title, "kind": case.kind, "at": at, "frames": count, "peers": {}}
     row |= {"touch": {}, "all_i": {}, "p_over_i": {}, "nmse_db": float("nan"), "beyond": 0, "worst": 0.0}
     for job in jobs_of(case, at, count, efforts):
@@ -207,7 +221,10 @@ def row_of(case: Case, at: str, count: int, pool: Pool, efforts: Sequence[str]) 
 
 
 def measure_speeds(report: Report, pool: Pool, selected: Sequence[Case]) -> None:
-    """Measure each effort alone on the machine, after a small field has compiled all kernels."""
+    """Measure each effort alone on the machine.
+
+    The kernels are compiled before, on a small field.
+    """
     for effort in report.efforts:
         pool.log(f"compiling {effort}")
         ours.touch(selected[0].frames(fields_in(pool.folder))[:2], effort=effort)
@@ -220,7 +237,10 @@ def measure_speeds(report: Report, pool: Pool, selected: Sequence[Case]) -> None
 
 
 def drawn_cases(selected: Sequence[Case], folder: Path) -> list[Case]:
-    """The band and the height field with the most voxels at n_w 6, or at the largest n_w."""
+    """Return the band and the height field with the most voxels, to be drawn.
+
+    Of the fields at n_w 6 or, if there are none, at the largest n_w.
+    """
     side = min((case.nw for case in selected), key=lambda nw: (nw != PICTURE_NW, -nw))
     drawable = [case for case in selected if case.nw == side and case.kind in ("band", "height")]
     drawable.sort(key=lambda case: case.frames(fields_in(folder))[0].support_count)
@@ -228,7 +248,7 @@ def drawn_cases(selected: Sequence[Case], folder: Path) -> list[Case]:
 
 
 def arguments() -> Any:
-    """Parsed options."""
+    """Parse the options."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -273,14 +293,14 @@ def measured(options: Any, pool: Pool, selected: list[Case]) -> Report:
 
 
 def bars(figures: dict[str, Any]) -> list[Bar]:
-    """Bars of the report of these figures."""
+    """Return the bars of the report of these figures."""
     return Report(EFFORTS, BEFORE, figures["sizes"], figures["speeds"]).bars()
 
 
 def main() -> None:
-    """Print the tables and the bars, store the figures, draw the picture."""
+    """Print tables and bars, store the figures, and draw the picture."""
     options, trace, run = arguments(), provenance.Trace(), provenance.Run()
-    os.environ["TOUCHFIELD_THREADS"] = "1"  # a core has a segment, or a process, of its own
+    os.environ["TOUCHFIELD_THREADS"] = "1"  # each core works on a segment or process of its own
     selected = list(cases(tuple(options.nw), options.fields and tuple(options.fields)))
     where = "TUM desk and ICL living room" if SHARED.is_dir() else "the samples (../shared/data is not there)"
     with tempfile.TemporaryDirectory(prefix="touchfield-rate-") as scratch:

@@ -1,8 +1,9 @@
-"""Force fields of `rate.py`: real scenes as bands and as heights, and moving scenes.
+"""Force fields of `rate.py`: depth sequences, meshes and falling bodies.
 
-Everything is made for the Phantom Omni. A *band* is a wall of 4 voxels of the mean spacing behind the surface
-of a depth sequence; a *height* field is the same sequence read as a height map, everything behind it solid.
-Without the optional folder ../shared/data they are made of the samples that the package and its extras carry.
+All are made for the Phantom Omni. A *band* is a wall of 4 voxels (of the mean spacing) behind the surface of
+a depth sequence. A *height* field is the same sequence read as a height map, with everything behind the
+surface solid. Without the optional folder ../shared/data, they are made of the samples that the package and
+its extras carry.
 """
 
 from __future__ import annotations
@@ -30,7 +31,10 @@ SEQUENCES = {"tum": "rgbd_tum_fr1_rpy", "icl": "rgbd_iclnuim_livingroom1"}
 
 @dataclass(frozen=True)
 class Case:
-    """A field to code: name, kind ("band", "height", "mesh" or "falling"), n_w, and source."""
+    """A field to code.
+
+    `kind` is "band", "height", "mesh" or "falling"; the frames begin at `start`.
+    """
 
     name: str
     kind: str
@@ -46,11 +50,11 @@ class Case:
 
     @property
     def has_maps(self) -> bool:
-        """Whether it comes from a depth sequence, whose maps a peer can send."""
+        """Whether the source is a depth sequence, whose maps a peer can send."""
         return self.name.split()[0] in SEQUENCES
 
     def path(self, folder: Path) -> Path:
-        """File of at most five frames in `folder`; written if there is none."""
+        """Return the file of at most five frames in `folder`; write it if it is missing."""
         file = folder / f"{self.name.replace(' ', '-')}-{self.nw}.npz"
         if not file.exists():
             folder.mkdir(parents=True, exist_ok=True)
@@ -60,12 +64,15 @@ class Case:
         return file
 
     def frames(self, folder: Path) -> list[ForceField]:
-        """The frames of `path`."""
+        """Return the frames of `path`."""
         return list(read_npz(self.path(folder)))
 
 
 def cases(sides: tuple[int, ...], names: tuple[str, ...] | None = None) -> Iterator[Case]:
-    """All fields at each n_w of `sides`; meshes and falling bodies from n_w 6 on."""
+    """Yield all fields at each n_w of `sides`.
+
+    Meshes and falling bodies are yielded from n_w 6 on.
+    """
     for nw in sides:
         for case in (*_depth(nw), *(_moving(nw) if nw >= 6 else ())):
             if names is None or case.name in names:
@@ -94,7 +101,7 @@ def _moving(nw: int) -> Iterator[Case]:
 
 
 def box(frames: list[ForceField]) -> tuple[slice, ...]:
-    """Bounding box of the union of supports, at least one sample."""
+    """Return the bounding box of the union of supports, at least one sample."""
     positions = np.concatenate([f.positions() for f in frames])
     low, high = (
         (positions.min(axis=0), positions.max(axis=0) + 1)
@@ -106,7 +113,7 @@ def box(frames: list[ForceField]) -> tuple[slice, ...]:
 
 @dataclass(frozen=True)
 class Volume:
-    """Frames as one dense array, cropped to their support: the input of a general-purpose peer.
+    """Frames as a dense array, cropped to their support: the input of the peers.
 
     Cropping favours the peer; the six numbers of the box count as `HEAD_BYTES`.
     """
@@ -117,7 +124,7 @@ class Volume:
 
     @classmethod
     def of(cls, frames: list[ForceField]) -> Volume:
-        """The frames within their `box`."""
+        """Crop the frames to their `box`."""
         part = box(frames)
         return cls(np.stack([f.to_dense()[part] for f in frames]))
 
@@ -127,6 +134,6 @@ class Volume:
         return float((self.forces_n.astype(np.float64) ** 2).sum())
 
     def nmse_db(self, decoded: NDArray[np.float32]) -> float:
-        """10 log10(sum |e|^2 / sum |F|^2)."""
+        """Return 10 log10(sum |e|^2 / sum |F|^2)."""
         error = float(((decoded.astype(np.float64) - self.forces_n) ** 2).sum())
         return 10 * float(np.log10(max(error, 1e-30) / self.energy))

@@ -1,4 +1,4 @@
-"""The package's coders in `rate.py`, and the search for the bytes at an equal error."""
+"""The package's coders in `rate.py`, and the search for the bytes at equal error."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField
 
 PAPER = PaperSpec(nq=6, directions="octa3", deadband="none")
-"""Coder `paper` in the comparisons: 258 directions."""
+"""Coder `paper` in the comparisons; octa3 has 258 directions."""
 CORES = 2
-"""Cores of the bars of speed."""
+"""Cores that the measurement of speed uses."""
 
 
 @dataclass(frozen=True)
@@ -38,21 +38,21 @@ class Coded:
 
     bytes: int
     later_bits: int
-    """Of all frames but the first."""
+    """Bits of all frames but the first."""
     nmse_db: float
     beyond: int
-    """Voxels whose error is beyond max(F_0, k |F|)."""
+    """Number of voxels whose error exceeds max(F_0, k |F|)."""
     worst: float
-    """The largest error in units of the mask."""
+    """Largest error in units of the mask."""
 
 
 def paper(frames: list[ForceField], **options: Any) -> Coded:
-    """Coder `paper`, one segment."""
+    """Code frames with coder `paper` in one segment."""
     return _coded(PaperEncoder(frames[0].grid, replace(PAPER, **options)), PaperDecoder, frames)
 
 
 def touch(frames: list[ForceField], **options: Any) -> Coded:
-    """Coder `touch`, one segment."""
+    """Code frames with coder `touch` in one segment."""
     return _coded(
         TouchEncoder(frames[0].grid, TouchSpec(**{"k": K, "f0_n": F0_N, **options})), TouchDecoder, frames
     )
@@ -73,14 +73,15 @@ def _coded(encoder: Any, decoder: Any, frames: list[ForceField]) -> Coded:
 
 
 def paper_symbols(frames: list[ForceField]) -> tuple[NDArray[np.int32], int]:
-    """Symbols of coder `paper` for frames coded alone, within their bounding box.
+    """Return the symbols of coder `paper` for frames coded alone.
 
     Returns
     -------
     symbols : int32 [frame, x, y, z, 2]
-        Amplitude level from 1 on and number of the direction; both 0 where there is no force.
+        Within the bounding box of the frames: amplitude level, from 1 on, and number of the direction; both 0
+        where there is no force.
     table_bytes : int
-        Of the amplitudes' levels, float32.
+        Bytes of the table of amplitude levels, float32.
     """
     encoder = PaperEncoder(frames[0].grid, replace(PAPER, interframe="none"))
     body = encoder.encode_segment(frames).body
@@ -88,7 +89,7 @@ def paper_symbols(frames: list[ForceField]) -> tuple[NDArray[np.int32], int]:
     forces = np.stack([f.to_dense()[box(decoded)] for f in decoded]).astype(np.float64)
     size = np.linalg.norm(forces, axis=-1)
     supported = size > 0
-    # levels and directions are as exact as float32 is, and farther apart than these steps
+    # levels and directions have the precision of float32 and are farther apart than these steps
     level = np.unique(np.rint(2000 * np.log(size[supported])), return_inverse=True)[1].reshape(-1)
     unit = np.rint(20 * forces[supported] / size[supported][:, None] + 0.337)
     symbols = np.zeros((*supported.shape, 2), np.int32)
@@ -99,8 +100,9 @@ def paper_symbols(frames: list[ForceField]) -> tuple[NDArray[np.int32], int]:
 
 
 def object_bytes(nw: int) -> dict[str, float]:
-    """Bytes of 2000 frames of falling bodies: as voxels by coder `paper` (eight in 250), and as files of
-    objects.
+    """Return bytes of 2000 frames of falling bodies, as voxels and as objects.
+
+    The voxels are coded by coder `paper`; their bytes are extrapolated from eight frames in each 250.
     """
     medium = prepare("sample:falling-7", EncodeSpec(nw=nw)).medium
     groups = [[medium[i] for i in range(start, start + 8)] for start in range(0, len(medium) - 7, 250)]
@@ -119,9 +121,9 @@ def object_bytes(nw: int) -> dict[str, float]:
 
 
 def speed(frames: list[ForceField], effort: str, runs: int = 3) -> dict[str, float]:
-    """Frames a second of the promise, a segment of `frames` on each of `CORES`; the best of `runs`.
+    """Return frames per second within the error bound, the best of `runs`.
 
-    ``TOUCHFIELD_THREADS`` is taken to be 1.
+    Each of `CORES` cores codes a segment of `frames`. ``TOUCHFIELD_THREADS`` must be 1.
     """
     encoder = TouchEncoder(frames[0].grid, TouchSpec(k=K, f0_n=F0_N, effort=effort))
     decoder = TouchDecoder(frames[0].grid, encoder.parameters)
@@ -129,7 +131,7 @@ def speed(frames: list[ForceField], effort: str, runs: int = 3) -> dict[str, flo
 
     def rate(job: Callable[[int], object]) -> float:
         times = list[float]()
-        while len(times) < runs and sum(times) < 60:  # one run is enough for so slow a coder
+        while len(times) < runs and sum(times) < 60:  # a slow coder runs once
             began = perf_counter()
             with ThreadPoolExecutor(CORES) as pool:
                 list(pool.map(job, range(CORES)))
@@ -148,17 +150,21 @@ def speed(frames: list[ForceField], effort: str, runs: int = 3) -> dict[str, flo
 Trial = tuple[float, ...]
 """NMSE in dB, then one or more sizes."""
 BRACKET_DB, TOLERANCE_DB, BRACKET_RATIO = 0.5, 0.05, 1.08
-"""Two trials so near to each other, one so near to the target, or steps of that ratio are enough: an encoder
-that weighs bits is off by half a dB at times."""
+"""Conditions that end a search.
+
+Two trials around the target that differ by BRACKET_DB or by the step ratio BRACKET_RATIO, or one trial within
+TOLERANCE_DB of the target. The encoder's bit allocation makes the NMSE vary by half a dB at times.
+"""
 OVERSHOOT_DB = 0.15
 """Distance beyond the target at which a trial is aimed, to bracket the target."""
 
 
 @dataclass
 class Search:
-    """Trials of a step until two of them bracket the target closely.
+    """Search for a step: trials until two of them bracket the target closely.
 
-    ``code(step)`` gives an NMSE in dB, which grows with the step by some 20 dB for a factor of 10, and sizes.
+    ``code(step)`` returns an NMSE in dB, which grows with the step by some 20 dB for a factor of 10, and
+    sizes.
     """
 
     code: Callable[[float], Trial]
@@ -168,7 +174,7 @@ class Search:
     tried: dict[float, Trial] = field(default_factory=dict)
 
     def run(self) -> Search:
-        """Try until it is near enough."""
+        """Try steps until one is near enough."""
         step = self.start
         for n in range(self.trials):
             self.tried[step] = self.code(step)
@@ -191,19 +197,19 @@ class Search:
         return self
 
     def size(self, index: int = 0) -> float:
-        """A size at the target; NaN if no trial came near it."""
+        """Return a size at the target; NaN if no trial came near it."""
         return interpolated([(sizes[index], db) for db, *sizes in self.tried.values()], self.target_db)
 
     def step(self) -> float:
-        """The step whose trial is nearest."""
+        """Return the step whose trial is nearest to the target."""
         return min(self.tried, key=lambda s: abs(self.tried[s][0] - self.target_db))
 
 
 def interpolated(points: list[tuple[float, float]], target_db: float) -> float:
-    """The first of (size, dB) at `target_db`.
+    """Interpolate the size at `target_db` from points (size, dB).
 
-    Log size against dB by the nearest on both sides; where all are on one side, the nearest if it is at most
-    `NEAR_DB` away, and else NaN.
+    The logarithm of the size is interpolated between the nearest points on both sides. If all points are on
+    one side, the nearest one counts if it is at most `TOLERANCE_DB` away; otherwise the result is NaN.
     """
     nearest = sorted(points, key=lambda p: abs(p[1] - target_db))
     below = next((p for p in nearest if p[1] <= target_db), None)
@@ -215,9 +221,10 @@ def interpolated(points: list[tuple[float, float]], target_db: float) -> float:
 
 
 def touch_search(frames: list[ForceField], target_db: float, effort: str, interframe: str) -> Search:
-    """Coder `touch` in mode nmse at an NMSE; sizes are all bytes, and the bits of all frames but the first.
+    """Search the step of coder `touch` in mode nmse for an NMSE.
 
-    The first step is that of a uniform lattice with that error, step^2 / 12 a component.
+    The sizes are all bytes, and the bits of all frames but the first. The first step is that of a uniform
+    quantiser with this error, step^2 / 12 per component.
     """
     energy = sum(float((f.forces_n.astype(float) ** 2).sum()) for f in frames)
     count = max(1, sum(f.support_count for f in frames))

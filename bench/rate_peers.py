@@ -1,9 +1,10 @@
-"""General-purpose coders of `rate.py`; missing ones are skipped and named.
+"""General-purpose coders of `rate.py`: the peers of coder `touch`.
 
-Lossless ones (zstd -19, xz, brotli, zpaq at its most, JPEG XL) are given symbols in several layouts, the best
-of which counts: the whole box, or a mask and the list of what is in it; components apart or together. Lossy
-ones (zfp, SZ3, SPERR) are given the components of the box as float32, at the promise also companded. The
-coded source is in `rate_source`.
+Lossless coders (xz, zstd -19, brotli, zpaq -m5, JPEG XL, Draco) receive quantised forces as symbols. The byte
+coders among them receive several layouts, of which the best counts: all samples of the box, or a mask and the
+list of the samples in it; with the components interleaved or separate. Lossy coders (zfp, SZ3, SPERR) receive
+the components of the box as float32; at the error bound also after companding. The coded depth maps are in
+`rate_source`. Coders that are not installed are skipped and named.
 """
 
 from __future__ import annotations
@@ -23,10 +24,13 @@ from rate_ours import paper_symbols
 from touchfield.medium import ForceField
 
 MAX_BYTES = 8_000_000
-"""Of the layouts that are given to the coders, the best by a quick xz first; the best is always given. zpaq
-takes 3 s for each megabyte."""
+"""Total size of the layouts that are given to the coders.
+
+The layouts are taken in the order of their size by a quick xz, and the best is always given. zpaq takes 3 s
+for each megabyte.
+"""
 JPEG_XL_PIXELS = 500_000
-"""Of larger pictures JPEG XL searches a little less."""
+"""Number of pixels from which JPEG XL takes effort 7 instead of 9."""
 
 Symbols = NDArray[np.int32]
 Forces = NDArray[np.float32]
@@ -53,7 +57,7 @@ def module(peer: str) -> Any:
 
 
 def absent() -> list[str]:
-    """The names of the peers that are not installed."""
+    """Return the names of the peers that are not installed."""
     return [name for name in MODULES if module(name) is None]
 
 
@@ -61,19 +65,19 @@ def absent() -> list[str]:
 
 
 def xz(data: bytes) -> int:
-    """LZMA2 at its highest preset, without a container."""
+    """Return the bytes by LZMA2 at its highest preset, without a container."""
     filters = [{"id": lzma.FILTER_LZMA2, "preset": 9 | lzma.PRESET_EXTREME}]
     return len(lzma.compress(data, format=lzma.FORMAT_RAW, filters=filters))
 
 
 def quick_xz(data: bytes) -> int:
-    """An estimate of `xz`, for choosing layouts."""
+    """Return an estimate of `xz`, to choose layouts."""
     return len(lzma.compress(data, preset=1))
 
 
 @cache
 def compressors() -> dict[str, Callable[[bytes], int]]:
-    """Installed lossless coders; zpaq is one block with its model, without an archive."""
+    """Return the installed byte coders; zpaq is one block with its model, no archive."""
     every: dict[str, Callable[[bytes], int]] = {
         "xz": xz,
         "zstd -19": lambda data: len(module("zstd -19").ZstdCompressor(level=19).compress(data)),
@@ -87,7 +91,7 @@ def compressors() -> dict[str, Callable[[bytes], int]]:
 
 
 def plain(symbols: Symbols) -> NDArray[Any]:
-    """The same numbers in the narrowest type that holds them."""
+    """Return the same numbers in the narrowest type that holds them."""
     for dtype in (np.int8, np.uint8, np.int16, np.uint16):
         limits = np.iinfo(dtype)
         if limits.min <= symbols.min(initial=0) and symbols.max(initial=0) <= limits.max:
@@ -96,17 +100,18 @@ def plain(symbols: Symbols) -> NDArray[Any]:
 
 
 def byte_planes(symbols: NDArray[Any]) -> bytes:
-    """Low bytes, then high bytes where a symbol takes more than one."""
+    """Return the low bytes, then the high bytes of symbols of more than one byte."""
     flat = np.ascontiguousarray(symbols).reshape(-1)
     return flat.view(np.uint8).reshape(-1, flat.itemsize).T.tobytes()
 
 
 def layouts(symbols: Symbols) -> Iterator[tuple[bytes, NDArray[np.bool_] | None]]:
-    """Bytes, and the mask that must be sent beside them; symbols are [frame, x, y, z, 3].
+    """Yield byte layouts of symbols [frame, x, y, z, 3], each with its mask or None.
 
-    The box and the list of what is not zero, each with components in turn and apart. z is fastest, along
-    which a wall is thick. Of several frames also a list for each voxel that any of them holds, its frames
-    side by side: in turn, apart, and as changes.
+    The mask must be sent with the bytes. There are two layouts of the whole box and two of the list of the
+    samples that are not zero, each with the components interleaved and separate. z is the fastest axis, along
+    which a wall is thick. Several frames give further lists, of the voxels that are not zero in any frame,
+    with the frames of a voxel side by side: interleaved, separate, and as differences between frames.
     """
     narrow = plain(symbols)
     by_voxel = np.moveaxis(narrow, 0, 3)  # [x, y, z, frame, 3]: the frames of a voxel side by side
@@ -124,7 +129,10 @@ def layouts(symbols: Symbols) -> Iterator[tuple[bytes, NDArray[np.bool_] | None]
 
 
 def picture_bytes(planes: NDArray[Any], effort: int | None = None) -> int:
-    """Slices [n, h, w, ...] by JPEG XL without loss, side by side in one picture that is about square."""
+    """Return the bytes of slices [n, h, w, ...] by lossless JPEG XL.
+
+    The slices are put side by side in one picture that is about square.
+    """
     n, h, w, *rest = planes.shape
     across = max(1, round((n * h / w) ** 0.5))
     down = -(-n // across)
@@ -136,15 +144,19 @@ def picture_bytes(planes: NDArray[Any], effort: int | None = None) -> int:
 
 
 def jpeg_xl(symbols: Symbols) -> int:
-    """Slices as pictures of three colours, across x or across y, whichever is smaller."""
+    """Return the bytes of slices as pictures of three colours by JPEG XL.
+
+    The slices are taken across x or across y, whichever gives fewer bytes.
+    """
     raised = symbols - min(0, int(symbols.min(initial=0)))
     raised = raised.astype(np.uint8 if raised.max(initial=0) < 256 else np.uint16)
     return min(picture_bytes(s.reshape(-1, *s.shape[2:])) for s in (raised, raised.swapaxes(1, 2)))
 
 
 def mask_bytes(mask: NDArray[np.bool_], is_final: bool = True) -> int:
-    """A mask by the best of all lossless coders, as bits, and as pictures; or about as many bytes,
-    quickly.
+    """Return the bytes of a mask by the best of all lossless coders.
+
+    The mask is coded as bits, and as pictures. Without `is_final` the result is a quick estimate.
     """
     packed = np.packbits(mask).tobytes()
     if not is_final:
@@ -156,16 +168,19 @@ def mask_bytes(mask: NDArray[np.bool_], is_final: bool = True) -> int:
 
 
 def list_bytes(values: Symbols, is_final: bool = True) -> int:
-    """A list [m, 3] by the best of all; or about as many bytes, quickly."""
+    """Return the bytes of a list [m, 3] by the best of all byte coders.
+
+    Without `is_final` the result is a quick estimate.
+    """
     data = byte_planes(plain(values).T)
     return min(back(data) for back in compressors().values()) if is_final else quick_xz(data)
 
 
 def lossless(symbols: Symbols, of_forces: bool = True) -> dict[str, float]:
-    """Bytes by each coder of symbols [frame, x, y, z, components], the best of the layouts that there is time
-    for.
+    """Return the bytes of symbols [frame, x, y, z, components] by each lossless coder.
 
-    Of symbols that are not `of_forces` no picture and no cloud is made; they go to xz and zpaq alone.
+    For each coder the best of the selected layouts counts (`MAX_BYTES`). Symbols that are not `of_forces` are
+    given to xz and zpaq only.
     """
     candidates, masks = list(layouts(symbols)), dict[int, int]()
     for _, mask in candidates:
@@ -188,7 +203,10 @@ def lossless(symbols: Symbols, of_forces: bool = True) -> dict[str, float]:
 
 
 def draco(symbols: Symbols) -> int:
-    """A cloud of the voxels that are not zero, their symbols as an attribute, one cloud for each frame."""
+    """Return the bytes of a Draco point cloud for each frame.
+
+    The points are the voxels that are not zero; their symbols are an attribute.
+    """
     total, bits = 0, max(1, (max(symbols.shape[1:4]) - 1).bit_length())
     options = {
         "quantization_range": float(2**bits - 1),
@@ -212,8 +230,9 @@ def draco(symbols: Symbols) -> int:
 
 
 def lossy() -> dict[str, Lossy]:
-    """Coders of float32 volumes by an absolute tolerance, newtons: ``(bytes, decoded)`` of [frame, x, y, z,
-    3].
+    """Return coders of float32 volumes [frame, x, y, z, 3] by an absolute tolerance.
+
+    The tolerance is in newtons. Each coder returns ``(bytes, decoded)``.
     """
 
     def coded(code: Lossy, forces_n: Forces, tolerance: float) -> tuple[int, Forces]:
@@ -242,19 +261,22 @@ def _sz3(volume: Forces, tolerance: float) -> tuple[int, Forces]:
 
 def _sperr(volume: Forces, tolerance: float) -> tuple[int, Forces]:
     codecs = module("SPERR")
-    stacked = volume.reshape(-1, *volume.shape[-2:])  # of frames, one volume after another
+    stacked = volume.reshape(-1, *volume.shape[-2:])  # frames are stacked along the first axis
     data = codecs.sperr_encode(stacked, float(tolerance), "pwe", numthreads=1)
     return len(data), np.asarray(codecs.sperr_decode(data, numthreads=1), np.float32).reshape(volume.shape)
 
 
 LOSSY: dict[str, Lossy] = {"zfp": _zfp, "SZ3": _sz3, "SPERR": _sperr}
-"""Of one component."""
+"""Coders of one component."""
 
 # -- the contest --------------------------------------------------------------------------------------------
 
 
 def at_error(volume: Volume, target_db: float) -> dict[str, float]:
-    """Bytes of every peer at the coarsest tolerance or step with at most that NMSE; NaN where none has it."""
+    """Return the bytes of every peer at an NMSE of at most `target_db`.
+
+    Each takes the coarsest tolerance or step that has it; NaN if none does.
+    """
     forces, found = volume.forces_n, dict[str, float]()
     start = float(np.sqrt(12 * volume.energy / forces.size * 10 ** (target_db / 10)))
 
@@ -271,7 +293,10 @@ def at_error(volume: Volume, target_db: float) -> dict[str, float]:
 
 
 def at_promise(volume: Volume) -> dict[str, float]:
-    """Bytes of every peer within the error bound at every voxel; lossy ones plain or companded."""
+    """Return the bytes of every peer within the error bound at every voxel.
+
+    Lossy coders are given plain or companded forces, whichever takes fewer bytes.
+    """
     forces, found = volume.forces_n, dict[str, float]()
     for quantised in lattices.promised(forces):
         for name, size in lossless(quantised.symbols).items():
@@ -295,6 +320,9 @@ def at_promise(volume: Volume) -> dict[str, float]:
 
 
 def on_paper(frames: list[ForceField]) -> dict[str, float]:
-    """Bytes by general coders of what coder `paper` sends of frames coded alone; their error is its own."""
+    """Return the bytes of coder `paper`'s symbols by general coders.
+
+    The frames are coded alone; the error is that of coder `paper`.
+    """
     symbols, table_bytes = paper_symbols(frames)
     return {name: size + table_bytes for name, size in lossless(symbols, of_forces=False).items()}

@@ -1,4 +1,4 @@
-"""Picture of `rate.py`: size against error of all coders, and sizes at the error bound."""
+"""Picture of `rate.py`: bytes against error, and bytes at the error bound."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 STYLES = {
-    # Okabe and Ito's colours, which the colour-blind tell apart, with dashes beside them; ours is thick
+    # the colours of Okabe and Ito, which the colour-blind can distinguish, and dashes; touchfield is thick
     "touch": ("#000000", 3.4, "-"), "paper": ("#D55E00", 2.2, "-"), "zpaq -m5": ("#0072B2", 1.6, "-"),
     "xz": ("#56B4E9", 1.4, "-"), "zstd -19": ("#56B4E9", 1.2, "--"), "brotli": ("#0072B2", 1.2, ":"),
     "JPEG XL": ("#009E73", 1.6, "-"), "SZ3": ("#CC79A7", 1.4, "-"), "SPERR": ("#CC79A7", 1.4, "--"),
@@ -20,7 +20,7 @@ NAMES = {"touch": "touch (ours)", "paper": "the paper's coder"}
 PHRASES = {"tum": "TUM desk", "icl": "ICL living room", "band": "as a wall", "height": "as a solid"}
 RANGE_DB = (-12.0, -40.0)
 LABELS_DB = 18.5
-"""Space for the names to the right of the curves."""
+"""Width of the names to the right of the curves, dB."""
 PEERS = 5
 
 
@@ -30,10 +30,11 @@ def draw(curves: Mapping[str, Any], promised: Mapping[str, Mapping[str, Any]], o
     Parameters
     ----------
     curves : dict
-        Points (NMSE in dB, bytes) of each coder, of each field; at most two fields, side by side.
+        For each field, the points (NMSE in dB, bytes) of each coder; at most two fields, side by side.
     promised : dict
-        Rows of one frame at the promise of the same fields; one without a row has no second panel.
+        Rows of one frame at the error bound, of the same fields. A field without a row has no second panel.
     out : Path
+        File to write.
     """
     import matplotlib
 
@@ -114,7 +115,10 @@ def _curves(axis: Any, of: Mapping[str, Any]) -> None:
 
 
 def _promised(axis: Any, row: Mapping[str, Any]) -> None:
-    """Bars of bytes: our efforts, and the best peers, with how many times the smallest of ours they are."""
+    """Draw the bytes of touchfield's efforts and of the best peers as bars.
+
+    Each has its ratio to the smallest bytes of touchfield.
+    """
     finite = sorted((size, name) for name, size in row["peers"].items() if math.isfinite(size))[:PEERS]
     ours = sorted((size, f"touch {effort}") for effort, size in row["touch"].items())
     sizes, names = zip(*ours, *finite)

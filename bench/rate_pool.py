@@ -1,7 +1,7 @@
-"""Jobs of `rate.py`: one field each, a process per core, with cached figures.
+"""Jobs of `rate.py`: one job per field and part, one process per core, cached.
 
-The key of a cached figure holds what it depends on: the frames, the options, and the source of the coder. A
-changed coder is measured again, and the peers are not. Speeds are never cached.
+The key of a cached figure contains what it depends on: the frames, the options, and the source of the coder.
+After a change of the package's coders only these are measured again, not the peers. Speeds are never cached.
 """
 
 from __future__ import annotations
@@ -32,15 +32,18 @@ from touchfield.medium.stores.npz import read_npz
 Figures = dict[str, Any]
 PACKAGE, BENCH = Path(touchfield.__file__).parent, Path(__file__).parent
 STEPS_N = (0.4, 0.24, 0.14, 0.08, 0.045, 0.025)
-"""Of the curves."""
+"""Steps of the curves, newtons."""
 TOLERANCES = {"zfp": 8.0, "SZ3": 0.6, "SPERR": 0.7}
-"""Times the steps: what takes each of the lossy coders over the same errors."""
+"""Tolerance of each lossy coder over the step, so that all have similar errors."""
 PAPER = ((3, "ico3"), (4, "ico3"), (4, "octa3"), (6, "octa3"), (8, "ico10"), (8, "ico20"))
-"""n_q and directions of a curve, coarse to fine."""
+"""n_q and directions of the points of a curve, from coarse to fine."""
 
 
 def by_us(case: Case, frames: list[ForceField], at: str, effort: str, interframe: str) -> Figures:
-    """Frames in a segment by coder `touch`, `at` the "promise" or the "NMSE" of coder `paper`."""
+    """Code frames in a segment with coder `touch`.
+
+    `at` is "promise", the error bound, or "NMSE", the NMSE of coder `paper`.
+    """
     if at == "NMSE":
         paper = ours.paper(frames, interframe="none")
         search = ours.touch_search(frames, paper.nmse_db, effort, interframe)
@@ -57,7 +60,7 @@ def by_us(case: Case, frames: list[ForceField], at: str, effort: str, interframe
 
 
 def by_peers(case: Case, frames: list[ForceField], at: str) -> Figures:
-    """The same frames by all peers, and coder `paper`'s symbols by general coders."""
+    """Code the same frames with all peers; code coder `paper`'s symbols, too."""
     volume, target_db = Volume.of(frames), None
     if at == "NMSE":
         target_db = ours.paper(frames, interframe="none").nmse_db
@@ -71,7 +74,7 @@ def by_peers(case: Case, frames: list[ForceField], at: str) -> Figures:
 
 
 def curve(case: Case, frames: list[ForceField]) -> Figures:
-    """Points (NMSE in dB, bytes) of one frame by our coders."""
+    """Return points (NMSE in dB, bytes) of one frame by coders `touch` and `paper`."""
     touch = [ours.touch(frames, mode="nmse", step_n=step) for step in STEPS_N]
     paper = [ours.paper(frames, nq=nq, directions=directions) for nq, directions in PAPER]
     return {
@@ -81,7 +84,7 @@ def curve(case: Case, frames: list[ForceField]) -> Figures:
 
 
 def curve_peers(case: Case, frames: list[ForceField]) -> Figures:
-    """Points of every peer."""
+    """Return the points of every peer."""
     volume, points = Volume.of(frames), dict[str, list[list[float]]]()
     for step in STEPS_N:
         quantised = lattices.uniform(volume.forces_n, step)
@@ -101,11 +104,11 @@ PARTS: dict[str, Callable[..., Figures]] = {
 
 @cache
 def fingerprint(group: str) -> str:
-    """Hash of the source of "fields", "peers" or "ours"."""
+    """Return a hash of the source of "fields", "peers" or "ours"."""
     codec = PACKAGE / "codec"
-    if group == "fields":  # whatever may change the field, and no coder
+    if group == "fields":  # all that may change the field, and no coder
         paths = [p for p in PACKAGE.rglob("*.py") if codec not in p.parents] + [BENCH / "rate_fields.py"]
-    elif group == "peers":  # and the coder whose error they are measured at
+    elif group == "peers":  # with coder paper, whose error they are measured at
         paths = [p for p in codec.rglob("*.py") if "paper" in str(p.relative_to(codec))]
         paths += [p for p in BENCH.glob("rate_*.py") if p.stem != "rate_picture"]
     else:
@@ -114,12 +117,12 @@ def fingerprint(group: str) -> str:
 
 
 def fields_in(folder: Path) -> Path:
-    """Folder of the frames of this state of the source."""
+    """Return the folder of the frames for this state of the source."""
     return folder / f"fields-{fingerprint('fields')}"
 
 
 def cached(folder: Path, key: Any, make: Callable[[], Figures]) -> Figures:
-    """Figures of an earlier run, or those of `make`, written atomically."""
+    """Return the figures of an earlier run, or those of `make`, written atomically."""
     path = folder / f"{hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()[:24]}.json"
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
@@ -132,7 +135,7 @@ def cached(folder: Path, key: Any, make: Callable[[], Figures]) -> Figures:
 
 @dataclass(frozen=True)
 class Job:
-    """A part for the first frames of a field."""
+    """One part of the benchmark on the first frames of a field."""
 
     case: Case
     part: str
@@ -145,7 +148,7 @@ class Job:
         return " ".join([self.case.title + ":", self.part, str(self.count), *map(str, self.args.values())])
 
     def work(self, folder: Path) -> Figures:
-        """Run in a worker process; cached."""
+        """Run the job in a worker process, with caching."""
         path, source = self.case.path(fields_in(folder)), "peers" if self.part.endswith("peers") else "ours"
         key = [
             hashlib.sha256(path.read_bytes()).hexdigest(),
@@ -170,12 +173,15 @@ class Pool:
         print(f"[{perf_counter() - self._began:.0f} s] {text}", file=sys.stderr, flush=True)
 
     def run(self, jobs: list[Job]) -> None:
-        """Run all jobs, the largest first; a failed one is missing in its table and listed in `failed`."""
+        """Run all jobs, the largest first.
+
+        A failed job is missing in its table and listed in `failed`.
+        """
         with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
             for _ in pool.map(
                 Case.path, dict.fromkeys(job.case for job in jobs), repeat(fields_in(self.folder))
             ):
-                pass  # all fields are there now
+                pass  # make all fields first
             ordered = sorted(jobs, key=lambda job: (job.case.nw, job.count), reverse=True)
             waiting = {pool.submit(job.work, self.folder): job for job in ordered}
             for n, future in enumerate(as_completed(waiting), 1):

@@ -1,11 +1,13 @@
-"""The coded source as a peer: depth maps by JPEG XL, from which the field is computed again.
+"""Coded depth maps as a peer: JPEG XL, and the field computed by the receiver.
 
-The receiver is given the maps, rounded to multiples of a step, and touchfield's own code makes the field. The
-map is taken whole or every second, fourth or eighth pixel a side (the median of a block); it is coded as it
-is and as places in the list of its values, whichever is smaller. Voxels that come out beyond the mask (at
-silhouettes there are some at every step), or as many as an NMSE takes, are sent beside it on the companded
-lattice; without them only the exact map would do. All sizes and steps are tried, and the best counts. Camera,
-placement, poses and steps count as constants.
+The receiver gets depth maps, rounded to multiples of a step, and computes the field by touchfield's own code.
+The depth map is used at full size or reduced by 2, 4 or 8 with a block median. Each map is coded both
+directly and as indices into its list of distinct values; the smaller is used.
+
+Voxels that exceed the mask are sent separately on the companded lattice. There are some at silhouettes at
+every step, and without this patch only the exact map would keep the bound. At an NMSE, as many voxels are
+sent as it takes. All sizes and steps are tried, and the smallest total counts. Camera, placement, poses and
+steps count as constants.
 """
 
 from __future__ import annotations
@@ -34,18 +36,21 @@ from touchfield.sources.scene import CAMERA_AXES, Scene
 from touchfield.sources.terrain.height_scene import HeightScene
 
 HEAD_BYTES, POSE_BYTES = 56, 24
-"""Camera, placement, lattice or noise step, unit and step, as float32; a pose that is not the first."""
+"""Bytes of the constants, as float32.
+
+HEAD_BYTES: camera, placement, lattice or noise step, unit and step. POSE_BYTES: a pose that is not the first.
+"""
 SHRINKS, STEPS = (1, 2, 4, 8), (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
-"""Pixels a side to one that is sent, and units to one step."""
+"""Reductions of the map along each side, and units of the map per step."""
 WORSE = 3
-"""Consecutive steps without an improvement, after which the search ends."""
+"""Number of consecutive steps without an improvement after which the search ends."""
 
 Maps = NDArray[np.int32]
 Forces = NDArray[np.float32]
 
 
 class Decoded(DepthSequence):
-    """Depth maps [frame, height, width], metres, in place of those that are stored."""
+    """Depth maps [frame, height, width], metres, in place of the stored ones."""
 
     def __init__(self, depths_m: NDArray[np.float32], camera: Intrinsics, stored: DepthSequence) -> None:
         self.name, self.rate_hz, self.intrinsics, self.depths_m = (
@@ -72,7 +77,7 @@ class Source:
 
     @cached_property
     def sequence(self) -> Any:
-        """The stored depth maps: a `DepthSequence` that tells its units, `metres`."""
+        """The stored depth maps: a `DepthSequence` whose units are in `metres`."""
         scene: Any = open_scene(self.case.source, replace(self.case.spec.source, reading="camera"))
         return scene.sequence
 
@@ -85,7 +90,7 @@ class Source:
 
     @cached_property
     def unit(self) -> int:
-        """Greatest common divisor: TUM stores whole millimetres in fifths."""
+        """Greatest common divisor of the maps: TUM stores whole millimetres in fifths."""
         return max(1, int(np.gcd.reduce(self.maps, axis=None)))
 
     @cached_property
@@ -95,7 +100,10 @@ class Source:
         return HEAD_BYTES + POSE_BYTES * (self.count - 1) * is_moving
 
     def frames(self, maps: Maps, shrink: int) -> list[ForceField]:
-        """The field made again of maps, stored units, of which a pixel stands for `shrink` x `shrink`."""
+        """Compute the field from maps in stored units.
+
+        A pixel of the maps stands for `shrink` x `shrink` pixels.
+        """
         scene, spec, at = (
             self._scene(maps / self.sequence.metres.units_per_m, shrink),
             self.case.spec,
@@ -109,7 +117,7 @@ class Source:
 
     @cached_property
     def _prepared(self) -> Any:
-        return prepare(self.case.source, self.case.spec)  # for the lattice and the placement, which are told
+        return prepare(self.case.source, self.case.spec)  # for the lattice and the placement, which are sent
 
     def _scene(self, maps_m: NDArray[np.float64], shrink: int) -> Scene:
         stored, shift, depths_m = self.sequence, (shrink - 1) / 2, maps_m.astype(np.float32)
@@ -127,7 +135,10 @@ class Source:
 
 
 def shrunk(maps: Maps, by: int) -> Maps:
-    """The median of the known pixels of each block; unknown where fewer than half are known."""
+    """Reduce maps by the median of the known pixels of each block.
+
+    A block is unknown if fewer than half of its pixels are known.
+    """
     n, height, width = maps.shape
     blocks = (
         maps.reshape(n, height // by, by, width // by, by)
@@ -140,8 +151,10 @@ def shrunk(maps: Maps, by: int) -> Maps:
 
 
 def map_bytes(numbers: Maps, is_final: bool) -> int:
-    """By JPEG XL, as they are or as places in the list of values; in one picture, at last also in one a
-    frame.
+    """Return the bytes of maps by JPEG XL.
+
+    They are coded directly and as indices into the list of values, in one picture for all frames and, with
+    `is_final`, also in one for each frame; the smallest counts.
     """
     values, indices = np.unique(numbers, return_inverse=True)
     listed = (peers.xz if is_final else peers.quick_xz)(
@@ -157,8 +170,9 @@ def map_bytes(numbers: Maps, is_final: bool) -> int:
 
 
 def patch_bytes(original: Forces, decoded: Forces, target_db: float | None, is_final: bool = True) -> float:
-    """Bytes of the voxels that are sent apart: all beyond the mask, or as few as leave an NMSE of
-    `target_db`.
+    """Return the bytes of the voxels that are sent separately.
+
+    These are all voxels beyond the mask or, with `target_db`, as few as leave this NMSE.
     """
     error, square = (((a.astype(np.float64)) ** 2).sum(axis=-1) for a in (decoded - original, original))
     is_sent = error > (0.9999 * np.maximum(F0_N, K * np.sqrt(square))) ** 2
@@ -181,10 +195,10 @@ def patch_bytes(original: Forces, decoded: Forces, target_db: float | None, is_f
 
 
 def coded_source(case: Case, frames: list[ForceField], target_db: float | None = None) -> dict[str, float]:
-    """The fewest bytes at the promise, or at an NMSE of `target_db`, and the shrinking and the step that they
-    take.
+    """Return the fewest bytes within the error bound, with reduction and step.
 
-    Of several frames the first chooses, for each size of map, the step.
+    With `target_db`, at that NMSE instead. Of several frames, the first one chooses the step for each
+    reduction.
     """
 
     def size(shrink: int, step: int, frames: list[ForceField], is_final: bool) -> float:

@@ -1,16 +1,15 @@
-"""Forces as small integers for the general-purpose coders of `rate.py`, in their favour.
+"""Quantisation of forces to integers for the lossless coders of `rate_peers`.
 
-Uniform in newtons, for an equal mean error; and two lattices that keep the promise |e| <= max(F_0, k |F|), of
-which each was best on some field:
+Forces are quantised uniformly in newtons for an equal mean error. For the error bound |e| <= max(F_0, k |F|)
+there are two quantisers, each of which was best on some field:
 
-* *log-polar* (the direct one): a ladder of amplitudes whose steps are F_0 long up to F_0 / k and grow by k
-  beyond, and an octahedral map of directions (as fine at each amplitude as it must be there, it took more
-  bytes);
+* *log-polar*: a ladder of amplitudes whose steps are proportional to F_0 up to F_0 / k and to the amplitude
+  beyond, and an octahedral map of directions. A map whose fineness depends on the amplitude took more bytes.
 * *companded*: y = F g(|F|) / |F| with g(a) = a / F_0 up to F_0 / k and (1 + ln(a k / F_0)) / k beyond,
   rounded on a cubic lattice. All error balls of the mask become balls of radius 1 or more.
 
-What is at most F_0 long is dropped. Each takes the coarsest step with no violation, found on the field
-itself.
+Forces of at most F_0 are dropped. Each quantiser takes the coarsest step without a violation, which is found
+on the field itself; this favours the peers.
 """
 
 from __future__ import annotations
@@ -32,30 +31,33 @@ K, F0_N = 0.1, 0.05
 """Parameters of the error bound."""
 KNEE_N = F0_N / K
 CELL_FRACTION = 3**-0.5
-"""Of the mask to the amplitude: the cell of greatest volume in the ball (0.45 and 0.7 take as many bytes)."""
+"""Fraction of the mask that is given to the amplitude.
+
+It is that of the cell of greatest volume in the ball; 0.45 and 0.7 take as many bytes.
+"""
 
 
 class Quantised(NamedTuple):
-    """Symbols [..., 3], all three 0 where there is no force, and what they decode to."""
+    """Symbols [..., 3], all three 0 where there is no force, and their decoded forces."""
 
     symbols: Symbols
     decoded: Forces
 
 
 def uniform(forces_n: Forces, step_n: float) -> Quantised:
-    """Each component a multiple of `step_n`, the nearest."""
+    """Round each component to the nearest multiple of `step_n`."""
     symbols = np.rint(forces_n / np.float32(step_n)).astype(np.int32)
     return Quantised(symbols, (symbols * np.float32(step_n)).astype(np.float32))
 
 
 def is_within_bound(forces_n: Forces, decoded_n: Forces) -> bool:
-    """Whether no sample is beyond the mask."""
+    """Return whether no sample is beyond the mask."""
     x, y = (np.ascontiguousarray(a.reshape(-1, 3), np.float32) for a in (forces_n, decoded_n))
     return violations(x, y, K, F0_N).count == 0
 
 
 def dropped(quantised: Quantised, forces_n: Forces) -> Quantised:
-    """The same without forces of at most F_0."""
+    """Return the same without forces of at most F_0."""
     supported = (np.linalg.norm(forces_n, axis=-1) > F0_N)[..., None]
     return Quantised(quantised.symbols * supported, quantised.decoded * supported)
 
@@ -67,8 +69,9 @@ def coarsest(
     high: float,
     trials: int = 10,
 ) -> Candidate | None:
-    """The one of the greatest step that is good, by halving the ratio of `high` to `low`;
-    None where none is.
+    """Return the good candidate of the greatest step found by bisection; None if none.
+
+    Bisection is on the logarithm of the step between `low` and `high`.
     """
     best = None
     for _ in range(trials):
@@ -84,12 +87,12 @@ def coarsest(
 def without_small(
     quantise: Callable[[Forces, float], Quantised], forces_n: Forces, scale: float
 ) -> Quantised:
-    """Quantised at a scale, without forces that the mask does not need."""
+    """Quantise at a scale, without forces that the mask does not need."""
     return dropped(quantise(forces_n, scale), forces_n)
 
 
 def promised(forces_n: Forces) -> list[Quantised]:
-    """The field on both lattices, each as coarse as the error bound allows."""
+    """Quantise the field by both quantisers, each as coarsely as the bound allows."""
     candidates = (
         coarsest(
             partial(without_small, quantise, forces_n),
@@ -104,7 +107,7 @@ def promised(forces_n: Forces) -> list[Quantised]:
 
 
 def compand(forces_n: Forces) -> NDArray[np.float64]:
-    """F to y: balls of the mask to balls of radius 1, about."""
+    """Map F to y, and so balls of the mask to balls of radius about 1."""
     a = np.linalg.norm(forces_n.astype(np.float64), axis=-1, keepdims=True)
     with np.errstate(divide="ignore", invalid="ignore"):
         g = np.where(a <= KNEE_N, a / F0_N, (1 + np.log(np.maximum(a, KNEE_N) / KNEE_N)) / K)
@@ -112,7 +115,7 @@ def compand(forces_n: Forces) -> NDArray[np.float64]:
 
 
 def expand(y: NDArray[np.floating[Any]]) -> Forces:
-    """The inverse of `compand`."""
+    """Invert `compand`."""
     g = np.linalg.norm(y, axis=-1, keepdims=True)
     with np.errstate(divide="ignore", invalid="ignore"):
         a = np.where(g * K <= 1, g * F0_N, KNEE_N * np.exp(np.maximum(g * K, 1) - 1))
@@ -120,7 +123,7 @@ def expand(y: NDArray[np.floating[Any]]) -> Forces:
 
 
 def companded(forces_n: Forces, step: float) -> Quantised:
-    """The companded field on a cubic lattice."""
+    """Quantise the companded field on a cubic lattice."""
     symbols = np.rint(compand(forces_n) / step).astype(np.int32)
     return Quantised(symbols, expand(symbols * step))
 
@@ -129,7 +132,10 @@ def companded(forces_n: Forces, step: float) -> Quantised:
 
 
 def ladder(top_n: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Borders [n + 1] and levels [n] of amplitude from F_0 up to `top_n`: errors of `SHARE` of the mask."""
+    """Return borders [n + 1] and levels [n] of amplitude from F_0 up to `top_n`.
+
+    Errors are at most `CELL_FRACTION` of the mask.
+    """
     borders, levels = [F0_N], list[float]()
     while borders[-1] < top_n or not levels:
         level = borders[-1] + CELL_FRACTION * max(F0_N, K * borders[-1])
@@ -139,14 +145,20 @@ def ladder(top_n: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def allowed_angle(low: float, level: float, high: float) -> float:
-    """Radians a direction may be off where amplitudes from `low` to `high` become `level`."""
+    """Return the largest allowed error of a direction, radians.
+
+    Amplitudes from `low` to `high` are decoded as `level`.
+    """
     a = np.append(np.linspace(low, high, 9), np.clip(KNEE_N, low, high))
     margin = np.maximum(F0_N, K * a) ** 2 - (a - level) ** 2
     return float(2 * np.arcsin(np.sqrt(np.clip(margin / (4 * a * level), 0, 1)).min()))
 
 
 def log_polar(forces_n: Forces, scale: float) -> Quantised:
-    """Amplitude level from 1 on, and the two coordinates of the octahedral map of the direction."""
+    """Quantise to an amplitude level and two octahedral coordinates of the direction.
+
+    Levels begin at 1.
+    """
     a = np.linalg.norm(forces_n.astype(np.float64), axis=-1)
     supported = a > F0_N
     borders, levels = ladder(float(a.max(initial=F0_N)))
@@ -162,7 +174,11 @@ def log_polar(forces_n: Forces, scale: float) -> Quantised:
 
 
 def octahedral(unit: NDArray[np.float64], side: int) -> tuple[Symbols, Symbols, NDArray[np.float64]]:
-    """The nearest of the four points about each direction [m, 3] on the `side` x `side` octahedral map."""
+    """Return the nearest point on the octahedral map for each direction [m, 3].
+
+    The map has `side` x `side` points; the four around each direction are tried. Returns both coordinates and
+    the decoded directions.
+    """
     p = unit / np.abs(unit).sum(axis=1, keepdims=True)
     xy = np.where(p[:, 2:] < 0, (1 - np.abs(p[:, 1::-1])) * np.where(p[:, :2] < 0, -1, 1), p[:, :2])
     scale = (side - 1) / 2
@@ -186,7 +202,10 @@ def _direction(xy: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def octahedral_side(angle: float) -> int:
-    """The smallest side whose map leaves at most `angle`, radians, of 20,000 random directions."""
+    """Return the smallest side whose map has a largest error of at most `angle`, rad.
+
+    The error is that of 20,000 random directions.
+    """
     for side in range(3, 400):
         if _widest(side) <= angle:
             return side
@@ -195,7 +214,7 @@ def octahedral_side(angle: float) -> int:
 
 @cache
 def _widest(side: int) -> float:
-    """Largest angle between a direction and the map, radians."""
+    """Return the largest angle between a direction and its point of the map, radians."""
     unit = np.random.default_rng(0).normal(size=(20_000, 3))
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
     off = np.linalg.norm(octahedral(unit, side)[2] - unit, axis=1).max()

@@ -1,15 +1,16 @@
-"""Run every benchmark; each prints its tables and stores its last run in bench/results.
+"""Run every benchmark; each prints its tables and stores its last run.
 
     python bench/run_all.py [--quick] [--only NAME,NAME] [--jobs N] [--limit-s SECONDS]
     python bench/run_all.py --stale | --rerun-stale | --verdicts | --store-quick
 
-`--quick` runs each with its smallest settings, stores nothing, and compares its exact figures (bytes, counts,
-errors) with ``reference/quick``, which `--store-quick` writes. `--stale` only lists the results whose code
-has changed, and exits with status 1 if one of them can be measured here; `--rerun-stale` measures these.
-`--verdicts` runs nothing either: it evaluates the bars on the stored figures and stores them.
+`--quick` runs each benchmark with its smallest settings, stores nothing, and compares its exact figures
+(bytes, counts, errors) with ``reference/quick``, which `--store-quick` writes. `--stale` only lists the
+results whose code has changed, and exits with status 1 if one of them can be measured here; `--rerun-stale`
+measures these. `--verdicts` runs nothing either: it evaluates the bars on the stored figures and stores the
+verdicts.
 
-A benchmark that fails or exceeds its time is named at the end, and the others run. One whose requirements (a
-GPU, a compiler, a browser) are missing is skipped with the reason.
+Results are stored in bench/results. A benchmark that fails or exceeds its time is named at the end, and the
+others run. One whose requirements (a GPU, a compiler, a browser) are missing is skipped with the reason.
 """
 
 from __future__ import annotations
@@ -54,13 +55,13 @@ class Outcome:
 
 
 def scripts() -> dict[str, str]:
-    """The script of each result, by the result's name."""
+    """Return the script of each result, by the result's name."""
     paths = [*sorted(HERE.glob("bench_*.py")), HERE / "rate.py"]
     return {path.stem.removeprefix("bench_"): path.stem for path in paths}
 
 
 def selected(only: str | None) -> list[str]:
-    """Names of the benchmarks to run; SystemExit for one that does not exist."""
+    """Return the names of the benchmarks to run; SystemExit for an unknown name."""
     names = list(scripts())
     requested = names if only is None else [name for name in only.split(",") if name]
     if unknown := [name for name in requested if name not in names]:
@@ -72,9 +73,10 @@ def selected(only: str | None) -> list[str]:
 
 
 def run(name: str, is_quick: bool, limit_s: float, is_live: bool = True) -> Outcome:
-    """Run one script in its own process group, ended with all its processes after `limit_s`.
+    """Run one script in its own process group.
 
-    Its output appears immediately if `is_live`, and otherwise when it has ended.
+    After `limit_s` the script is ended with all its processes. Its output appears immediately if `is_live`,
+    and otherwise when it has ended.
     """
     script = HERE / f"{scripts()[name]}.py"
     command = [sys.executable, str(script), *["--quick"] * is_quick]
@@ -96,7 +98,10 @@ def run(name: str, is_quick: bool, limit_s: float, is_live: bool = True) -> Outc
 
 
 def _waited(pid: int, until_s: float) -> tuple[int | None, float]:
-    """Exit status, and processor seconds including children; at `until_s` the group is killed: None."""
+    """Return the exit status, and processor seconds including children.
+
+    At `until_s` the process group is killed, and the status is None.
+    """
     is_late = False
     while True:
         ended, status, used = os.wait4(pid, os.WNOHANG)
@@ -110,9 +115,9 @@ def _waited(pid: int, until_s: float) -> tuple[int | None, float]:
 
 
 def run_each(names: list[str], is_quick: bool, limit_s: float, jobs: int) -> bool:
-    """Run benchmarks, `jobs` at once, and print a table; True if none failed.
+    """Run benchmarks, `jobs` at once, and print a table; return True if none failed.
 
-    The guard of the speed runs first and alone.
+    The regression guard runs first and alone.
     """
     alone = [name for name in names if jobs == 1 or name == GUARD]
     outcomes = [run(name, is_quick, limit_s) for name in alone]
@@ -139,19 +144,22 @@ def run_each(names: list[str], is_quick: bool, limit_s: float, jobs: int) -> boo
 
 
 def missing_need(name: str) -> str | None:
-    """Requirement of a benchmark that this machine lacks; None if it lacks none."""
+    """Return the requirement of a benchmark that this machine lacks; None if none."""
     need, programs = NEEDS.get(name, ("", ()))
     return None if all(map(which, programs)) else need
 
 
 def stale_results() -> dict[str, list[str]]:
-    """The changed files of each result that is not up to date."""
+    """Return the changed files of each result that is not up to date."""
     found = {name: stale(name) for name in scripts()}
     return {name: files for name, files in found.items() if files}
 
 
 def show_stale() -> bool:
-    """List stale results with commit and changed files; True if none can be measured here."""
+    """List stale results with commit and changed files.
+
+    Returns True if none of them can be measured here.
+    """
     elsewhere = []
     for name, files in (every := stale_results()).items():
         need = missing_need(name)

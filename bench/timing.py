@@ -1,4 +1,4 @@
-"""Measuring time: one call alone, or several calls in turn."""
+"""Timing of one call alone, or of several calls alternately."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 
 def timed(call: Callable[[], Any], runs: int = 9, warm: int = 1) -> dict[str, float]:
-    """Minimum and median milliseconds of `runs` calls after `warm` ones."""
+    """Return minimum and median milliseconds of `runs` calls, after `warm` calls."""
     for _ in range(warm):
         call()
     times = []
@@ -26,7 +26,7 @@ Clock = Callable[[], float]
 
 
 def call_clock(call: Callable[[], Any]) -> Clock:
-    """Clock of a whole call."""
+    """Return the clock of a whole call."""
 
     def run() -> float:
         start = process_time()
@@ -37,7 +37,7 @@ def call_clock(call: Callable[[], Any]) -> Clock:
 
 
 def function_clock(module: ModuleType, name: str, call: Callable[[], Any]) -> Clock:
-    """Clock of one function of a module, summed over its runs within a call."""
+    """Return the clock of one function of a module, summed over its runs in a call."""
     function, spent = getattr(module, name), [0.0]
 
     def timed_function(*values: Any) -> Any:
@@ -59,7 +59,7 @@ def function_clock(module: ModuleType, name: str, call: Callable[[], Any]) -> Cl
 
 
 def paired_cpu_ms(ours: Clock, reference: Clock, rounds: int) -> list[tuple[float, float]]:
-    """Processor milliseconds of `ours` and of the reference, run alternately: one pair per round.
+    """Run two clocks alternately; return a pair of processor milliseconds per round.
 
     The time of the reference is the mean of the runs before and after, so that a change of processor speed or
     of load affects both.

@@ -1,1 +1,1 @@
-"""What never changes: yardsticks for the speed of our kernels, and figures of former versions."""
+"""Frozen references: loops that kernels are timed against, and former figures."""

@@ -1,9 +1,10 @@
-"""Frozen loops that serve as yardsticks: the time of a kernel of ours over theirs is stored and guarded.
+"""Frozen loops: the reference times of the regression guard `bench_guard`.
 
-Each does the kind of work of one kernel of ours (the memory it reads, its arithmetic, its branches), so
-that another processor, another load or another compiler changes both times alike. They import nothing of the
-package and are compiled by plain numba. Never change them: the stored ratios would mean nothing. Of another
-kind of work a new loop is added, and its ratio stored.
+`bench_guard` stores the time of each kernel of the package relative to a frozen loop. Each loop does the same
+kind of work as one kernel (memory access, arithmetic, branches), so that another processor, another load or
+another compiler changes both times alike. The loops import nothing of the package and are compiled by plain
+numba. Never change them, because the stored ratios would lose their meaning. For another kind of work, add a
+new loop and store its ratio.
 """
 
 from __future__ import annotations
@@ -19,7 +20,10 @@ frozen: Any = partial(njit, cache=True, nogil=True)
 
 @frozen(fastmath=True, error_model="numpy")
 def image_planes(depth, out):
-    """Weighted 9 x 9 fits of a depth image [h, w] to slopes and normals [h, w, 4]: for tangent planes."""
+    """Fit slopes and normals [h, w, 4] to a depth image [h, w]: for tangent planes.
+
+    The fits are weighted, over a cross of 9 x 9 pixels.
+    """
     height, width = depth.shape
     for y in range(4, height - 4):
         for x in range(4, width - 4):
@@ -44,8 +48,9 @@ def image_planes(depth, out):
 
 @frozen(fastmath=True, error_model="numpy")
 def projected_forces(planes, out):
-    """A dense lattice [n, n, n, 3] that looks up a plane of an image [h, w, 4] at each sample: for depth
-    bricks.
+    """Look up a plane of an image [h, w, 4] at each sample of a dense lattice.
+
+    For depth bricks; the lattice is [n, n, n, 3].
     """
     height, width = planes.shape[:2]
     side = out.shape[0]
@@ -68,7 +73,10 @@ def projected_forces(planes, out):
 
 @frozen()
 def triangle_distances(points, corners, out):
-    """Squared distances of points [n, 3] to the nearest of triangles [m, 3, 3]: for meshes."""
+    """Compute squared distances of points [n, 3] to triangles [m, 3, 3]: for meshes.
+
+    The distance is that to the nearest triangle.
+    """
     for p in range(points.shape[0]):
         nearest = 1e30
         for t in range(corners.shape[0]):
@@ -95,7 +103,10 @@ def triangle_distances(points, corners, out):
 
 @frozen(fastmath=True)
 def smoothed(field, taps, between, out):
-    """17 taps along two axes of vectors [n, n, n, 3], without borders: for Gaussian smoothing."""
+    """Filter vectors [n, n, n, 3] by 17 taps along two axes: for Gaussian smoothing.
+
+    Borders are left out.
+    """
     side, reach = field.shape[0], taps.shape[0] // 2
     flat = field.reshape(side, side, -1)
     for i in range(side):
@@ -118,7 +129,10 @@ def smoothed(field, taps, between, out):
 
 @frozen(error_model="numpy")
 def interpolated(field, points, out):
-    """A dense field [n, n, n, 3] between its samples at points [m, 3], in samples: for queries."""
+    """Interpolate a dense field [n, n, n, 3] at points [m, 3]: for queries.
+
+    Points are in samples.
+    """
     last = field.shape[0] - 2
     for p in range(points.shape[0]):
         x, y, z = points[p, 0], points[p, 1], points[p, 2]
@@ -134,10 +148,10 @@ def interpolated(field, points, out):
 
 @frozen(error_model="numpy")
 def coded_bits(symbols, squash, stretch, out):
-    """Bytes of an adaptive binary range coder that mixes three models by their logits: for the coder.
+    """Code bits by an adaptive binary range coder that mixes three models: for coders.
 
-    Symbols uint8 [n, n, n] in raster order; contexts are neighbours. `squash` [4096] and `stretch` [4096] are
-    tables.
+    Symbols are uint8 [n, n, n] in raster order; contexts are neighbours. The models are mixed by their
+    logits. `squash` [4096] and `stretch` [4096] are tables. Returns the number of bytes.
     """
     side = symbols.shape[0]
     models = np.full((3, 1 << 14), 2048, np.int32)

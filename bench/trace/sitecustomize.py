@@ -1,5 +1,6 @@
-"""Python imports this at its start where `provenance.Trace` is on: it notes which files the process has
-loaded.
+"""List the files that a process has loaded, when the process exits.
+
+Python imports this module at its start where `provenance.Trace` is on.
 """
 
 import atexit
