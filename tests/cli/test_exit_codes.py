@@ -113,9 +113,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def error_line(
-    arguments: list[str], capsys: pytest.CaptureFixture[str], watched: Path, code: int
-) -> str:
+def error_line(arguments: list[str], capsys: pytest.CaptureFixture[str], watched: Path, code: int) -> str:
     """The single error line of a command that must fail without leaving a file in `watched`."""
     before = sorted(watched.rglob("*"))
     capsys.readouterr()
