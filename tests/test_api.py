@@ -18,6 +18,7 @@ import pytest
 from numpy.typing import NDArray
 
 import touchfield as tf
+from touchfield.codec import TouchSpec
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = (
@@ -167,7 +168,7 @@ def test_a_plot_is_a_figure_and_a_file(forces: NDArray[np.float64], tmp_path: Pa
 
 
 def test_media_fields_and_arrays_are_encoded_directly(forces: NDArray[np.float64], tmp_path: Path) -> None:
-    exact = tf.EncodeSpec(touch=tf.codec.TouchSpec(mode="lossless"))
+    exact = tf.EncodeSpec(touch=TouchSpec(mode="lossless"))
     out = tmp_path / "x.touch"
     for source, grid, frames in (
         (medium_of(forces), None, 3),
@@ -258,7 +259,7 @@ def test_values_and_results_have_a_one_line_representation(
         (lambda f: medium_of(f)[::2], "step"),
         (lambda f: medium_of(f)[2:2], "2:2"),
         (lambda f: medium_of(f).filtered("wish:1"), "one of"),
-        (lambda f: medium_of(f).filtered(tf.filters.filter_of("gaussian", "2mm")), "one of"),  # type: ignore[arg-type]
+        (lambda f: medium_of(f).filtered(tf.filters.Gain(2.0)), "one of"),  # type: ignore[arg-type]
         (lambda f: tf.HapticMedium.from_array(f + 1j, GRID), "complex"),
         (lambda f: tf.HapticMedium.from_array(np.ma.masked_greater(f, 1.0), GRID), "masked"),
         (lambda f: tf.HapticMedium.from_array([[1.0], [1.0, 2.0]], GRID), "no array of numbers"),
@@ -275,15 +276,15 @@ def test_values_and_results_have_a_one_line_representation(
         (lambda f: tf.FieldSampler(medium_of(f)[0]), "stream.medium"),  # type: ignore[arg-type]
         (lambda f: tf.FieldSampler(medium_of(f)).force_n(0.0, [[1.0], [1.0, 2.0]]), "points_m"),
         (lambda f: tf.FieldSampler(medium_of(f)).force_n("now", [0.0, 0.0, 0.0]), "time_s"),
-        (lambda f: tf.FieldSampler(medium_of(f)).at(0.0, "x", 0.0, 0.0), "no array of numbers"),  # type: ignore[arg-type]
+        (lambda f: tf.FieldSampler(medium_of(f)).at(0, "x", 0, 0), "no array of"),  # type: ignore[arg-type]
         (lambda f: tf.EncodeSpec(filters=("gaussian:2mm",)), "names and words"),  # type: ignore[arg-type]
-        (lambda f: tf.encode(medium_of(f), "x.touch", tf.codec.TouchSpec()), "EncodeSpec"),  # type: ignore[arg-type]
+        (lambda f: tf.encode(medium_of(f), "x.touch", TouchSpec()), "EncodeSpec"),  # type: ignore[arg-type]
         (lambda f: tf.encode(medium_of(f), None), "a path"),  # type: ignore[arg-type]
         (lambda f: tf.plan("sample:shapes", "64 parsecs"), "64kbit/s"),
-        (lambda f: tf.tasks.PlaySpec(seconds="1"), "^seconds: found '1'; expected a number"),  # type: ignore[arg-type]
+        (lambda f: tf.tasks.PlaySpec(seconds="1"), "^seconds: found '1'.* number"),  # type: ignore[arg-type]
         (lambda f: tf.encode(medium_of(f), "x.npz"), "'.npz'; expected OUT.touch"),
         (lambda f: tf.tasks.MeasureSpec(estimator="x"), "^estimator: "),
-        (lambda f: tf.EncodeSpec(nw="6"), "^nw: found '6'; expected a whole number"),  # type: ignore[arg-type]
+        (lambda f: tf.EncodeSpec(nw="6"), "^nw: found '6'.* a whole number"),  # type: ignore[arg-type]
         (lambda f: tf.EncodeSpec(nw=99), "^nw: found 99; expected a whole number from 3 to 10"),
         (lambda f: tf.EncodeSpec(mapping="-1"), "^mapping: .*positive"),
         (lambda f: tf.EncodeSpec(mapping="wide"), "^mapping: .*fit, fill"),
@@ -295,7 +296,7 @@ def test_values_and_results_have_a_one_line_representation(
         (lambda f: tf.EncodeSpec(surface_damping_n_s_per_m=-1), "^surface_damping"),
         (lambda f: tf.EncodeSpec(filters=(("glue", "2mm"),)), "^filters: .*one of gaussian"),
         (lambda f: tf.EncodeSpec(touch=3), "TouchSpec"),  # type: ignore[arg-type]
-        (lambda f: tf.codec.TouchSpec(k="0.1"), "^k: .*a number"),  # type: ignore[arg-type]
+        (lambda f: TouchSpec(k="0.1"), "^k: .*a number"),  # type: ignore[arg-type]
         (lambda f: tf.sources.SourceOptions(allow_outside=1), "True or False"),  # type: ignore[arg-type]
         (lambda f: tf.filters.Gain("2"), "gain"),  # type: ignore[arg-type]
         (lambda f: tf.filters.gaussian("signal", 1.0), "no array of numbers"),

@@ -1,7 +1,7 @@
 """Every bounded cache from both sides: cached results are not recomputed, and the bound holds.
 
 Elsewhere: `tests/network/test_remote.py` (bytes of a remote file), `test_live_medium.py` (segments of a
-receiver), `tests/pipeline/test_frames_ahead.py` (segments decoded in advance), `tests/render/test_arena.py`
+receiver), `tests/pipeline/test_lookahead.py` (segments decoded in advance), `tests/render/test_arena.py`
 (frames of the block).
 """
 

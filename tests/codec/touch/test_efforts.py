@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from field_makers import hills, round_trip
-from test_promise_kept import check_bound
+from test_random_error_bound import check_bound
 
 from touchfield.codec.touch.body import BodyReader
 from touchfield.codec.touch.decoder import TouchDecoder

@@ -74,15 +74,20 @@ def test_invalid_kinds_are_refused(data, error):
         base_layer.decode_base_layer(data, ball().grid)
 
 
+SHAPES_WITH_A_LAYER = {fit_spline: {(300, 9, 2), (17, 16, 15)}, fit_columns: {(17, 16, 15)}}
+
+
 @pytest.mark.parametrize("provider", [fit_spline, fit_columns])
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 1, 1000), (300, 9, 2), (17, 16, 15)])
-@pytest.mark.parametrize("kind", ["full", "ramp", "wide", "denormal", "checkers"])
+@pytest.mark.parametrize("kind", ["slope", "full", "ramp", "wide", "denormal", "checkers"])
 def test_fit_of_any_field_terminates(kind, shape, provider):
-    """For any field the fit terminates, and its bytes decode to the fitted layer."""
+    """For any field the fit terminates, and its bytes decode to the fitted layer; only a slope has one."""
     random = np.random.default_rng(3)
     i, j, k = np.meshgrid(*(np.arange(n) for n in shape), indexing="ij")
     forces = np.zeros((*shape, 3), np.float32)
-    if kind == "full":
+    if kind == "slope":
+        forces[..., 2] = 0.15 * np.maximum(0.6 * shape[2] - k, 0)
+    elif kind == "full":
         forces[...] = (0.3, -0.2, 1.0)
     elif kind == "ramp":
         forces[..., 2] = np.minimum(k + 0.3 * i + 1, 9)
@@ -96,6 +101,7 @@ def test_fit_of_any_field_terminates(kind, shape, provider):
     frame = ForceField.from_dense(Grid(shape, (0.001, 0.002, 0.003), (0.0, 0.0, 0.0)), forces)
     for mode in ("mask", "nmse"):
         found = provider(frame, lattice_of(frame), limits_of(lattice_of(frame), mode=mode))
+        assert (found is not None) == (kind == "slope" and shape in SHAPES_WITH_A_LAYER[provider])
         if found is not None:
             kinds = {fit_spline: base_layer.SPLINE, fit_columns: base_layer.COLUMNS}
             decoded = base_layer.decode_base_layer(bytes([kinds[provider]]) + found[0], frame.grid)
