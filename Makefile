@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-thorough test-all bench lint gallery site reproduction golden core web browser-tests clean
+.PHONY: demo test test-thorough test-all bench lint gallery site reproduction golden native wheels web browser-tests clean
 
 demo: .venv/ready
 	$(BIN)/touchfield demo demo
@@ -48,10 +48,14 @@ reproduction: .venv/ready
 golden: .venv/ready
 	$(BIN)/python conformance/make_golden.py
 
-# the decoder in C as a module of Python, built with a C compiler (core/README.md)
-core: .venv/ready
-	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir core/dist ./core
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --force-reinstall core/dist/touchfield_core-*.whl
+# the module in C again, after its sources were edited
+native: .venv/ready
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+
+# wheels for the platforms of build_backend/targets.py, cross-compiled by zig, and checked
+wheels: .venv/ready
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check ziglang abi3audit auditwheel
+	$(BIN)/python build_backend/wheels.py dist
 
 # the page of `touchfield view`, made again from web/ and c/touch.h; needs node, and npm's registry once
 web: .venv/ready web/node_modules/.package-lock.json
@@ -70,6 +74,9 @@ web/node_modules/.package-lock.json: web/package-lock.json
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "touchfield needs Python 3.11 or newer; name one with: make PYTHON=python3.12")'
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	@PYTHONPATH=build_backend $(BIN)/python -c 'import compiler; compiler.find_compiler()' 2> /dev/null || { \
+	echo 'no C compiler here: ziglang from PyPI compiles the decoder'; \
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'ziglang>=0.16'; }
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	touch .venv/ready
 

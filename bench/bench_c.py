@@ -2,10 +2,9 @@
 
     python bench/bench_c.py [--quick]
 
-The Python module `touchfield_core` is built for the run with the options of `core/setup.py`. Three things are
-measured: frames decoded per processor second by C and by numba, the time of one force query in C, and the
-wall time of `touchfield decode` with an empty kernel cache. Without a C compiler or Python's headers the
-benchmark is skipped.
+Three things are measured: frames decoded per processor second by C and by numba, the time of one force query
+in C, and the wall time of `touchfield decode` with an empty kernel cache. Without a C compiler the benchmark is
+skipped.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import sysconfig
 import tempfile
 from pathlib import Path
 from shutil import which
@@ -33,30 +31,10 @@ SOURCES = {"terrain": "sample:terrain", "motorcycle": "sample:motorcycle"}
 QUERIES = 1_000_000
 
 
-def build_core(folder: Path) -> None:
-    """Build `touchfield_core` into `folder` and put it first on the import path.
-
-    Child processes inherit the path.
-    """
-    headers = Path(sysconfig.get_path("include"))
-    if which("cc") is None or not (headers / "Python.h").is_file():
-        leave_out("no C compiler (cc), or no headers of Python")
-    options = [
-        "-O3",
-        "-std=c99",
-        "-shared",
-        "-fPIC",
-        "-DPy_LIMITED_API=0x030b0000",
-        f"-I{headers}",
-        f"-I{ROOT / 'c'}",
-    ]
-    source = ROOT / "core" / "touchfield_core.c"
-    subprocess.run(
-        ["cc", *options, f"-I{ROOT / 'c'}", "-o", str(folder / "touchfield_core.abi3.so"), str(source)],
-        check=True,
-    )
-    sys.path.insert(0, str(folder))
-    os.environ["PYTHONPATH"] = os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])
+def require_native() -> None:
+    """Skip the benchmark without the compiled module, or a compiler for the program of queries."""
+    if native_decoder.native_module() is None or which("cc") is None:
+        leave_out("no C compiler (cc), or touchfield was installed without its compiled module")
 
 
 def frames_per_cpu_s(stream: Path, is_native: bool, runs: int) -> float:
@@ -69,13 +47,13 @@ def frames_per_cpu_s(stream: Path, is_native: bool, runs: int) -> float:
         with open_file(stream) as opened:
             assert isinstance(opened, VoxelStream)
             segments, decoder = len(opened.reader.segments), opened.decoder
-            core = native_decoder._core()
+            native = native_decoder.native_module()
             began = process_time()
             if is_native:
-                file = core.open(opened.reader.read_all())
+                file = native.open(opened.reader.read_all())
                 for n in range(segments):
-                    frames = core.frames(file, n)
-                    while core.next(frames) is not None:
+                    frames = native.frames(file, n)
+                    while native.next(frames) is not None:
                         pass
             else:
                 for n, entry in enumerate(opened.reader.segments):
@@ -88,10 +66,10 @@ def frames_per_cpu_s(stream: Path, is_native: bool, runs: int) -> float:
 def cold_s(stream: Path, folder: Path, is_native: bool, runs: int) -> float:
     """Return the median wall time of `touchfield decode` with an empty cache, s.
 
-    The cache is that of compiled kernels. Without `is_native` the import of `touchfield_core` is blocked, so
+    The cache is that of compiled kernels. Without `is_native` the compiled module cannot be imported, so that
     numba decodes.
     """
-    hidden = [] if is_native else ["import sys; sys.modules['touchfield_core'] = None"]
+    hidden = [] if is_native else ["import sys; sys.modules['touchfield._native'] = None"]
     program = "; ".join([*hidden, "from touchfield.cli.main import run; run()"])
     times = []
     for n in range(runs):
@@ -125,10 +103,10 @@ def query_us(stream: Path, folder: Path, runs: int) -> tuple[float, float]:
 
 def measure(runs: int) -> Figures:
     """Measure decoding, queries, and the first decode of a fresh machine."""
+    require_native()
     figures: dict[str, Any] = {"decode": {}}
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        build_core(folder)
         for name, source in SOURCES.items():
             stream = folder / f"{name}.touch"
             tf.encode(source, stream)
@@ -153,4 +131,11 @@ def bars(figures: Figures) -> list[Bar]:
 
 
 if __name__ == "__main__":
-    bench("c", __doc__, measure, bars, runs=(5, 1), reads=("c/*.h", "core/*.c", "core/setup.py", "bench/*.c"))
+    bench(
+        "c",
+        __doc__,
+        measure,
+        bars,
+        runs=(5, 1),
+        reads=("c/*.h", "c/python/*", "build_backend/*.py", "bench/*.c"),
+    )

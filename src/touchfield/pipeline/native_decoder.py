@@ -1,7 +1,8 @@
-"""Decoding by `touchfield_core` (``c/touch.h``), if it is installed, without compiling kernels first.
+"""Decoding by `touchfield._native` (``c/touch.h``), without compiling kernels first.
 
 Its forces are equal to those of the Python decoder bit by bit. The Python decoder decodes, or rejects with a
-message, whatever the core rejects.
+message, whatever the compiled module rejects. A source install on a machine without a C compiler has no such
+module.
 """
 
 from __future__ import annotations
@@ -20,13 +21,14 @@ if TYPE_CHECKING:
 
 
 MAX_FILE_BYTES: Final = 1 << 28
-"""Largest file that the core decodes, as all of it is in memory."""
+"""Largest file that the compiled module decodes, as all of it is in memory."""
 
 
 @cache
-def _core() -> Any:
+def native_module() -> Any:
+    """The compiled module, or None if this install has none."""
     try:
-        return import_module("touchfield_core")
+        return import_module("touchfield._native")
     except ImportError:
         return None
 
@@ -34,23 +36,23 @@ def _core() -> Any:
 def decoder(
     reader: TouchReader, grid: Grid, fallback: Callable[[int], Iterator[ForceField]]
 ) -> Callable[[int], Iterator[ForceField]] | None:
-    """``decode(segment) -> iterator`` over its fields; `fallback` decodes what the core rejects.
+    """``decode(segment) -> iterator`` over its fields; `fallback` decodes what the module rejects.
 
-    None if `touchfield_core` is not installed, or does not decode such a file.
+    None if this install has no compiled module, or does not decode such a file.
     """
-    core = _core()
-    if core is None or reader.head.coder != "touch" or reader.is_remote or reader.size > MAX_FILE_BYTES:
+    native = native_module()
+    if native is None or reader.head.coder != "touch" or reader.is_remote or reader.size > MAX_FILE_BYTES:
         return None
-    file = cache(lambda: core.open(reader.read_all()))
+    file = cache(lambda: native.open(reader.read_all()))
 
     def fields(segment: int) -> Iterator[ForceField]:
         count = 0
         try:
-            frames = core.frames(file(), segment)
-            while (frame := core.next(frames)) is not None:
+            frames = native.frames(file(), segment)
+            while (frame := native.next(frames)) is not None:
                 yield _field(grid, *frame)
                 count += 1
-        except (TypeError, ValueError):  # not supported by the core, or inconsistent bytes
+        except (TypeError, ValueError):  # not supported by the module, or inconsistent bytes
             python_fields = fallback(segment)
             for _ in range(count):
                 next(python_fields)

@@ -43,7 +43,7 @@ class OpenStream(ABC):
     """True if the stream has no end, and reading a frame may wait for it."""
 
     is_native = False
-    """True if `touchfield_core` decodes its frames instead of the compiled kernels."""
+    """True if `touchfield._native` decodes its frames instead of the compiled kernels."""
 
     def __init__(self, reader: TouchReader) -> None:
         self.reader, self.file_bytes = reader, reader.size
@@ -194,8 +194,8 @@ class VoxelStream(OpenStream):
         def decoded(segment: int) -> Iterator[ForceField]:
             return decoder.frames(reader.read_segment(segment), reader.segments[segment].frame_count)
 
-        by_core = native_decoder.decoder(reader, self.grid, decoded)
-        self.is_native, self._frames = by_core is not None, SegmentFrames(reader, by_core or decoded)
+        by_native = native_decoder.decoder(reader, self.grid, decoded)
+        self.is_native, self._frames = by_native is not None, SegmentFrames(reader, by_native or decoded)
 
     @property
     def medium(self) -> HapticMedium:

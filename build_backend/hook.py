@@ -1,0 +1,55 @@
+"""Hatch's build hook: compile `touchfield._native` and name the wheel after its platform."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+from typing import Any
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from compiler import ROOT, NoCompiler, compile_module
+from targets import WHEEL_PLATFORMS
+
+_PACKAGE = ROOT / "src" / "touchfield"
+
+
+class NativeModule(BuildHookInterface):
+    """Compiles into the package; without a compiler, the wheel has no compiled module.
+
+    ``TOUCHFIELD_TARGET`` names a target of `targets.WHEEL_PLATFORMS` to compile for, by default this machine.
+    """
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        target = os.environ.get("TOUCHFIELD_TARGET") or None
+        for old in [*_PACKAGE.glob("_native*.so"), *_PACKAGE.glob("_native*.pyd")]:
+            old.unlink()
+        try:
+            path = compile_module(_PACKAGE, target)
+        except (NoCompiler, OSError, subprocess.CalledProcessError) as error:
+            if target is not None:
+                raise
+            print(
+                f"touchfield: built without its compiled module: {error}. The first decoding will compile "
+                "kernels for about 9 s. To avoid this, install a C compiler, or `pip install ziglang`, and "
+                "install touchfield again.",
+                file=sys.stderr,
+            )
+            return
+        build_data["pure_python"] = False
+        build_data["artifacts"].append(path.relative_to(ROOT).as_posix())
+        build_data["tag"] = f"cp311-abi3-{WHEEL_PLATFORMS[target] if target else _this_platform()}"
+
+
+def _this_platform() -> str:
+    """Platform tag of a wheel that is built for this machine alone."""
+    if sys.platform == "darwin":
+        major, minor = [*platform.mac_ver()[0].split("."), "0"][:2]
+        return f"macosx_{major}_{minor if major == '10' else 0}_{platform.machine()}"
+    return sysconfig.get_platform().replace("-", "_").replace(".", "_")
