@@ -3,8 +3,8 @@
     python bench/bench_c.py [--quick]
 
 Three things are measured: frames decoded per processor second by C and by numba, the time of one force query
-in C, and the wall time of `touchfield decode` with an empty kernel cache. Without a C compiler the benchmark is
-skipped.
+in C, and the wall time of `touchfield decode` with an empty kernel cache. The benchmark is skipped without a
+C compiler.
 """
 
 from __future__ import annotations

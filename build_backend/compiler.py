@@ -1,8 +1,8 @@
 """Find a C compiler and compile `touchfield._native` from ``c/python/module.c``.
 
 The compiler is the one that ``CC`` names, else ``cc``, ``gcc`` or ``clang``, else the package `ziglang`, a
-compiler in a wheel. It must compile a file that includes the headers that the module needs: some systems have a
-compiler without the headers of the C library.
+compiler in a wheel. It must compile a file that includes the headers that the module needs: some systems have
+a compiler without the headers of the C library.
 """
 
 from __future__ import annotations
@@ -55,15 +55,13 @@ def compile_module(folder: Path, target: str | None = None) -> Path:
     `target` is a target of zig such as ``aarch64-linux-gnu.2.17`` (see `targets`), by default this machine.
     Raises `NoCompiler`, or `subprocess.CalledProcessError` if the compiler refuses the source.
     """
-    compiler = (
-        find_compiler() if target is None else [sys.executable, "-m", "ziglang", "cc", "-target", target]
-    )
+    zig = [sys.executable, "-m", "ziglang", "cc"]
+    compiler = find_compiler() if target is None else [*zig, "-target", target]
     path = folder / f"_native{module_suffix(target)}"
-    options = [*OPTIONS, *_link_options(target, folder)]
-    print(
-        f"touchfield: {' '.join(compiler)} compiles {SOURCE.relative_to(ROOT)}", file=sys.stderr, flush=True
-    )
-    subprocess.run([*compiler, *options, "-o", str(path), str(SOURCE), *_libraries(target)], check=True)
+    source = SOURCE.relative_to(ROOT)
+    print(f"touchfield: {' '.join(compiler)} compiles {source}", file=sys.stderr, flush=True)
+    command = [*compiler, *OPTIONS, *_link_options(target), "-o", str(path), str(SOURCE), *_libraries(target)]
+    subprocess.run(command, check=True)
     return path
 
 
