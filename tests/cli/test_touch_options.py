@@ -131,7 +131,7 @@ def test_plan_for_a_budget(sphere: str, tmp_path: Path, capsys: pytest.CaptureFi
     options = f"--nw 4 --thickness-m 0.01 --budget 1Mbit/s --plot {picture} --device phantom-omni --k 0.1"
     assert _exit_code(["plan", sphere, *options.split()]) == 0
     report = capsys.readouterr().out
-    assert "->" in report and "touchfield encode" in report and "mask kept" in report
+    assert "->" in report and "touchfield encode" in report and "within mask" in report
     assert picture.stat().st_size > 5000
     printed = shlex.split(next(line for line in report.splitlines() if "touchfield encode" in line))
     assert printed[3:5] == [sphere, "OUT.touch"] and printed[printed.index("--thickness-m") + 1] == "0.01"

@@ -225,7 +225,7 @@ def test_descriptions_of_grid_and_field_list_every_axis() -> None:
     medium = HapticMedium(grid, 25.0, 1, lambda _: ForceField.empty(grid), "x right, y up, z near")
     assert repr(medium) == f"<HapticMedium: 1 frame at 25 Hz on {grid.description}; x right, y up, z near>"
     text_with_vibration = repr(replace(medium, frame_count=2, vibration=lambda _: VibrationFrame.empty(grid)))
-    assert "2 frames at" in text_with_vibration and "vibration beside it" in text_with_vibration
+    assert "2 frames at" in text_with_vibration and "with vibration" in text_with_vibration
 
 
 def test_error_of_refused_memory_states_both_sizes(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -186,7 +186,7 @@ def test_frames_that_both_layers_lost_are_empty() -> None:
     assert pair.frames(10_001).support_count, "the coarse layer alone has been felt for minutes"
     pair.under.take(replace(COARSE[0], first_frame=10_005))
     assert not pair.frames.is_there(10_010) and pair.notes == [
-        "nothing has come for 200 s: its coarse layer is felt"
+        "nothing has come for 200 s: its coarse layer is rendered"
     ]
 
 

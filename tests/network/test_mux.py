@@ -147,7 +147,7 @@ def test_a_manifest_names_the_movie_and_the_touch(folder: Path, tmp_path: Path, 
     assert [data for _, data in pictures(tmp_path / str(named[0]))] == [
         data for _, data in pictures(folder / "movie.mp4")
     ]
-    with pytest.raises(InvalidArgument, match=rf"a DASH manifest; .* beside it: {stem}\.touch"):
+    with pytest.raises(InvalidArgument, match=rf"a DASH manifest; .* next to it: {stem}\.touch"):
         demux(out, tmp_path / "back.touch")
     with pytest.raises(InvalidArgument, match="the movie that is read"):
         mux(tmp_path / str(named[0]), folder / "noise.touch", out)

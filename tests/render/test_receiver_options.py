@@ -155,7 +155,7 @@ def test_note_states_damping_and_coupling_in_units_of_the_device(scale: float, s
     )
     damped = f": damping in contact {brake:.2g} N s/m"
     coupled = (
-        f", coupling {coupling:.0f} N/m, so that {rendered_n_per_m:.0f} N/m are felt"
+        f", coupling {coupling:.0f} N/m, so that {rendered_n_per_m:.0f} N/m are rendered"
         if coupling
         else ", no coupling"
     )

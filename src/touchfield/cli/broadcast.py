@@ -30,7 +30,7 @@ _LIVE: Final = (
 @with_options(address_rows(8075, "read"))
 def serve(
     options: Options,
-    folder: Annotated[Path, "Folder of .touch files, and of pages and videos beside them."],
+    folder: Annotated[Path, "Folder of .touch files, with pages and videos."],
 ) -> None:
     """Serve a folder of streams: anyone plays them by their address, and fetches only what is felt."""
     from touchfield.network.access import Pages
@@ -63,7 +63,7 @@ def live(
     loop: Annotated[bool, "Begin again at the end."] = False,
     udp: Annotated[str | None, "HOST:PORT that gets datagrams with parity, too."] = None,
     coarse: Annotated[
-        bool, "A coarse layer beside it, at /coarse/live and at the next port of --udp."
+        bool, "Also send a coarse layer, at /coarse/live and at the next port of --udp."
     ] = False,
     on_air_s: Annotated[float | None, "How long; default: to the end."] = None,
 ) -> Answer | None:

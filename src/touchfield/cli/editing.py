@@ -271,9 +271,7 @@ def deform(
 def reduce(
     options: Options,
     medium: Medium,
-    out: Annotated[
-        Path | None, typer.Argument(help="OUT.touch of the modes that are kept; none without it.")
-    ] = None,
+    out: Annotated[Path | None, typer.Argument(help="File to write from the modes that were used.")] = None,
     cull: Annotated[Path | None, "OUT.touch without what the hand can never feel."] = None,
 ) -> Answer:
     """Reduce MEDIUM to a few modes; report degrees of freedom, their entropy, and unreachable samples."""

@@ -216,11 +216,11 @@ def _show_plan(plan: Plan, arguments: list[str], notes: tuple[str, ...]) -> None
     title = f"{plan.source}: {frames} under {len(plan.trials)} settings; the frontier"
     literal_console().print(title, style="bold", soft_wrap=True)
     rows = [("->" if trial is plan.choice else "", *_cells(plan, trial)) for trial in plan.front()]
-    headings = ("", "nw", "coder", "k or step", plan.unit, "NMSE dB", "mask kept")
+    headings = ("", "nw", "coder", "k or step", plan.unit, "NMSE dB", "within mask")
     show_table(rows, headings, right=(1, 3, 4, 5, 6))
     lines = [
         *plan.notes,
-        f"mask kept: share of the voxels within max({plan.f0_n:g} N, {plan.k:g} |F|) on the finest lattice",
+        f"within mask: voxels within max({plan.f0_n:g} N, {plan.k:g} |F|) on the finest lattice",
     ]
     if plan.multiplier is not None:
         lines.append(f"lambda is {plan.multiplier:.4g} {plan.unit} for a unit of NMSE at the choice")
@@ -253,7 +253,7 @@ def export(
     ] = None,
     trajectory: Annotated[Path | None, "Where the probe goes: CSV of t_s,x_m,y_m,z_m."] = None,
     panel: Annotated[str, "Of an array with two panels: front or back."] = "front",
-    full_scale_n: Annotated[float, "A force as .hjif: newtons told as 1, for readers that clip there."] = 1.0,
+    full_scale_n: Annotated[float, "A force as .hjif: newtons written as 1, for readers that clip."] = 1.0,
     source: Annotated[str | None, "SOURCE of the file: the page shows it, and the difference, too."] = None,
 ) -> Answer:
     """Write STREAM in another format: drives of an array, the force along --trajectory, or a page for any

@@ -16,7 +16,7 @@ from touchfield.errors import InvalidArgument
 Folder = Annotated[Path, typer.Argument(help="A folder of .touch files, with the folders in it.")]
 IndexFile = Annotated[
     Path | None,
-    typer.Option("--index", help="File of the index; default: FOLDER.index.npz beside the folder."),
+    typer.Option("--index", help="File of the index; default: FOLDER.index.npz next to the folder."),
 ]
 
 _MAX_REPORTED = 20
@@ -135,7 +135,7 @@ def correlate(
     return Answer(done.summary(), title, done.notes, {"looks": ""})
 
 
-@command("Study", "points 15 fox.touch rebuilt.touch", "points 5 felt.csv --next")
+@command("Study", "points 15 fox.touch rebuilt.touch", "points 5 recorded.csv --next")
 @with_options(CODER)
 def points(
     options: Options,
@@ -157,7 +157,7 @@ def points(
 
     check_results((source,), out)
     if is_next and (out is not None or modes is not None):
-        raise InvalidArgument("--next", "OUT or --modes beside it", "neither: nothing is rebuilt yet")
+        raise InvalidArgument("--next", "OUT or --modes with it", "neither: nothing is rebuilt yet")
     if measured is not None and not is_next:
         raise InvalidArgument("--measured", "no --next", "both, or neither")
     if is_next:

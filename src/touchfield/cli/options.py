@@ -132,7 +132,7 @@ TARGET: Final = rows(
         "target-nmse-db",
         float | None,
         None,
-        "touch: the NMSE to reach, dB, such as -25; mode nmse unless asked.",
+        "touch: the NMSE to reach, dB, such as -25; the mode is then nmse unless --mode is given.",
     ),
     (
         "target-bytes",

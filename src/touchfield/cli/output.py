@@ -210,7 +210,7 @@ def announce_compilation(announce: Callable[[str], None], later: Sequence[str] =
         if not is_announced:
             is_announced = True
             announce(
-                "compiling kernels, once: some 10 to 30 s, kept for later runs (touchfield warmup "
+                "compiling kernels, once: some 10 to 30 s, stored for later runs (touchfield warmup "
                 "compiles all)"
             )
             start_helpers()

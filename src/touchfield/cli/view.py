@@ -61,7 +61,7 @@ def view(
 def compare(
     source: Source,
     stream: Stream,
-    picture: Annotated[Path | None, "PNG to write; default: beside the stream."] = None,
+    picture: Annotated[Path | None, "PNG to write; default: next to the stream."] = None,
     no_picture: Annotated[bool, "Write no picture."] = False,
     frame: Annotated[int | None, "Frame to draw; default: the middle one."] = None,
     k: Annotated[float | None, "Weber fraction of the mask; default: the stream's."] = None,
@@ -226,7 +226,7 @@ def _capacities(m: Measurement) -> list[Row]:
     for name, c in m.capacities.items():
         # no interval where that of H(M(W)) is unknown: it would speak of H(W) alone, and be too narrow
         unknown = c.rendered.interval is None
-        available = f"of the {c.codomain_bits:,.0f} that it could be told"
+        available = f"of the {c.codomain_bits:,.0f} that the stimulus could carry"
         for quantity, label, meaning in (
             (c.capacity, name, available),
             (c.wmr, "  WMR", "rendered"),

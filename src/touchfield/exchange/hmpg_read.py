@@ -182,7 +182,8 @@ def _channel(document: _Document, bits: _Bits) -> None:
     if flags & 4:
         fields["direction"] = bits.vector()
     if perception not in document.perceptions:
-        raise SourceError(bits.where, f"a channel of perception {perception}", "one that was told before it")
+        found = f"a channel of perception {perception}"
+        raise SourceError(bits.where, found, "one that an earlier unit declared")
     channel = document.channels.get((perception, number))
     if channel is None:
         channel = document.channels[perception, number] = {"bands": []}
@@ -200,7 +201,7 @@ def _band(document: _Document, bits: _Bits) -> None:
         fields["block_length"] = bits.unsigned(8)
     fields["lower_frequency_limit"], fields["upper_frequency_limit"] = bits.unsigned(16), bits.unsigned(16)
     if (perception, channel) not in document.channels:
-        raise SourceError(bits.where, f"a band of channel {channel}", "one that was told before it")
+        raise SourceError(bits.where, f"a band of channel {channel}", "one that an earlier unit declared")
     if number not in document.bands:
         document.bands[number] = {"effects": []}
         document.channels[perception, channel]["bands"].append(document.bands[number])
@@ -211,7 +212,7 @@ def _data(document: _Document, bits: _Bits) -> None:
     bits.unsigned(1 + 8 + 16)  # kind of access; perception and channel, which the band knows
     number = bits.unsigned(8)
     if number not in document.bands:
-        raise SourceError(bits.where, f"effects of band {number}", "a band that was told before them")
+        raise SourceError(bits.where, f"effects of band {number}", "a band that an earlier unit declared")
     band = document.bands[number]
     for _ in range(bits.unsigned(16)):
         name = (number, bits.unsigned(16))

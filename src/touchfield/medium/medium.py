@@ -192,7 +192,7 @@ class HapticMedium(Picklable):
 
     def __repr__(self) -> str:
         frames = f"{self.frame_count} frame{'s' * (self.frame_count != 1)} at {self.rate_hz:g} Hz"
-        vibration = ", vibration beside it" * (self.vibration is not None)
+        vibration = ", with vibration" * (self.vibration is not None)
         return f"<HapticMedium: {frames} on {self.grid.description}; {self.axes}{vibration}>"
 
     def __len__(self) -> int:

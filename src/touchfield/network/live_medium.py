@@ -338,7 +338,7 @@ class LiveFrames:
         if now - self.received_s > limit_s and self._reported_s != self.received_s:
             self._reported_s = self.received_s
             is_alone = now - self._latest_s < limit_s
-            status = "its coarse layer is felt" if is_alone else f"waiting, for {PATIENCE_S:g} s in all"
+            status = "its coarse layer is rendered" if is_alone else f"waiting, for {PATIENCE_S:g} s in all"
             self._report(f"nothing has come for {now - self.received_s:.0f} s: {status}")
         return now - self._latest_s > PATIENCE_S
 

@@ -132,7 +132,7 @@ def demux(movie: str | Path, out: str | Path) -> Muxed:
     """
     require_ending(out, "OUT.touch")
     if Path(movie).suffix.lower() == ".mpd":
-        hint = f"Its touch stands beside it: {Path(movie).with_suffix('.touch').name}."
+        hint = f"Its touch is in the file next to it: {Path(movie).with_suffix('.touch').name}."
         raise InvalidArgument(str(movie), "a DASH manifest", "a movie with touch in it", hint)
     with _opened(movie) as source:
         samples, at_s = _touch_samples(source, str(movie))
@@ -275,7 +275,7 @@ def _join_samples(samples: list[bytes], name: str) -> bytes:
 
 @contextmanager
 def _opened(movie: str | Path) -> Iterator[Any]:
-    av = import_extra("av", "touch beside a movie", "av", "video")
+    av = import_extra("av", "touch in a movie", "av", "video")
     try:
         source = av.open(str(movie))
     except (av.FFmpegError, OSError, ValueError) as error:

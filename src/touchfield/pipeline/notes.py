@@ -32,7 +32,7 @@ def notes_of(
     if objects is not None:
         notes += _object_notes(objects, spec)
     if medium.vibration is None and scene.stored is not None and scene.stored.vibration is not None:
-        notes += ("The vibration of the source is left out: it lies on another lattice, or beside objects",)
+        notes += ("The vibration of the source is left out: its lattice differs, or the medium has objects",)
     return notes
 
 
@@ -43,7 +43,7 @@ def _mapping_notes(scene: Scene, mapping: Mapping, spec: EncodeSpec) -> tuple[st
     if limits_m is not None:
         scale_note += _relief_note(limits_m, scene.exaggeration, mapping.device)
     if mapping.keeps_lattice:
-        scale_note += "; the field keeps its own lattice, as it is kept without loss: --nw is not used"
+        scale_note += "; a lossless file stores the field on its own lattice: --nw is not used"
     return (scale_note, *_unit_notes(scene, mapping), *_option_notes(mapping, spec))
 
 

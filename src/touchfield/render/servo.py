@@ -293,7 +293,7 @@ def make_realtime(is_realtime: bool = True) -> dict[str, str]:
     def keep_awake() -> None:
         os.write(os.open(_LATENCY, os.O_WRONLY), struct.pack("i", 0))
 
-    report = {"priority": f"SCHED_FIFO {FIFO_PRIORITY}", "memory": "locked", "processors": "kept awake"}
+    report = {"priority": f"SCHED_FIFO {FIFO_PRIORITY}", "memory": "locked", "processors": "never asleep"}
     for key, fallback, request in (
         ("priority", "normal", use_fifo),
         ("memory", "not locked", lock),  # the flags are those of Linux

@@ -302,7 +302,7 @@ def stability_of(
     if spec.damping_n_s_per_m is None:
         note += f": damping in contact {brake:.2g} N s/m"
     if spec.coupling_n_per_m is None and coupling:
-        note += f", coupling {coupling:.0f} N/m, so that {rendered_k:.0f} N/m are felt"
+        note += f", coupling {coupling:.0f} N/m, so that {rendered_k:.0f} N/m are rendered"
     elif spec.coupling_n_per_m is None:
         note += ", no coupling"
     return Stability(brake / scale if scale else 0.0, coupling / scale if scale else 0.0, note)

@@ -54,7 +54,7 @@ class SourceOptions:
     depth_scale: float | None = option(None, "Stored depth units in a metre.")
     intrinsics: str | None = option(None, "Camera: fx,fy,cx,cy in pixels, or a file.")
     poses: str | None = option(
-        None, "Depth sequences: camera poses, a file or folder; found if they lie beside it."
+        None, "Depth sequences: camera poses, a file or folder; found if they are next to the pictures."
     )
     frame: str = option("world", "Depth sequences: world (poses are used) or camera.")
     world: str = option(
@@ -76,7 +76,7 @@ class SourceOptions:
     source_rate_hz: float | None = option(None, "Frames a second of the source, where it does not say.")
     interpolation: str = option("linear", "Between depth frames: linear or nearest.")
     animation: str | None = option(None, "Animated models: name or number of the animation.")
-    relative_depth: str | None = option(None, "Pictures and videos: the relative depth beside them.")
+    relative_depth: str | None = option(None, "Pictures and videos: the relative depth of each.")
     near_m: float | None = option(None, "Relative depth: metres of its nearest value.")
     far_m: float | None = option(None, "Relative depth: metres of its farthest value.")
     segment: str | None = option(None, "Depth sequences as objects: the rule of segmentation.")

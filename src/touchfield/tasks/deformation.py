@@ -72,7 +72,7 @@ def tracks_of(
     if motion is None:
         positions_m = np.asarray(first.grid.origin_m) + first.positions() * spacing
         if not len(positions_m):
-            raise InvalidArgument(str(stream), "a first frame without any force", "one that can be felt")
+            raise InvalidArgument(str(stream), "a first frame without any force", "one with a force")
         yields = {"compliance_m_per_n": compliance_m_per_n, "relax_s": relax_s}
         deformation, rms = (
             control_lattice(positions_m.min(axis=0), positions_m.max(axis=0), controls, **yields),

@@ -221,7 +221,7 @@ class _Domain:
         for frame in frames:
             keys = np.union1d(keys, self._keys(medium[frame]))
         if not len(keys):
-            raise InvalidArgument(where, "no force in any frame", "a medium that can be felt")
+            raise InvalidArgument(where, "no force in any frame", "a medium with a force")
         needed, allowed = 24 * len(keys) * len(frames), memory_budget_bytes()
         if needed > allowed:
             found = f"{len(keys)} samples in {len(frames)} frames, {needed / 2**30:.1f} GiB"

@@ -107,7 +107,7 @@ def host_checks() -> list[Check]:
 
     kernels, hint = kernel_folder(), "Set NUMBA_CACHE_DIR to a folder of yours."
     found = "not writeable" if kernels is None else f"{kernels}"
-    return [*checks, Check("a folder in which compiled kernels are kept", kernels is not None, found, hint)]
+    return [*checks, Check("a folder for compiled kernels", kernels is not None, found, hint)]
 
 
 def _realtime() -> Check:

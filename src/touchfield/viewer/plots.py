@@ -60,7 +60,7 @@ def draw_textures(
         levels_mn = np.where(levels_n > 0, 1e3 * levels_n, np.nan)
         axis.loglog(bands_hz, levels_mn, "o-", ms=3, lw=1.2, color=f"C{n % 10}", label=label)
     axis.fill_between(
-        bands_hz, 1e3 * threshold_n, 1e3 * threshold_n.min() / 10, color="0.9", lw=0, label="not felt"
+        bands_hz, 1e3 * threshold_n, 1e3 * threshold_n.min() / 10, color="0.9", lw=0, label="imperceptible"
     )
     axis.set(xlabel="frequency / Hz", ylabel="force / mN rms")
     axis.legend(fontsize=8)

@@ -284,7 +284,7 @@ def test_unusable_maps_are_refused(photo: Path, tmp_path: Path) -> None:
 
 
 def test_errors_of_missing_maps_name_them(photo: Path, tmp_path: Path) -> None:
-    with pytest.raises(SourceError, match=r"no relative depth beside it; expected room_depth.png"):
+    with pytest.raises(SourceError, match=r"no relative depth next to it; expected room_depth.png"):
         read_sequence(photo, NOTHING)
     with pytest.raises(SourceError, match=r"no relative depth .*nowhere"):
         read_sequence(photo, SourceOptions(relative_depth=str(tmp_path / "nowhere")))

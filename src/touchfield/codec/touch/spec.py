@@ -146,7 +146,7 @@ CODER = Coder(
     makers={"touch": _spec},
     options=_OPTIONS,
     extra_options={
-        "body_site": (str, "masking: where it is felt: finger, palm, belly, forearm. [default: finger]"),
+        "body_site": (str, "masking: body site in contact: finger, palm, belly, forearm. [default: finger]"),
         "lossless_quantised": (bool, "keep a field that is quantised already exactly."),
     },
     hints=("target_nmse_db",),

@@ -133,7 +133,7 @@ def read_disparity(path: Path, options: SourceOptions) -> CodedSequence:
         baseline_m = baseline_m or calibration.baseline_m
         offset_px = calibration.disparity_offset_px if offset_px is None else offset_px
     if baseline_m is None:
-        mend = "Add --baseline-m, or a calib.txt beside it."
+        mend = "Add --baseline-m, or put a calib.txt next to it."
         raise SourceError(str(path), "no baseline", "the distance of the two cameras", mend)
     return _of_disparity(
         str(path), disparity, StereoRig(camera.intrinsics, baseline_m, offset_px or 0.0), notes
@@ -219,7 +219,7 @@ def read_relative(path: Path, options: SourceOptions) -> CodedSequence:
     Raises `SourceError` if there is no map, sizes or frame counts do not agree, or all values are equal.
     """
     if path.is_dir():
-        raise SourceError(str(path), "a folder", "a picture or a video, with its relative depth beside it")
+        raise SourceError(str(path), "a folder", "a picture or a video, with its relative depth next to it")
     near_m, far_m, notes = options.near_m, options.far_m, tuple[str, ...]()
     if near_m is not None and near_m == far_m:
         raise InvalidArgument("--near-m, --far-m", f"{near_m:g} m both", "two distances")
@@ -268,7 +268,7 @@ def read_relative(path: Path, options: SourceOptions) -> CodedSequence:
 def _open_maps(path: Path, options: SourceOptions) -> tuple[Frames, Path]:
     source = find_map(path) if options.relative_depth is None else Path(options.relative_depth)
     if source is None or not source.exists():
-        found = f"no relative depth {source}" if source else "no relative depth beside it"
+        found = f"no relative depth {source}" if source else "no relative depth next to it"
         mend = "Name the map with --relative-depth."
         raise SourceError(str(path), found, f"{path.stem}_depth.png (or .npy, ...)", mend)
     if source.suffix.lower() in VIDEO_SUFFIXES and source.is_file():
@@ -295,7 +295,7 @@ KINDS: Final = {
     ),
     "relative-depth": depth_kind(
         "relative-depth",
-        "picture or video with a relative depth beside it, NAME_depth.png (1/z, larger is nearer; --near-m, "
+        "picture or video with a relative depth next to it, NAME_depth.png (1/z, larger is nearer; --near-m, "
         "--far-m)",
         _is_relative,
         read_relative,

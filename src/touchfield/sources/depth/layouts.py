@@ -429,7 +429,7 @@ def _open_video(path: Path) -> PictureSet:
         )
         mend = (
             "It looks like an ordinary video: take --as saliency, or --as relative-depth with its depth "
-            "beside it."
+            "next to it."
         )
         raise SourceError(str(path), found, expected, mend)
     folder = (path.absolute().parent,)
@@ -467,7 +467,7 @@ LAYOUTS: Final = (
     ),
     Layout(
         "depth-folder",
-        "folder of 16-bit depth pictures, here or in depth/, poses beside them "
+        "folder of 16-bit depth pictures, here or in depth/, poses next to them "
         "(needs --depth-scale and --intrinsics)",
         _is_plain, _list_plain,
     ),

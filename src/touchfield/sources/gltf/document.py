@@ -250,7 +250,7 @@ class Document:
         name = unquote(uri)
         path = require_in_folder(self._path.parent, name, f"{element.file}: {element.location}.uri").resolve()
         if not os.path.isfile(path):
-            raise element.wrong(f"no file {name[:80]!r}", "the buffer beside the document", "Copy it there.")
+            raise element.wrong(f"no file {name[:80]!r}", "the buffer next to the document", "Copy it there.")
         if path not in self._files:
             with readable(path):
                 self._files[path] = path.read_bytes()
