@@ -70,7 +70,7 @@ def row_of(track: PoseTrack, steps: PoseSteps) -> dict[str, float]:
 
 def measure(frames: int) -> Figures:
     """Measure each track at three tolerances."""
-    scene = prepare("sample:falling-7", EncodeSpec(frames=(0, frames))).scene
+    scene = prepare("sample:falling-7", EncodeSpec(frames=(0, frames))).objects
     assert scene is not None
     tracks = {
         **{f"falling {body.name}": body.track for body in scene.objects},

@@ -71,7 +71,7 @@ def difference(objects: Path, frames: int) -> dict[str, float]:
         summary = stream.summary()
     raw = poses.astype(np.float32).tobytes()
     spec = EncodeSpec(frames=(0, frames))
-    scene = prepare(SCENE, spec).scene
+    scene = prepare(SCENE, spec).objects
     assert scene is not None
     alone = [
         field_encoder(segment.medium.grid, spec.touch).encode_segment([segment.field(0)])

@@ -22,7 +22,7 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.pipeline import encode, rate_control, segments
 from touchfield.pipeline.decoding import open_file
-from touchfield.pipeline.mapping import SymbolFrames
+from touchfield.pipeline.partition import SymbolFrames
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.camera import DepthSequence, InterpolatedSequence, Intrinsics
 from touchfield.sources.depth import fused_scene

@@ -22,7 +22,7 @@ from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.quantity import FewSamplesWarning
 from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import Grid
-from touchfield.pipeline.mapping import SymbolFrames
+from touchfield.pipeline.partition import SymbolFrames
 
 pytestmark = pytest.mark.filterwarnings("ignore::touchfield.measure.quantity.FewSamplesWarning")
 K = 9

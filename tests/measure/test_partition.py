@@ -16,7 +16,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.measure.field_symbols import FieldSymbols
 from touchfield.measure.partition import BoxLosses, DyadicLattice, Partition, optimal_partition
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.pipeline.mapping import partition_workspace
+from touchfield.pipeline.partition import partition_workspace
 
 Box = tuple[int, tuple[int, int, int]]
 

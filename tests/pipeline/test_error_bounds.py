@@ -376,6 +376,6 @@ def test_f0_of_bodies_is_zero_in_the_file(tmp_path: Path) -> None:
 
 def prepared_scene() -> tf.medium.HapticScene:
     """The bodies of `falling` as a haptic scene."""
-    scene = tf.prepare(falling(), EncodeSpec(nw=4)).scene
+    scene = tf.prepare(falling(), EncodeSpec(nw=4)).objects
     assert scene is not None
     return scene

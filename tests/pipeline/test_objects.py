@@ -45,12 +45,12 @@ def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_moving_bodies_are_objects_unless_voxels_are_requested() -> None:
-    assert pipeline.prepare(falling(), SPEC).scene is not None
-    assert pipeline.prepare(falling(), replace(SPEC, representation="voxel")).scene is None
-    assert pipeline.prepare(falling(), replace(SPEC, device="tshirt-32x32")).scene is None
+    assert pipeline.prepare(falling(), SPEC).objects is not None
+    assert pipeline.prepare(falling(), replace(SPEC, representation="voxel")).objects is None
+    assert pipeline.prepare(falling(), replace(SPEC, device="tshirt-32x32")).objects is None
     resting = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.02),))
-    assert pipeline.prepare(resting, SPEC).scene is None
-    scene = pipeline.prepare(resting, replace(SPEC, representation="object")).scene
+    assert pipeline.prepare(resting, SPEC).objects is None
+    scene = pipeline.prepare(resting, replace(SPEC, representation="object")).objects
     assert scene is not None and [obj.name for obj in scene.objects] == ["scene"]
 
 
@@ -60,8 +60,8 @@ def test_a_rotating_body_has_cubic_samples_and_a_sliding_one_those_of_the_device
     sliding = replace(box, track=PoseTrack(np.tile([1.0, 0, 0, 0], (FRAMES, 1)), box.track.positions_m))
     for moving in (box, sliding):
         prepared = pipeline.prepare(BodyScene((moving, ball), 1000.0), SPEC)
-        assert prepared.scene is not None
-        grid, device_m = prepared.scene.objects[0].medium.grid, np.array(prepared.scene.grid.spacing_m)
+        assert prepared.objects is not None
+        grid, device_m = prepared.objects.objects[0].medium.grid, np.array(prepared.objects.grid.spacing_m)
         usual = 0.75 * (device_m if moving is sliding else np.full(3, device_m.prod() ** (1 / 3)))
         assert grid.spacing_m == pytest.approx(usual)
         half_m = prepared.placement.scale * np.array([0.03, 0.02, 0.01])
@@ -80,7 +80,7 @@ def test_objects_are_refused_for_an_array(tmp_path: Path) -> None:
 
 def test_a_resting_body_has_the_forces_of_the_voxel_representation() -> None:
     voxels = pipeline.prepare(falling(), replace(SPEC, representation="voxel")).medium
-    scene = pipeline.prepare(falling(), SPEC).scene
+    scene = pipeline.prepare(falling(), SPEC).objects
     assert scene is not None
     ball = next(obj for obj in scene.objects if obj.name == "ball")
     x = ball.field(0).positions()[:, 0].min()  # the box is farther left
@@ -101,7 +101,7 @@ def test_both_representations_agree_to_the_voxel_size() -> None:
 
 
 def test_the_file_describes_its_objects_and_keeps_poses_within_the_mask(stream: Path) -> None:
-    source_scene = pipeline.prepare(falling(), SPEC).scene
+    source_scene = pipeline.prepare(falling(), SPEC).objects
     with pipeline.open_file(stream) as opened:
         summary, decoded = opened.summary(), opened.scene
         assert summary["representation"] == "object" and summary["object_names"] == ["box", "ball"]
@@ -121,7 +121,7 @@ def test_a_stream_can_be_cut_and_encoded_again(stream: Path, tmp_path: Path) -> 
     part, again = tmp_path / "part.touch", tmp_path / "again.touch"
     pipeline.encode(falling(), part, replace(SPEC, frames=(4, 9), fit_frames=(0, None)))
     done = pipeline.encode(stream, again)
-    assert done.prepared.scene is not None
+    assert done.prepared.objects is not None
     with (
         pipeline.open_file(stream) as complete,
         pipeline.open_file(part) as cut,
@@ -233,8 +233,8 @@ def test_a_body_far_larger_than_the_workspace_is_refused_as_an_object(tmp_path: 
 
 
 def test_a_filter_acts_on_each_object_in_its_own_frame() -> None:
-    plain = pipeline.prepare(falling(), SPEC).scene
-    smooth = pipeline.prepare(falling(), replace(SPEC, filters=(("gaussian", "4mm"),))).scene
+    plain = pipeline.prepare(falling(), SPEC).objects
+    smooth = pipeline.prepare(falling(), replace(SPEC, filters=(("gaussian", "4mm"),))).objects
     assert plain is not None and smooth is not None
     for before, after in zip(plain.objects, smooth.objects, strict=True):
         assert after.track == before.track
@@ -242,8 +242,8 @@ def test_a_filter_acts_on_each_object_in_its_own_frame() -> None:
 
 
 def test_a_filter_wider_than_a_body_extends_the_lattice() -> None:
-    plain = pipeline.prepare(falling(), replace(SPEC, nw=6)).scene
-    smooth = pipeline.prepare(falling(), replace(SPEC, nw=6, filters=(("gaussian", "4mm"),))).scene
+    plain = pipeline.prepare(falling(), replace(SPEC, nw=6)).objects
+    smooth = pipeline.prepare(falling(), replace(SPEC, nw=6, filters=(("gaussian", "4mm"),))).objects
     assert plain is not None and smooth is not None
     before, after = plain.objects[0].field(0), smooth.objects[0].field(0)
     assert not np.array_equal(before.grid.shape, after.grid.shape)
@@ -301,7 +301,7 @@ def test_a_stored_medium_as_an_object_keeps_its_metadata() -> None:
         damping_n_s_per_m=0.7,
         tags=("symbolic",),
     )
-    scene = pipeline.prepare(StoredScene(medium), replace(SPEC, representation="object")).scene
+    scene = pipeline.prepare(StoredScene(medium), replace(SPEC, representation="object")).objects
     assert scene is not None
     assert (scene.friction, scene.damping_n_s_per_m, scene.tags) == (0.3, 0.7, ("symbolic",))
 

@@ -144,7 +144,7 @@ def partition(
     quantiser: Annotated[str, "Q of the losses."] = "weber:0.25/ico1",
 ) -> Answer:
     """Divide the workspace of MEDIUM into boxes that each fill a coarse device, with the least loss."""
-    from touchfield.pipeline.mapping import partition_workspace
+    from touchfield.pipeline.partition import partition_workspace
     from touchfield.tasks.editing import read_medium
 
     source = read_medium(medium).medium

@@ -9,7 +9,7 @@ decoded medium against its source                         `comparison`
 
 source -> a file of a requested size or error             `rate_control`
 source -> a huge lattice, as tiles of a zarr store        `tiles`
-medium -> M(W) of a device, for measures in bits          `mapping`
+medium -> M(W) of a device, for measures in bits          `partition`
 stream -> drives of an array of actuators                 `array_medium`
 """
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from touchfield.pipeline.comparison import Comparison, compare, filter_report
     from touchfield.pipeline.decoding import open_file, write_field
     from touchfield.pipeline.encoding import Encoded, encode
-    from touchfield.pipeline.mapping import partition_workspace
+    from touchfield.pipeline.partition import partition_workspace
     from touchfield.pipeline.preparation import Prepared, prepare
     from touchfield.pipeline.rate_control import Target, encode_to_target
     from touchfield.pipeline.source import decode
@@ -53,7 +53,7 @@ _MODULES = {
     "comparison": ("Comparison", "compare", "filter_report"),
     "decoding": ("open_file", "write_field"),
     "encoding": ("Encoded", "encode"),
-    "mapping": ("partition_workspace",),
+    "partition": ("partition_workspace",),
     "preparation": ("Prepared", "prepare"),
     "rate_control": ("Target", "encode_to_target"),
     "source": ("decode",),

@@ -135,7 +135,7 @@ def compare(
     with open_file(stream) as opened:
         head = opened.reader.head
         original = source_medium(source, opened, allow_outside)
-        decoded, scene, notes = opened.medium, original.scene, original.notes
+        decoded, scene, notes = opened.medium, original.objects, original.notes
         drawn_frame = len(decoded) // 2 if frame is None else frame
         if not 0 <= drawn_frame < len(decoded):
             raise InvalidArgument("frame", repr(frame), f"0 to {len(decoded) - 1}")
@@ -214,7 +214,7 @@ def _filtered_again(source: Source, opened: OpenStream, spec: EncodeSpec) -> Pre
     if not np.allclose(source_layout, stream_layout, rtol=1e-6, atol=1e-9):
         found = "a scene that lies elsewhere in the workspace than the stream's"
         raise InvalidArgument(str(source), found, hint="Name its own source.")
-    if original.scene:
+    if original.objects:
         note = "compared with the objects before coding, not with the voxel representation"
         original = replace(original, notes=(*original.notes, note))
     return original
@@ -298,7 +298,7 @@ def filter_report(source: str | Path | Scene, spec: EncodeSpec, report: Progress
 
 def _stages(prepared: Prepared, chain: tuple[FieldFilter, ...]) -> Callable[[int], list[ForceField]]:
     """``stages(i)``: frame i as the device renders it, and after each filter; objects are filtered alone."""
-    force_max_n, medium, scene = prepared.device.force_max_n, prepared.medium, prepared.scene
+    force_max_n, medium, scene = prepared.device.force_max_n, prepared.medium, prepared.objects
     if scene is not None:
         media = [filter_objects(scene, chain[:n]).voxelise() for n in range(len(chain) + 1)]
         return lambda i: [stage_medium[i] for stage_medium in media]

@@ -112,7 +112,7 @@ def encode(
     local_path = Path(out) if send is None else Path(f"{Path(out).name}.unsent")
     prepared = prepare(source, spec, grid)
     provenance = file_provenance(source, prepared)
-    if executor is None or prepared.scene is not None:
+    if executor is None or prepared.objects is not None:
         encoded = encode_prepared(prepared, local_path, provenance, report)
         if executor is not None:
             encoded = replace(encoded, coding_notes=("Objects are coded in one process, without workers.",))
@@ -140,7 +140,7 @@ def encode_prepared(
         prepared.source.report = report
     notes: tuple[str, ...] = ()
     with TouchWriter(Path(out)) as writer:
-        if prepared.scene is not None:
+        if prepared.objects is not None:
             supported = _write_scene(writer, prepared, provenance, report)
         else:
             supported, notes = write_voxels(writer, prepared, provenance, report)
@@ -152,11 +152,11 @@ def _write_scene(
     writer: TouchWriter, prepared: Prepared, provenance: Mapping[str, str], report: Progress
 ) -> int:
     """Write the head and the objects of a scene; the number of supported samples."""
-    assert prepared.scene is not None
+    assert prepared.objects is not None
     floor_n = prepared.spec.f0_n or DEFAULT_F0_N  # poses need a threshold above 0
-    objects = ObjectsEncoder(prepared.scene, prepared.coding, floor_n)
+    objects = ObjectsEncoder(prepared.objects, prepared.coding, floor_n)
     writer.write_head(file_head(prepared, objects), provenance)
-    write_objects(writer, objects, len(prepared.scene), report)
+    write_objects(writer, objects, len(prepared.objects), report)
     return objects.supported
 
 

@@ -107,9 +107,9 @@ def prepare(source: Source | ArrayLike, spec: EncodeSpec | None = None, grid: Gr
 class Prepared:
     """A source after the device filter and the haptic filters.
 
-    `medium` is the voxel representation on the device's lattice. `scene` has the objects, if these are to be
-    coded; `medium` is then made of them. ``exact(points_m [n, 3]) -> newtons [n, 3]`` is the field that the
-    lattice samples, if it has a formula and no haptic filter changes it. `source` is the scene from which
+    `medium` is the voxel representation on the device's lattice. `objects` are the bodies, if these are to
+    be coded; `medium` is then made of them. ``exact(points_m [n, 3]) -> newtons [n, 3]`` is the field that
+    the lattice samples, if it has a formula and no haptic filter changes it. `source` is the scene from which
     `mapping` makes the frames; it reports progress, and notes once they are made. `reference` is the field
     that the error bound refers to: `SOURCE_FORCES` of `touchfield.pipeline.spec` if nothing changed these,
     else `FILTERED`. `has_law` is True if the force law of the spec made the forces, not the source.
@@ -120,7 +120,7 @@ class Prepared:
     placement: Placement
     spec: EncodeSpec
     notes: tuple[str, ...]
-    scene: HapticScene | None = None
+    objects: HapticScene | None = None
     exact: Forces | None = None
     source: Scene | None = None
     reference: str = FILTERED
@@ -152,8 +152,8 @@ class Prepared:
             "mapping_scale": self.placement.scale,
             "mapping_offset_m": list(self.placement.offset_m),
             "axes": self.medium.axes,
-            "representation": "object" if self.scene else "voxel",
-            **({"objects": len(self.scene.objects)} if self.scene else {}),
+            "representation": "object" if self.objects else "voxel",
+            **({"objects": len(self.objects.objects)} if self.objects else {}),
             **({"vibration": True} if self.medium.vibration else {}),
         }
 

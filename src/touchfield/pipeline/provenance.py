@@ -26,7 +26,7 @@ def file_provenance(source: Source | ArrayLike, prepared: Prepared) -> dict[str,
     provenance = {"touchfield": __version__, "source": shown_name[:255], "spec": spec}
     if prepared.reference != FILTERED:
         provenance["reference"] = prepared.reference
-    source_provenance = (prepared.scene or prepared.medium).provenance
+    source_provenance = (prepared.objects or prepared.medium).provenance
     for key in ("source", "spec") if is_stream(source) else ():
         if key in source_provenance:
             provenance[f"source.{key}"] = source_provenance[key]

@@ -242,7 +242,9 @@ def _start_from_subset(trials: _Trials) -> float:
     prepared, start = trials.prepared, math.log(trials.requested)
     length = prepared.spec.segment_frames_at(prepared.medium.rate_hz)
     count = len(prepared.medium) // length
-    if prepared.scene is not None or count < 2 * _SUBSET_SEGMENTS:  # objects, or hardly more than the subset
+    if (
+        prepared.objects is not None or count < 2 * _SUBSET_SEGMENTS
+    ):  # objects, or hardly more than the subset
         return start
     firsts = [length * (count * (2 * i + 1) // (2 * _SUBSET_SEGMENTS)) for i in range(_SUBSET_SEGMENTS)]
     indices = [first + i for first in firsts for i in range(length)]

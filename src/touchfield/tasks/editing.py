@@ -217,7 +217,7 @@ def write_result(
         out = write_field(out, medium, report, like.placement)
     else:
         result = replace(
-            like, medium=medium, scene=None, exact=None, source=None, reference=FILTERED, notes=()
+            like, medium=medium, objects=None, exact=None, source=None, reference=FILTERED, notes=()
         )
         history = {
             key: medium.provenance[key][:_MAX_HISTORY] for key in _HISTORY_KEYS if key in medium.provenance

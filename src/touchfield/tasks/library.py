@@ -39,7 +39,7 @@ from touchfield.medium import HapticMedium
 from touchfield.medium.grid import Placement
 from touchfield.medium.selection import evenly_spaced, select_frames
 from touchfield.medium.stores.npz import NpzArchive
-from touchfield.pipeline.mapping import SymbolFrames
+from touchfield.pipeline.partition import SymbolFrames
 from touchfield.pipeline.preparation import prepare
 from touchfield.pipeline.result import Result
 from touchfield.pipeline.source import Source, StreamScene, decode

@@ -138,7 +138,7 @@ def coarse_layer(source: Source, prepared: Prepared) -> tuple[Prepared, LiveSend
     meter.add(first, rebuild_level(_coarse(first), fine.grid))
     k, f0_n = min(2 * spec.touch.k, 0.5), 2 * spec.touch.f0_n
     spec = replace(spec, touch=replace(spec.touch, k=k, f0_n=f0_n, mode="mask"))
-    coarse = replace(prepared, medium=detail_level(fine, 1), spec=spec, scene=None, exact=None, source=None)
+    coarse = replace(prepared, medium=detail_level(fine, 1), spec=spec, objects=None, exact=None, source=None)
     layer = f"half of {fine.grid.description}; NMSE of the first frame {meter.nmse_db:.1f} dB"
     layer += "; the vibration is left out" if fine.vibration is not None else ""
     return coarse, _sender(source, coarse, layer=layer)

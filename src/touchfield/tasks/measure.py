@@ -41,7 +41,7 @@ from touchfield.measure.quantity import FewSamplesWarning, Quantity
 from touchfield.medium import HapticMedium
 from touchfield.medium.trace import Trace, read_trace
 from touchfield.options import option
-from touchfield.pipeline.mapping import SymbolFrames, map_to_device
+from touchfield.pipeline.partition import SymbolFrames, map_to_device
 from touchfield.pipeline.preparation import prepare
 from touchfield.pipeline.source import StreamScene, is_stream
 from touchfield.pipeline.spec import EncodeSpec

@@ -224,7 +224,7 @@ def fine_source(source: Source, opened: OpenStream, report: Progress = silent) -
                 opened.placement,
                 spec,
                 original.notes,
-                original.scene,
+                original.objects,
             )
             size = encode_prepared(prepared, out, {}, report).file_bytes
             if size <= MAX_SOURCE_BYTES:

@@ -88,7 +88,7 @@ def test_parts_are_grouped_by_motion_and_deforming_ones_stay_meshes(
 @pytest.mark.parametrize("rigid", [True, False])
 def test_objects_are_selected_if_all_parts_are_rigid(tmp_path: Path, rigid: bool) -> None:
     prepared = prepare(small_rig(tmp_path, rigid), EncodeSpec(nw=4))
-    assert (prepared.scene is not None) == rigid
+    assert (prepared.objects is not None) == rigid
 
 
 def test_overlapping_bodies_are_rendered_as_a_union(tmp_path: Path) -> None:

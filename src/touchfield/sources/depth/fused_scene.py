@@ -10,8 +10,8 @@
 The fused volume (`FusedVolume`) is the mean of the observations of posed depth maps in each sample (Curless
 and Levoy 1996, KinectFusion 2011), in bricks that contain a surface. A view measures the distance of a sample
 to the tangent plane of its pixel (phi, negative behind), which is more accurate than the distance along the
-ray (docs/decisions/0013). With the *neighbourhood* of the surface, |phi| <= 2 noise(z) and at least a sample
-wide, a view says one of three things about a sample:
+ray (docs/decisions/0013). The *neighbourhood* of the surface is |phi| <= max(2 noise(z), one sample). A view
+classifies each sample as one of three:
 
 near   |phi| is within the neighbourhood: the means of phi and of the plane's normal are updated, weighted by
        1 / noise^2 and by the squared cosine between ray and normal.

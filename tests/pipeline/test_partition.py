@@ -8,7 +8,7 @@ import pytest
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.devices import device
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.pipeline.mapping import map_to_device
+from touchfield.pipeline.partition import map_to_device
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.tasks.measure import MeasureSpec, measure_medium
 
