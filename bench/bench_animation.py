@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from bench_mesh import PEERS, missing
-from machine import SHARED, Bar, Figures, at_least, at_most, bench, column, figure, timed
+from machine import SHARED, Bar, Figures, at_least, at_most, bench, column, figure, leave_out, timed
 from touchfield.compute.threads import worker_count
 from touchfield.medium import Grid
 from touchfield.sources.animation.animated_mesh import AnimatedMeshScene
@@ -64,7 +64,7 @@ def in_bands(peer: Any, surfaces: list[Any], band: list[Any]) -> list[Any]:
 def measure(path: Path, samples: int) -> Figures:
     """Measure times and differences of touchfield and the peers on the running fox."""
     if not path.is_file():
-        raise SystemExit("Fox.glb is not there; give its --path")
+        leave_out("Fox.glb is not there; give its --path")
     scene = AnimatedMeshScene(path, "Run", unit_m=0.01)
     grid = enclosing_cube(scene, samples)
     voxel = grid.spacing_m[0]

@@ -1,4 +1,4 @@
-"""Measures computed chunk by chunk: the size of a chunk changes no result."""
+"""Comparisons with spatial masking, chunk by chunk: the size of a chunk changes no result."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchfield.measure import fidelity, quantity
+from touchfield.measure import fidelity
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField, Grid
 from touchfield.perception import mask
@@ -38,17 +38,11 @@ def fidelity_of_fields() -> Any:
     return *counts, meter.worst_mask_ratio, round(meter.mask_violation_share, 12)
 
 
-def statistics_of_resamples() -> Any:
-    counts = np.random.default_rng(6).integers(0, 9, size=(11, 4, 3))
-    return quantity._resample(lambda drawn: float((drawn**2).sum()), counts, 50, 7).tolist()
-
-
 @pytest.mark.parametrize(
     ("module", "name", "size", "measured"),
     [
         (mask, "_CHUNK", 100, violations_of_samples),
         (fidelity, "_CHUNK", 5, fidelity_of_fields),
-        (quantity, "_CHUNK_VALUES", 100, statistics_of_resamples),
     ],
 )
 def test_the_size_of_a_chunk_changes_no_result(

@@ -249,12 +249,25 @@ def _meet(piece, count, normal, other, other_normal, tiny, h, g):
 
 
 @inner(forceinline=True)
-def _have_common_edge(triangles, t, u):
-    common = 0
+def _common_vertices(triangles, t, u):
+    """Return the number of common vertices, and the corner of t and of u at the last of them."""
+    count, corner_t, corner_u = 0, 0, 0
     for c in range(3):
         for d in range(3):
-            common += triangles[t, c] == triangles[u, d]
-    return common >= 2
+            if triangles[t, c] == triangles[u, d]:
+                count, corner_t, corner_u = count + 1, c, d
+    return count, corner_t, corner_u
+
+
+@inner(forceinline=True)
+def _is_on_one_side(piece, corner, normal, tiny):
+    """Return True if the other two corners of a triangle lie on one side of a plane through `corner`."""
+    a, b = piece[(corner + 1) % 3], piece[(corner + 2) % 3]
+    h = g = 0.0
+    for c in range(3):
+        h += normal[c] * (a[c] - piece[corner, c])
+        g += normal[c] * (b[c] - piece[corner, c])
+    return (h > tiny and g > tiny) or (h < -tiny and g < -tiny)
 
 
 @kernel
@@ -275,11 +288,18 @@ def _pairs(start, stop, bins, boxes, corners, normals, triangles, tiny, max_pair
                     continue
                 if boxes[u, 3] < y0 - tiny or boxes[u, 4] > z1 + tiny or boxes[u, 5] < z0 - tiny:
                     continue
-                if _have_common_edge(triangles, t, u):
-                    continue
                 y, z = max(y0, boxes[u, 2]), max(z0, boxes[u, 4])
                 if _bin(frame, y, 0) * int(frame[4]) + _bin(frame, z, 1) != s:
                     continue  # tested in another bin
+                common, i, j = _common_vertices(triangles, t, u)
+                if common >= 2:
+                    continue
+                # most neighbours at a vertex only touch there: neither crosses the other's plane elsewhere
+                if common == 1 and (
+                    _is_on_one_side(corners[t], i, normals[u], tiny)
+                    or _is_on_one_side(corners[u], j, normals[t], tiny)
+                ):
+                    continue
                 for _ in range(2):
                     if _meet(corners[t], 3, normals[t], corners[u], normals[u], tiny, h, g):
                         if count == max_pairs:
