@@ -463,7 +463,7 @@ static int touch_code_list(touch_coder *b, touch_list_models *m, const uint32_t 
             if (l.state[i] == 1) key[count++] = l.key[i];
         arena->used = mark;
     }
-    list->key = key, list->count = count;
+    if (!TOUCH_IS_WRITING(b)) list->key = key, list->count = count;
     return 1;
 }
 
@@ -956,7 +956,7 @@ static int touch_choose_state(const touch_pass *p);
 static int touch_choose_blocks(const touch_pass *p);
 static int touch_choose_support(const touch_pass *p, int here);
 static int touch_choose_skip(const touch_pass *p, const touch_voxel *v);
-static int touch_choose_residual(const touch_pass *p, touch_voxel *v);
+static void touch_choose_residual(const touch_pass *p, touch_voxel *v);
 #endif
 
 /* A voxel: support, prediction, skip or residual; `index` is that of its cell. */

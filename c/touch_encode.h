@@ -1,0 +1,818 @@
+/* touch_encode.h: an encoder of coder `touch` (docs/format/touch.md), in C99 beside touch.h.
+
+   In one source file, in place of touch.h:   #define TOUCH_ENCODE_IMPLEMENTATION
+                                              #include "touch_encode.h"
+
+   It writes bodies of segments, and the parts of other records that need the arithmetic code. Nothing is allocated but
+   from memory that the caller gives; any number of threads may each have an encoder. touch_model.h has what the reader
+   and this writer share: here is what only a writer decides, in floating point, and never reaches a reader.
+
+       touch_encoder encoder;  touch_segment segment;
+       touch_encode_start(&encoder, &grid, &options, longest_n, touch_arena_of(work, size), touch_arena_of(out, size));
+       for each frame:  touch_encode_next(&encoder, &frame, 0, 0);
+       touch_encode_finish(&encoder, frames, &segment);       // segment.body, segment.size
+
+   The voxel pass asks for a writer's choices (touch_choose_...): the state of a brick, its blocks, the support of a
+   voxel, whether its residual is skipped, and which residual is coded. Each is the cheapest that keeps the bound. */
+#ifndef TOUCH_ENCODE_H
+#define TOUCH_ENCODE_H
+
+#ifdef TOUCH_ENCODE_IMPLEMENTATION
+#ifdef TOUCH_IMPLEMENTED
+#error "include touch_encode.h, which has the implementation of touch.h, before that"
+#endif
+#ifndef TOUCH_IMPLEMENTATION
+#define TOUCH_IMPLEMENTATION
+#endif
+#define TOUCH_WRITES
+#endif
+#include "touch.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum { TOUCH_MASK = 0, TOUCH_MASK_DIRECTION = 1, TOUCH_NMSE = 2, TOUCH_LOSSLESS = 3 };
+enum { TOUCH_INTER_AUTO = 0, TOUCH_INTER_OFF = 1, TOUCH_INTER_ON = 2 };
+
+typedef struct {
+    int32_t mode;
+    int32_t is_support_exact; /* a force may neither vanish nor appear, however small */
+    int32_t interframe;
+    int32_t has_base_layers; /* they are tried */
+    int32_t is_checked;      /* the finished body is decoded and compared */
+    double k, f0_n;          /* |error| <= max(F_0, k |F|) */
+    double direction_jnd_deg, step_n;
+} touch_options;
+
+typedef struct { /* a frame, sparse in bricks of 8 x 8 x 8 samples; forces beyond the grid are 0 */
+    uint64_t bricks;
+    const int32_t *brick;  /* [bricks][3], ascending, x slowest */
+    const float *forces_n; /* [bricks][8][8][8][3] */
+    const float *hidden_n; /* [bricks][8][8][8]: error that forces around hide (spatial masking), or NULL */
+} touch_source;
+
+typedef struct { /* a spline that is fitted elsewhere: coefficients of the nodes of a frame's bricks, in raster order */
+    int32_t shift[3];
+    int64_t step, scale[3];
+    const double *coefficient; /* units */
+    uint64_t nodes;
+} touch_spline;
+
+typedef struct { /* fits the next finer spline, level 4 and then 3, to a frame; 0: it is not smooth */
+    int (*fit)(void *self, const touch_source *frame, int level, touch_spline *out);
+    void *self;
+} touch_spline_fit;
+
+typedef struct {
+    const uint8_t *body;
+    uint64_t size;
+    double max_error_ratio; /* largest error as a fraction of the bound, with its frame and voxel */
+    uint32_t max_error_frame, max_error_voxel[3];
+} touch_segment;
+
+struct touch_writer;
+typedef struct {
+    struct touch_writer *writer;
+    const char *error;
+} touch_encoder;
+
+/* Bytes that are enough for an encoder of frames of at most so many bricks. */
+uint64_t touch_encode_room(const touch_grid *grid, uint64_t bricks);
+/* `longest_n` is an upper limit of the length of all forces; `out` takes the bytes of the segment. */
+int touch_encode_start(touch_encoder *encoder, const touch_grid *grid, const touch_options *options, double longest_n,
+                       touch_arena work, touch_arena out);
+/* The next frame; `coded`, if given, is coded in its place, and the bound applies to `frame` nevertheless. */
+int touch_encode_next(touch_encoder *encoder, const touch_source *frame, const touch_source *coded,
+                      const touch_spline_fit *splines);
+/* The body; `frames` are those that were given. */
+int touch_encode_finish(touch_encoder *encoder, const touch_source *frames, touch_segment *out);
+
+#ifdef __cplusplus
+}
+#endif
+#endif
+
+#if defined TOUCH_ENCODE_IMPLEMENTATION && !defined TOUCH_ENCODE_IMPLEMENTED
+#define TOUCH_ENCODE_IMPLEMENTED
+
+#ifdef __clang__
+#pragma STDC FP_CONTRACT OFF
+#endif
+
+/* -- bytes ----------------------------------------------------------------------------------------------------------- */
+
+typedef struct { /* bytes that are written; above `capacity` there was no room */
+    uint8_t *bytes;
+    uint64_t size, capacity;
+} touch_sink;
+
+static void touch_put(touch_sink *s, const void *bytes, uint64_t count) {
+    if (s->size <= s->capacity && count <= s->capacity - s->size) {
+        if (count) memcpy(s->bytes + s->size, bytes, (size_t)count);
+        s->size += count;
+    } else s->size = s->capacity + 1;
+}
+
+static void touch_put_u(touch_sink *s, uint64_t value, int bytes) {
+    uint8_t out[8];
+    for (int n = 0; n < bytes; n++) out[n] = (uint8_t)(value >> (8 * n));
+    touch_put(s, out, (uint64_t)bytes);
+}
+
+static void touch_put_varint(touch_sink *s, uint64_t value) {
+    for (; value > 127; value >>= 7) touch_put_u(s, (value & 127) | 128, 1);
+    touch_put_u(s, value, 1);
+}
+
+static void touch_put_chunk(touch_sink *s, const touch_sink *chunk) {
+    touch_put_varint(s, chunk->size), touch_put(s, chunk->bytes, chunk->size);
+}
+
+static int touch_sink_make(touch_sink *s, uint64_t capacity, touch_arena *arena) {
+    s->bytes = (uint8_t *)touch_take(arena, capacity, 1), s->size = 0, s->capacity = capacity;
+    return s->bytes != 0;
+}
+
+/* -- the arithmetic code, written ------------------------------------------------------------------------------------ */
+
+/* A coder that writes behind what a sink has. */
+static touch_coder touch_writing(const touch_sink *s, const touch_tables *tables, touch_spent *spent) {
+    touch_coder b;
+    memset(&b, 0, sizeof b), memset(spent, 0, sizeof *spent);
+    b.out = s->bytes + s->size, b.size = s->size < s->capacity ? s->capacity - s->size : 0, b.range = (uint64_t)1 << 48;
+    b.tables = tables, b.spent = spent;
+    return b;
+}
+
+/* Add 1 to the bytes that are written: the low end has passed them. */
+static void touch_carry(touch_coder *b) {
+    uint64_t n = b->position;
+    while (n && b->out[--n] == 255) b->out[n] = 0;
+    b->out[n]++;
+}
+
+static void touch_shift_out(touch_coder *b) {
+    if (b->position + 2 <= b->size) {
+        if (b->low >> 48) touch_carry(b);
+        b->out[b->position] = (uint8_t)(b->low >> 40), b->out[b->position + 1] = (uint8_t)(b->low >> 32);
+    } else b->size = 0; /* full, from now on */
+    b->low = (b->low & 0xffffffffu) << 16, b->range <<= 16, b->position += 2;
+}
+
+/* The fewest bytes that end a code, without zeros at their end; the sink then has it. 0: there was no room. */
+static int touch_finish(touch_coder *b, touch_sink *s) {
+    uint64_t end = b->low, spare;
+    int count = 6;
+    for (int n = 0; n <= 6; n += 2) {
+        spare = ((uint64_t)1 << (48 - 8 * n)) - 1, end = (b->low + spare) & ~spare;
+        if (end < b->low + b->range) break;
+    }
+    if (b->position + 6 > b->size) return 0;
+    if (end >> 48) touch_carry(b);
+    for (int n = 0; n < 6; n++) b->out[b->position + (uint64_t)n] = (uint8_t)(end >> (40 - 8 * n));
+    while (count && !b->out[b->position + (uint64_t)count - 1]) count--;
+    s->size += b->position + (uint64_t)count;
+    return 1;
+}
+
+/* Zeros until what was written from `start` on has so many bytes. */
+static void touch_pad(touch_sink *s, uint64_t start, uint64_t bytes) {
+    while (s->size < start + bytes && s->size <= s->capacity) touch_put_u(s, 0, 1);
+}
+
+/* The bits since the last account are of a kind: 0 support, 1 amplitude, 2 direction. */
+static void touch_account(touch_coder *b, int kind) {
+    double total = 8.0 * (double)b->position + 48.0 - log2((double)b->range);
+    b->spent->bits[kind] += total - b->spent->total;
+    b->spent->total = total;
+}
+
+/* -- the error bound ------------------------------------------------------------------------------------------------- */
+
+typedef struct { /* newtons, or units of a pass, less what rounding costs */
+    double k, f0, sine; /* the last of the direction JND; 0 where only the mask counts */
+    int is_exact;       /* the support is kept */
+} touch_bound;
+
+static double touch_size(const double f[3]) { return sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2]); }
+
+/* The square of |error| / allowed of a decoded force d in place of f; `hidden` is what forces around hide. */
+static double touch_error_ratio2(const double f[3], const double d[3], double hidden, const touch_bound *bound) {
+    double x = d[0] - f[0], y = d[1] - f[1], z = d[2] - f[2], error2 = x * x + y * y + z * z, size, allowed;
+    if (error2 == 0.0) return 0.0;
+    size = touch_size(f), allowed = bound->k * size + hidden;
+    if (!(allowed > bound->f0)) allowed = bound->f0;
+    if (bound->sine > 0.0) {
+        if (size * bound->sine > bound->f0) {
+            double radial = fabs(touch_size(d) - size) / allowed, c[3], angle;
+            c[0] = f[1] * d[2] - f[2] * d[1], c[1] = f[2] * d[0] - f[0] * d[2], c[2] = f[0] * d[1] - f[1] * d[0];
+            angle = atan2(touch_size(c), f[0] * d[0] + f[1] * d[1] + f[2] * d[2]) / asin(bound->sine);
+            if (angle > radial) radial = angle;
+            return radial * radial;
+        }
+        allowed = bound->f0;
+    }
+    return allowed > 0.0 ? error2 / (allowed * allowed) : HUGE_VAL;
+}
+
+/* Whether a vector in units may stand for a force; (0, 0, 0) is none. `f` is followed by what forces around hide. */
+static int touch_is_within(const int32_t v[3], const double f[4], const touch_bound *bound) {
+    double d[3];
+    if (bound->is_exact && (v[0] || v[1] || v[2]) != (f[0] != 0.0 || f[1] != 0.0 || f[2] != 0.0)) return 0;
+    for (int n = 0; n < 3; n++) d[n] = v[n];
+    return touch_error_ratio2(f, d, f[3], bound) <= 1.0;
+}
+
+typedef struct { /* a decoded frame beside its original */
+    uint64_t *violation, violations; /* 512 times the number of a brick plus the sample, ascending */
+    double max_ratio;
+    uint32_t voxel[3];
+    uint64_t within, decoded; /* voxels with a force that are within the bound; decoded ones with a force */
+} touch_comparison;
+
+typedef struct { /* forces of one of the two, by keys of bricks */
+    uint64_t count;
+    const uint64_t *key;
+    const uint32_t *slot; /* of each key, in `forces_n`; NULL: in order */
+    const float *forces_n;
+} touch_side;
+
+/* The keys of a source; they ascend. */
+static uint64_t *touch_source_keys(const touch_source *s, touch_arena *arena) {
+    uint64_t *key = (uint64_t *)touch_take(arena, s->bricks, 8);
+    for (uint64_t i = 0; key && i < s->bricks; i++) key[i] = touch_key(s->brick[3 * i], s->brick[3 * i + 1], s->brick[3 * i + 2]);
+    return key;
+}
+
+/* One brick of both, either of them may be missing; counts, and writes violations from `c->violation` on where given. */
+static void touch_compare_brick(const float *original, const float *hidden, const float *decoded, const touch_bound *bound,
+                                const touch_grid *grid, uint64_t key, touch_comparison *c) {
+    int32_t at[3];
+    touch_position(key, at);
+    uint64_t number = 512 * (uint64_t)touch_brick_number(grid, at[0], at[1], at[2]);
+    for (int n = 0; n < 512; n++) {
+        double f[3] = {0, 0, 0}, d[3] = {0, 0, 0};
+        for (int i = 0; i < 3; i++) {
+            if (original) f[i] = original[3 * n + i];
+            if (decoded) d[i] = decoded[3 * n + i];
+        }
+        int is_supported = f[0] != 0.0 || f[1] != 0.0 || f[2] != 0.0, is_sent = d[0] != 0.0 || d[1] != 0.0 || d[2] != 0.0;
+        double ratio2 = touch_error_ratio2(f, d, hidden ? hidden[n] : 0.0, bound);
+        if (bound->is_exact && is_supported != is_sent) ratio2 = HUGE_VAL;
+        c->decoded += (uint64_t)is_sent, c->within += (uint64_t)(is_supported && ratio2 <= 1.0);
+        if (ratio2 > 1.0) {
+            if (c->violation) c->violation[c->violations] = number + (uint64_t)n;
+            c->violations++;
+        }
+        if (!(ratio2 > c->max_ratio)) continue;
+        c->max_ratio = ratio2;
+        for (int i = 0; i < 3; i++) c->voxel[i] = (uint32_t)(8 * at[i] + (n >> (6 - 3 * i) & 7));
+    }
+}
+
+/* Compare frames in all bricks of both. Where `has_list`, the violations are listed, in `arena`. */
+static int touch_compare(const touch_source *original, const touch_side *decoded, const touch_bound *bound,
+                         const touch_grid *grid, int has_list, touch_comparison *c, touch_arena *arena) {
+    memset(c, 0, sizeof *c);
+    for (int pass = 0; pass < 2; pass++) {
+        uint64_t i = 0, j = 0, mark = arena->used, *key = touch_source_keys(original, arena), *list = c->violation;
+        if (!key) return 0;
+        memset(c, 0, sizeof *c), c->violation = list;
+        while (i < original->bricks || j < decoded->count) {
+            int has_first = j == decoded->count || (i < original->bricks && key[i] <= decoded->key[j]);
+            int has_second = i == original->bricks || (j < decoded->count && decoded->key[j] <= key[i]);
+            touch_compare_brick(has_first ? original->forces_n + 1536 * i : 0,
+                                has_first && original->hidden_n ? original->hidden_n + 512 * i : 0,
+                                has_second ? decoded->forces_n + 1536 * (decoded->slot ? decoded->slot[j] : j) : 0, bound, grid,
+                                has_first ? key[i] : decoded->key[j], c);
+            i += (uint64_t)has_first, j += (uint64_t)has_second;
+        }
+        arena->used = mark;
+        if (pass || !has_list || !c->violations) break;
+        c->violation = (uint64_t *)touch_take(arena, c->violations, 8);
+        if (!c->violation) return 0;
+    }
+    c->max_ratio = sqrt(c->max_ratio);
+    return 1;
+}
+
+/* Forces in newtons of vectors in units: one product each, as a reader makes it. */
+static int touch_side_of(touch_side *side, const touch_units *units, float unit_n, touch_arena *arena) {
+    float *out = (float *)touch_take(arena, 1536 * units->list.count, 4);
+    side->count = units->list.count, side->key = units->list.key, side->slot = 0, side->forces_n = out;
+    for (uint64_t i = 0; out && i < 512 * units->list.count; i++)
+        for (int n = 0; n < 3; n++) out[3 * i + (uint64_t)n] = unit_n * (float)units->v[i].v[n];
+    return out != 0;
+}
+
+/* -- the choices of a writer in the voxel pass ----------------------------------------------------------------------- */
+
+struct touch_target {
+    const touch_source *source;
+    double units_per_n;
+    touch_bound bound;
+    double force[512][4]; /* of the brick, in the order of the scan, units; and what forces around hide */
+};
+
+/* The forces of a brick of the source, permuted to the scan. */
+static void touch_load_target(touch_pass *p, uint64_t brick) {
+    struct touch_target *t = p->target;
+    for (int n = 0; n < 512; n++) {
+        uint64_t at = 512 * brick + (uint64_t)touch_grid_sample(&p->scan, n >> 6, n >> 3 & 7, n & 7);
+        for (int k = 0; k < 3; k++) {
+            double f = t->source->forces_n[3 * at + (uint64_t)p->scan.axis[k]] * t->units_per_n;
+            t->force[n][k] = p->scan.sign[k] < 0 ? -f : f;
+        }
+        t->force[n][3] = t->source->hidden_n ? fabs(t->source->hidden_n[at] * t->units_per_n) : 0.0;
+    }
+}
+
+static const double *touch_target_at(const touch_pass *p, int here) {
+    return p->target->force[64 * (here / TOUCH_DEEP - 2) + 8 * (here / TOUCH_UP % 12 - 2) + here % 12 - 2];
+}
+
+/* COPY if the reference is within the bound everywhere, else FOLLOW. */
+static int touch_choose_state(const touch_pass *p) {
+    for (int n = 0; n < 512; n++) {
+        int32_t v[3] = {0, 0, 0}, at = p->reference_at[touch_window_index(n >> 6, n >> 3 & 7, n & 7)];
+        if (at >= 0) touch_reference_at(p, at, v);
+        if (!touch_is_within(v, p->target->force[n], &p->target->bound)) return TOUCH_FOLLOW;
+    }
+    return TOUCH_COPY;
+}
+
+/* A force is coded if it may not vanish. */
+static int touch_is_coded(const struct touch_target *t, const double f[3]) {
+    return touch_size(f) > (t->bound.is_exact ? 0.0 : t->bound.f0);
+}
+
+static int touch_choose_blocks(const touch_pass *p) {
+    int blocks = 0;
+    for (int n = 0; n < 512; n++)
+        if (touch_is_coded(p->target, p->target->force[n])) blocks |= 1 << ((n >> 8) * 4 + (n >> 5 & 1) * 2 + (n >> 2 & 1));
+    return blocks;
+}
+
+static int touch_choose_support(const touch_pass *p, int here) { return touch_is_coded(p->target, touch_target_at(p, here)); }
+
+static int touch_choose_skip(const touch_pass *p, const touch_voxel *v) {
+    return touch_is_within(v->prediction, touch_target_at(p, v->here), &p->target->bound);
+}
+
+/* The residual that probably costs the fewest bits, of the points around the force that keep the bound: zeros are cheap,
+   then small numbers. The nearest point if none keeps it. */
+static void touch_choose_residual(const touch_pass *p, touch_voxel *v) {
+    static const int around[3] = {0, -1, 1};
+    const double *f = touch_target_at(p, v->here), larger = 0.3;
+    double along[3], best = HUGE_VAL;
+    for (int k = 0; k < 3; k++)
+        along[k] = (f[0] * (double)v->basis[k][0] + f[1] * (double)v->basis[k][1] + f[2] * (double)v->basis[k][2]) / 16384.0;
+    int64_t level = touch_level_of(p->steps, (int64_t)rint(fabs(along[0])));
+    int64_t nearest = (int64_t)rint((double)((along[0] >= 0 ? level : -level) - v->centre_level) / 256.0);
+    v->residual[0] = v->residual[1] = v->residual[2] = 0;
+    for (int i = 0; i < 3; i++) {
+        int64_t r[3], size, low[2];
+        r[0] = nearest + around[i], size = touch_abs(touch_length_of(p->steps, v->centre_level + 256 * r[0]));
+        double step = (double)touch_max((size * p->steps->cross_rate) >> 16, p->steps->cross_floor);
+        low[0] = (int64_t)rint(along[1] / step), low[1] = (int64_t)rint(along[2] / step);
+        for (int j = 0; j < 9; j++) {
+            int32_t vector[3];
+            r[1] = low[0] + around[j / 3], r[2] = low[1] + around[j % 3];
+            int64_t sum = touch_abs(r[0]) + touch_abs(r[1]) + touch_abs(r[2]);
+            int64_t max = touch_max(touch_max(touch_abs(r[0]), touch_abs(r[1])), touch_abs(r[2]));
+            double cost = (double)((r[0] != 0) + (r[1] != 0) + (r[2] != 0)) + larger * (double)sum;
+            if (!(cost < best) || max >= 1 << 18 || !(max > 0 || v->followed)) continue;
+            touch_place(p, v, r, vector);
+            int is_within = touch_is_within(vector, f, &p->target->bound);
+            if (is_within) best = cost;
+            if (is_within || i + j == 0) memcpy(v->residual, r, sizeof v->residual);
+        }
+    }
+}
+
+/* -- a frame --------------------------------------------------------------------------------------------------------- */
+
+typedef struct { /* a coded frame */
+    touch_sink payload;
+    touch_units units; /* what a reader has */
+    touch_models *models;
+    touch_spent spent;
+    double squared_error; /* units */
+} touch_coded;
+
+/* The order of the scan: along the force on every axis. The slowest axis is that of the largest total force; of two
+   similar ones, that of the coarser spacing. */
+static int touch_choose_scan(const touch_grid *grid, const touch_source *frame) {
+    double sum[3] = {0, 0, 0}, size[3] = {0, 0, 0}, best = -1, finest = grid->spacing_m[0], coarsest = finest;
+    int order = 0, axis, flag = 8;
+    for (uint64_t i = 0; i < 512 * frame->bricks; i++)
+        for (int n = 0; n < 3; n++) {
+            double f = frame->forces_n[3 * i + (uint64_t)n];
+            sum[n] += f, size[n] += fabs(f);
+        }
+    for (int n = 1; n < 3; n++) {
+        finest = grid->spacing_m[n] < finest ? grid->spacing_m[n] : finest;
+        coarsest = grid->spacing_m[n] > coarsest ? grid->spacing_m[n] : coarsest;
+    }
+    for (int n = 0; n < 3; n++) {
+        int is_fine = grid->spacing_m[n] < (1.01 * finest < 0.99 * coarsest ? 1.01 * finest : 0.99 * coarsest);
+        double total = (fabs(sum[n]) + 0.01 * size[n]) * (is_fine ? 0.85 : 1.0);
+        if (total > best) best = total, order = n;
+    }
+    axis = order, order |= sum[axis] < 0 ? 4 : 0;
+    for (int n = 0; n < 3; n++)
+        if (n != axis) order |= sum[n] < 0 ? flag : 0, flag = 16;
+    return order;
+}
+
+/* Voxels of an original minus their vectors, squared and summed, units. */
+static double touch_squared_error(const touch_source *frame, const touch_units *units, double units_per_n) {
+    double sum = 0;
+    for (uint64_t i = 0; i < 512 * frame->bricks; i++)
+        for (int n = 0; n < 3; n++) {
+            double error = units->v[i].v[n] - frame->forces_n[3 * i + (uint64_t)n] * units_per_n;
+            sum += error * error;
+        }
+    return sum;
+}
+
+/* Code a frame, given what a reader has: the reference and the models, which are copied. */
+static int touch_code_frame(const touch_grid *grid, const touch_steps *steps, const touch_tables *tables,
+                            const touch_bound *bound, const touch_source *frame, const touch_units *reference,
+                            const touch_models *models, touch_coded *out, touch_arena *arena, touch_cursor *error) {
+    int order = touch_choose_scan(grid, frame);
+    struct touch_target *target = (struct touch_target *)touch_take(arena, 1, sizeof *target);
+    touch_pass *p = (touch_pass *)touch_take(arena, 1, sizeof *p);
+    touch_coder coder;
+    memset(out, 0, sizeof *out);
+    out->models = (touch_models *)touch_take(arena, 1, sizeof *out->models);
+    out->units.v = (touch_vector *)touch_take_zero(arena, 512 * frame->bricks, sizeof *out->units.v);
+    out->units.list.key = touch_source_keys(frame, arena), out->units.list.count = frame->bricks;
+    if (!target || !p || !out->models || !out->units.v || !out->units.list.key ||
+        !touch_sink_make(&out->payload, (frame->bricks + 1) << 14, arena))
+        return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
+    uint64_t mark = arena->used;
+    memcpy(out->models, models, sizeof *models);
+    touch_put_u(&out->payload, (uint64_t)order, 4); /* slopes of 0: no loss of force is expected along an axis */
+    target->source = frame, target->units_per_n = 1.0 / (double)steps->unit_n, target->bound = *bound;
+    coder = touch_writing(&out->payload, tables, &out->spent);
+    p->coder = &coder, p->models = out->models, p->steps = steps, p->reference = reference, p->target = target;
+    p->scan = touch_scan_of(order, grid), p->slope[0] = p->slope[1] = p->slope[2] = 0;
+    if (!touch_code_list(&coder, &out->models->list, grid->shape, reference->list, &out->units.list, arena, error)) return 0;
+    if (!touch_code_bricks(p, grid, &out->units, arena, error)) return 0;
+    touch_account(&coder, 0);
+    arena->used = mark;
+    if (!touch_finish(&coder, &out->payload)) return touch_fail(error, TOUCH_MEMORY, "no room for a payload");
+    touch_pad(&out->payload, 4, touch_min_bytes(frame->bricks));
+    if (!bound->k) out->squared_error = touch_squared_error(frame, &out->units, target->units_per_n);
+    return 1;
+}
+
+/* -- segments -------------------------------------------------------------------------------------------------------- */
+
+typedef struct touch_writer {
+    touch_grid grid;
+    touch_options options;
+    touch_steps steps;
+    touch_bound bound; /* of passes, units */
+    touch_tables tables;
+    touch_arena work;
+    touch_models *models, *fresh; /* after the frame before; of a frame by itself */
+    touch_units previous;         /* the frame before, without its outliers */
+    uint64_t mark;                /* of `work`, behind what stays */
+    uint32_t frames;
+    int tries_base_layers, has_violations;
+    double max_ratio; /* of the frames so far */
+    uint32_t max_frame, max_voxel[3];
+    touch_sink body; /* the records of the frames, behind room for what is before them */
+} touch_writer;
+
+enum { TOUCH_HEAD_ROOM = 64 };
+
+static int64_t touch_below(int64_t limit, double number) {
+    if (!(number > 1)) number = 1;
+    return (int64_t)(number < (double)(limit - 1) ? number : (double)(limit - 1));
+}
+
+static double touch_radians(double degrees) { return degrees * (3.14159265358979323846 / 180.0); }
+
+/* Steps of a segment whose longest force is `longest_n`: a cell of the lattice lies within the ball of the mask, that of
+   mask-direction within a disc of directions and a span of lengths. The corners of a somewhat larger cell are outside,
+   and then another point is taken. */
+static void touch_choose_steps(const touch_options *o, double longest_n, touch_steps *s) {
+    const double cell = 1.17, span = 1.8, span_floor = 1.25, disc = 0.97 * sqrt(2.0);
+    double unit_n = longest_n / 65536;
+    s->unit_n = (float)(unit_n > 1.1754943508222875e-38 ? unit_n : 1.1754943508222875e-38), unit_n = s->unit_n;
+    if (o->mode == TOUCH_NMSE) {
+        s->floor = s->cross_floor = touch_max(touch_below(1 << 16, o->step_n / unit_n), 21), s->rate = s->cross_rate = 0;
+        return;
+    }
+    s->floor = s->cross_floor = touch_below(1 << 16, cell * o->f0_n / unit_n);
+    s->rate = s->cross_rate = touch_below(1 << 17, 65536 * cell * o->k);
+    if (o->mode != TOUCH_MASK_DIRECTION) return;
+    s->cross_rate = touch_below(1 << 17, 65536 * disc * sin(touch_radians(o->direction_jnd_deg)));
+    s->floor = touch_below(1 << 16, span_floor * o->f0_n / unit_n), s->rate = touch_below(1 << 17, 65536 * span * o->k);
+}
+
+/* The bound of the passes, units, less the rounding of whole units to float32 newtons. */
+static touch_bound touch_pass_bound(const touch_options *o, const touch_steps *s) {
+    const double rounding = 2e-6;
+    double margin = 1 - rounding / o->k;
+    double sine = o->mode == TOUCH_MASK_DIRECTION ? sin(touch_radians(o->direction_jnd_deg)) : 0.0;
+    touch_bound b;
+    b.k = o->k * margin, b.f0 = o->f0_n / (double)s->unit_n * margin, b.is_exact = o->is_support_exact;
+    b.sine = sine - rounding > sine / 2 ? sine - rounding : sine / 2;
+    if (o->mode == TOUCH_NMSE) b.k = 0, b.f0 = 0.75 * (double)s->floor, b.sine = 0;
+    return b;
+}
+
+/* The bound of a decoded frame, newtons; mode NMSE has none, but half a step as a measure of a prediction. */
+static touch_bound touch_frame_bound(const touch_options *o, int is_prediction) {
+    touch_bound b;
+    b.k = o->k, b.f0 = o->f0_n, b.is_exact = o->is_support_exact && !(is_prediction && o->mode == TOUCH_NMSE);
+    b.sine = o->mode == TOUCH_MASK_DIRECTION ? sin(touch_radians(o->direction_jnd_deg)) : 0.0;
+    if (o->mode == TOUCH_NMSE) b.k = 0, b.f0 = is_prediction ? o->step_n / 2 : HUGE_VAL;
+    return b;
+}
+
+/* The fraction of the voxels with a force in either field at which a prediction is within the bound; -1: no memory. */
+static double touch_fraction_within(const touch_writer *w, const touch_source *frame, const touch_units *prediction,
+                                    touch_arena *arena) {
+    touch_bound bound = touch_frame_bound(&w->options, 1);
+    touch_source original = *frame;
+    uint64_t mark = arena->used;
+    touch_comparison c;
+    touch_side side;
+    original.hidden_n = 0;
+    if (!touch_side_of(&side, prediction, w->steps.unit_n, arena) ||
+        !touch_compare(&original, &side, &bound, &w->grid, 0, &c, arena))
+        return -1;
+    arena->used = mark;
+    return c.violations ? (double)c.within / (double)(c.within + c.violations) : 1.0;
+}
+
+uint64_t touch_encode_room(const touch_grid *grid, uint64_t bricks) {
+    (void)grid;
+    return ((uint64_t)32 << 20) + (bricks + 1) * ((uint64_t)400 << 10);
+}
+
+int touch_encode_start(touch_encoder *encoder, const touch_grid *grid, const touch_options *options, double longest_n,
+                       touch_arena work, touch_arena out) {
+    touch_writer *w = (touch_writer *)touch_take_zero(&work, 1, sizeof *w);
+    encoder->writer = w, encoder->error = "no room for a segment";
+    if (!w) return TOUCH_MEMORY;
+    w->grid = *grid, w->options = *options, w->tries_base_layers = options->has_base_layers;
+    touch_fill_tables(&w->tables);
+    if (out.size < out.used + 2 * TOUCH_HEAD_ROOM || !touch_sink_make(&w->body, out.size - out.used - TOUCH_HEAD_ROOM, &out))
+        return TOUCH_MEMORY;
+    w->body.size = TOUCH_HEAD_ROOM;
+    if (options->mode != TOUCH_LOSSLESS) {
+        touch_choose_steps(options, longest_n, &w->steps);
+        w->bound = touch_pass_bound(options, &w->steps);
+        w->models = (touch_models *)touch_take(&work, 1, sizeof *w->models);
+        w->fresh = (touch_models *)touch_take(&work, 1, sizeof *w->fresh);
+        if (!w->models || !w->fresh || !touch_step_table(&w->steps, &work)) return TOUCH_MEMORY;
+        touch_models_fresh(w->fresh);
+    }
+    w->work = work, w->mark = work.used, encoder->error = "";
+    return TOUCH_OK;
+}
+
+/* The forces of voxels that the bound does not allow are sent as they are. */
+static void touch_put_outliers(touch_sink *s, const touch_writer *w, const touch_source *frame, const touch_comparison *c,
+                               const uint64_t *key) {
+    uint64_t previous = 0, i = 0;
+    for (uint64_t n = 0; n < c->violations; n++) {
+        uint64_t number = c->violation[n] >> 9, sample = c->violation[n] & 511, bits = 0;
+        uint64_t by = (w->grid.shape[1] + 7) >> 3, bz = (w->grid.shape[2] + 7) >> 3;
+        uint64_t own = touch_key((int64_t)(number / (by * bz)), (int64_t)(number / bz % by), (int64_t)(number % bz));
+        const float *force = 0;
+        while (i < frame->bricks && key[i] < own) i++;
+        if (i < frame->bricks && key[i] == own) force = frame->forces_n + 1536 * i + 3 * sample;
+        for (int k = 0; k < 3 && force; k++) bits |= touch_f32_bits(force[k]);
+        touch_put_varint(s, number - previous), touch_put_varint(s, 2 * sample + !bits);
+        for (int k = 0; k < 3 && bits; k++) touch_put_u(s, touch_f32_bits(force[k]), 4);
+        previous = number;
+    }
+}
+
+/* Fractions of the bits, in 1/255, for people: of support and of amplitude. */
+static void touch_put_fractions(touch_sink *s, const double bits[3]) {
+    double total = bits[0] + bits[1] + bits[2], support = 255, amplitude = 0;
+    if (total > 0 && total < HUGE_VAL) {
+        support = rint(255 * bits[0] / total), support = support < 0 ? 0 : support > 255 ? 255 : support;
+        amplitude = rint(255 * bits[1] / total);
+        amplitude = amplitude < 0 ? 0 : amplitude > 255 - support ? 255 - support : amplitude;
+    }
+    touch_put_u(s, (uint64_t)support, 1), touch_put_u(s, (uint64_t)amplitude, 1);
+}
+
+/* The record of a frame, and how well it is within the bound. */
+static int touch_put_frame(touch_writer *w, const touch_source *frame, int is_inter, const touch_sink *base_layer,
+                           const touch_coded *coded, touch_cursor *error) {
+    touch_bound bound = touch_frame_bound(&w->options, 0);
+    uint64_t *key = touch_source_keys(frame, &w->work);
+    double bits[3];
+    touch_comparison c;
+    touch_side side;
+    touch_sink outliers;
+    if (!key || !touch_side_of(&side, &coded->units, w->steps.unit_n, &w->work) ||
+        !touch_compare(frame, &side, &bound, &w->grid, 1, &c, &w->work) ||
+        !touch_sink_make(&outliers, 24 * c.violations, &w->work))
+        return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
+    touch_put_outliers(&outliers, w, frame, &c, key);
+    int has_layer = base_layer->size > 0, has_outliers = outliers.size > 0;
+    touch_put_u(&w->body, (uint64_t)(is_inter | has_layer << 1 | has_outliers << 2), 1);
+    bits[0] = 32.0 + coded->spent.bits[0], bits[1] = coded->spent.bits[1], bits[2] = coded->spent.bits[2];
+    touch_put_fractions(&w->body, bits);
+    if (has_layer) touch_put_chunk(&w->body, base_layer);
+    touch_put_chunk(&w->body, &coded->payload);
+    if (has_outliers) touch_put_chunk(&w->body, &outliers);
+    if (w->body.size > w->body.capacity) return touch_fail(error, TOUCH_MEMORY, "no room for a segment");
+    w->has_violations |= c.violations > 0;
+    if (c.max_ratio > w->max_ratio) {
+        w->max_ratio = c.max_ratio, w->max_frame = w->frames;
+        memcpy(w->max_voxel, c.voxel, sizeof c.voxel);
+    }
+    return 1;
+}
+
+typedef struct { /* a base layer that was fitted to a frame; `bytes` are empty if there is none */
+    touch_sink bytes;
+    touch_units units;
+    double fraction; /* of the voxels at which it is within the bound */
+} touch_layer;
+
+static int touch_fit_base_layer(touch_writer *w, const touch_source *frame, const touch_spline_fit *splines,
+                                touch_layer *out, touch_cursor *error);
+
+/* Mode decision: a frame is coded with the reference of a base layer, or with that of the frame before or none; the
+   fewest bytes win, in mode NMSE the least cost of bytes and errors. */
+static int touch_code_best(touch_writer *w, const touch_source *frame, int is_inter, double inter_fraction,
+                           const touch_spline_fit *splines, touch_layer *layer, touch_coded *best, touch_cursor *error) {
+    const double bit_price = 0.1, min_gain = 0.03; /* of a bit, in squared steps; of a base layer in a frame's bytes */
+    const touch_models *models = is_inter ? w->models : w->fresh;
+    touch_units none, *references[2];
+    touch_coded coded[2];
+    double cost[2];
+    int count = 0, index;
+    memset(&none, 0, sizeof none), memset(layer, 0, sizeof *layer);
+    if (w->tries_base_layers && inter_fraction < 0.8) {
+        if (!touch_fit_base_layer(w, frame, splines, layer, error)) return 0;
+        if (!(layer->fraction > inter_fraction)) layer->bytes.size = 0;
+    }
+    if (layer->bytes.size) references[count++] = &layer->units;
+    if (!layer->bytes.size || layer->fraction < 0.85 || w->options.mode == TOUCH_NMSE)
+        references[count++] = is_inter ? &w->previous : &none;
+    for (int n = 0; n < count; n++) {
+        if (!touch_code_frame(&w->grid, &w->steps, &w->tables, &w->bound, frame, references[n], models, coded + n,
+                              &w->work, error))
+            return 0;
+        double price = coded[n].squared_error / (double)(w->steps.floor * w->steps.floor) / (8 * bit_price);
+        cost[n] = price + (double)coded[n].payload.size + (references[n] == &layer->units ? (double)layer->bytes.size : 0);
+    }
+    if (count > 1) w->tries_base_layers = cost[0] < (1 - min_gain) * cost[1];
+    index = count > 1 && cost[1] < cost[0];
+    *best = coded[index];
+    if (references[index] != &layer->units) layer->bytes.size = 0;
+    return 1;
+}
+
+static int touch_report(touch_encoder *e, const touch_cursor *error) {
+    e->error = error->code ? error->what : "";
+    return error->code;
+}
+
+int touch_encode_next(touch_encoder *encoder, const touch_source *frame, const touch_source *coded,
+                      const touch_spline_fit *splines) {
+    touch_writer *w = encoder->writer;
+    touch_cursor error = touch_cursor_of(0, 0);
+    touch_layer layer;
+    touch_coded best;
+    double inter_fraction = 0.0;
+    int is_inter = 0;
+    const touch_source *source = coded ? coded : frame;
+    if (w->frames && w->options.interframe == TOUCH_INTER_AUTO)
+        inter_fraction = touch_fraction_within(w, source, &w->previous, &w->work);
+    if (inter_fraction < 0) touch_fail(&error, TOUCH_MEMORY, "no room for a frame");
+    if (w->frames) is_inter = w->options.interframe == TOUCH_INTER_ON || inter_fraction >= 0.1;
+    if (!error.code && touch_code_best(w, source, is_inter, inter_fraction, splines, &layer, &best, &error) &&
+        touch_put_frame(w, frame, is_inter, &layer.bytes, &best, &error)) {
+        uint64_t count = best.units.list.count;
+        memcpy(w->models, best.models, sizeof *w->models);
+        w->work.used = w->mark; /* the frame moves down, over what is no longer needed */
+        w->previous.v = (touch_vector *)touch_keep(&w->work, best.units.v, 512 * count * sizeof *best.units.v);
+        w->previous.list.key = (uint64_t *)touch_keep(&w->work, best.units.list.key, 8 * count);
+        w->previous.list.count = count, w->frames++;
+    }
+    return touch_report(encoder, &error);
+}
+
+/* A decoded field as a side of a comparison. */
+static int touch_side_of_field(touch_side *side, const touch_field *field, touch_arena *arena) {
+    uint64_t *key = (uint64_t *)touch_take(arena, field->bricks, 8), count = 0;
+    uint32_t *slot = (uint32_t *)touch_take(arena, field->bricks, 4);
+    uint64_t by = (field->grid.shape[1] + 7) >> 3, bz = (field->grid.shape[2] + 7) >> 3;
+    if (!key || !slot) return 0;
+    for (uint64_t i = 0; i <= field->mask; i++) {
+        uint64_t number = field->table[2 * i];
+        if (!number--) continue;
+        key[count] = touch_key((int64_t)(number / (by * bz)), (int64_t)(number / bz % by), (int64_t)(number % bz));
+        slot[count++] = field->table[2 * i + 1];
+    }
+    touch_sort(key, slot, count);
+    side->count = count, side->key = key, side->slot = slot, side->forces_n = field->forces_n;
+    return 1;
+}
+
+/* Whether a decoded field is an original, bit for bit. */
+static int touch_is_identical(const touch_source *frame, const touch_side *side, touch_arena *arena) {
+    uint64_t *key = touch_source_keys(frame, arena), i = 0, j = 0;
+    static const float zero[1536] = {0};
+    if (!key) return 0;
+    while (i < frame->bricks || j < side->count) {
+        int has_first = j == side->count || (i < frame->bricks && key[i] <= side->key[j]);
+        int has_second = i == frame->bricks || (j < side->count && side->key[j] <= key[i]);
+        const float *original = has_first ? frame->forces_n + 1536 * i : zero;
+        const float *decoded = has_second ? side->forces_n + 1536 * side->slot[j] : zero;
+        if (memcmp(original, decoded, sizeof zero)) return 0;
+        i += (uint64_t)has_first, j += (uint64_t)has_second;
+    }
+    return 1;
+}
+
+/* Decode the finished records as a receiver does, and compare every frame with its original. */
+static int touch_check_body(touch_writer *w, const touch_source *frames, touch_cursor *error) {
+    touch_cursor c = touch_cursor_of(w->body.bytes + TOUCH_HEAD_ROOM, w->body.size - TOUCH_HEAD_ROOM);
+    touch_bound bound = touch_frame_bound(&w->options, 0);
+    uint64_t size = w->work.size, mark;
+    touch_fields f;
+    memset(&f, 0, sizeof f), f.grid = w->grid, f.is_exact = w->options.mode == TOUCH_LOSSLESS, f.steps = w->steps;
+    w->work.used = w->mark, w->max_ratio = 0, w->max_frame = 0, memset(w->max_voxel, 0, sizeof w->max_voxel);
+    if (f.is_exact) f.exact_models = (touch_exact_models *)touch_take(&w->work, 1, sizeof *f.exact_models);
+    else f.models = (touch_models *)touch_take(&w->work, 1, sizeof *f.models);
+    if (!f.models && !f.exact_models) return touch_fail(error, TOUCH_MEMORY, "no room for a decoder");
+    mark = w->work.used;
+    for (uint32_t n = 0; n < w->frames; n++) {
+        touch_comparison result;
+        touch_side side;
+        const touch_field *field = touch_next_field(&f, &c, &w->tables, !n, mark, &w->work, &w->work, error);
+        uint64_t used = w->work.used;
+        if (!field) return 0;
+        if (!touch_side_of_field(&side, field, &w->work)) return touch_fail(error, TOUCH_MEMORY, "no room for a decoder");
+        if (f.is_exact) touch_need(error, touch_is_identical(frames + n, &side, &w->work), "a frame is not decoded as it was");
+        else if (!touch_compare(frames + n, &side, &bound, &w->grid, 0, &result, &w->work))
+            return touch_fail(error, TOUCH_MEMORY, "no room for a decoder");
+        else {
+            touch_need(error, !result.violations, "the decoded body violates the error bound");
+            if (result.max_ratio > w->max_ratio) {
+                w->max_ratio = result.max_ratio, w->max_frame = n;
+                memcpy(w->max_voxel, result.voxel, sizeof result.voxel);
+            }
+        }
+        w->work.used = used, w->work.size = size; /* the field is no longer needed */
+        if (error->code) return 0;
+    }
+    return touch_need(error, c.at == c.end, "bytes behind the last frame of a segment");
+}
+
+int touch_encode_finish(touch_encoder *encoder, const touch_source *frames, touch_segment *out) {
+    touch_writer *w = encoder->writer;
+    touch_cursor error = touch_cursor_of(0, 0);
+    uint8_t head[TOUCH_HEAD_ROOM];
+    touch_sink s;
+    int is_stated = w->options.mode != TOUCH_NMSE;
+    memset(out, 0, sizeof *out);
+    s.bytes = head, s.size = 0, s.capacity = sizeof head;
+    if ((w->options.is_checked || w->has_violations) && !touch_check_body(w, frames, &error))
+        return touch_report(encoder, &error);
+    touch_put_u(&s, (uint64_t)is_stated, 1);
+    if (w->options.mode != TOUCH_LOSSLESS) {
+        touch_put_u(&s, touch_f32_bits(w->steps.unit_n), 4);
+        touch_put_varint(&s, (uint64_t)w->steps.floor), touch_put_varint(&s, (uint64_t)w->steps.rate);
+        touch_put_varint(&s, (uint64_t)w->steps.cross_floor), touch_put_varint(&s, (uint64_t)w->steps.cross_rate);
+    }
+    out->max_error_ratio = w->max_ratio < 1 ? w->max_ratio : 1, out->max_error_frame = w->max_frame;
+    memcpy(out->max_error_voxel, w->max_voxel, sizeof w->max_voxel);
+    if (is_stated) {
+        touch_put_u(&s, (uint64_t)ceil(out->max_error_ratio * 65535), 2), touch_put_varint(&s, w->max_frame);
+        for (int n = 0; n < 3; n++) touch_put_varint(&s, w->max_voxel[n]);
+    }
+    out->body = w->body.bytes + TOUCH_HEAD_ROOM - s.size, out->size = w->body.size - TOUCH_HEAD_ROOM + s.size;
+    memcpy(w->body.bytes + TOUCH_HEAD_ROOM - s.size, head, (size_t)s.size);
+    return touch_report(encoder, &error);
+}
+
+static void touch_choose_column(touch_columns *h, int64_t a, int64_t b, const touch_column *const near[4],
+                                touch_column *own, touch_column_choice *choice) {
+    (void)h, (void)a, (void)b, (void)near, (void)own, (void)choice;
+}
+
+static int touch_fit_base_layer(touch_writer *w, const touch_source *frame, const touch_spline_fit *splines,
+                                touch_layer *out, touch_cursor *error) {
+    (void)w, (void)frame, (void)splines, (void)out;
+    return !error->code;
+}
+
+#endif

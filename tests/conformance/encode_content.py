@@ -1,0 +1,99 @@
+"""Segments that encoders are compared on: golden contents, and fields of a seed; each with the options to code them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from second import make_golden
+
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.medium import ForceField, Grid
+
+GOLDEN = [name for name in make_golden.FIELDS if name.startswith("touch-")]
+
+
+class Segment(NamedTuple):
+    """Frames of a segment, and how to code them."""
+
+    spec: TouchSpec
+    frames: list[ForceField]
+
+    @property
+    def grid(self) -> Grid:
+        """That of all frames."""
+        return self.frames[0].grid
+
+
+def golden_segments(name: str) -> Iterator[Segment]:
+    """The segments of a golden file."""
+    make, count, spec = make_golden.FIELDS[name]
+    per = spec.segment_frames or count
+    for first in range(0, count, per):
+        yield Segment(spec, [make(t) for t in range(first, min(first + per, count))])
+
+
+def _random_grid(rng: np.random.Generator) -> Grid:
+    shape = tuple(int(n) for n in rng.integers(1, 30, 3))
+    spacing = tuple(float(x) for x in rng.choice([0.001, 0.002, 0.0015], 3))
+    return Grid(shape, spacing, tuple(float(x) for x in rng.normal(0, 0.01, 3)))
+
+
+def _waves(rng: np.random.Generator, grid: Grid, frames: int, is_solid: bool) -> list[np.ndarray]:
+    """A wall or a solid behind a wavy surface that moves along a random axis, with noise in some frames."""
+    axes, sign = rng.permutation(3), int(rng.choice([-1, 1]))
+    x, y, z = (np.indices(grid.shape)[a].astype(float) for a in axes)
+    a, b, c, d = rng.uniform(2, 9, 4)
+    fields = []
+    for t in range(frames):
+        surface = grid.shape[axes[2]] / 2 + np.sin((x + t) / a) * 2 + np.cos(y / b) * 2
+        depth = sign * (surface - z)
+        amplitude = np.where(depth > 0, np.minimum(depth / c, 2), 0)
+        if not is_solid:
+            amplitude = np.where(depth < 5, amplitude, 0)
+        normal = np.zeros((*grid.shape, 3))
+        normal[..., axes[0]], normal[..., axes[1]] = np.cos((x + t) / a) / d, np.sin(y / b) / d
+        normal[..., axes[2]] = sign
+        noise = 1 + rng.choice([0.0, 0.02, 0.3]) * rng.standard_normal((*grid.shape, 1))
+        fields.append(amplitude[..., None] * normal * noise)
+    return fields
+
+
+def _noise(rng: np.random.Generator, grid: Grid, frames: int) -> list[np.ndarray]:
+    """Forces of any size at some samples, some of them tiny, and frames that repeat."""
+    fields: list[np.ndarray] = []
+    for _ in range(frames):
+        if fields and rng.random() < 0.3:
+            fields.append(fields[-1])
+            continue
+        field = rng.standard_normal((*grid.shape, 3)) * np.exp(3 * rng.standard_normal((*grid.shape, 1)))
+        field[rng.random(grid.shape) > rng.choice([0.02, 0.3, 0.9])] = 0
+        fields.append(field)
+    return fields
+
+
+def random_frames(seed: int) -> list[ForceField]:
+    """One to four frames on a grid of up to four bricks an axis."""
+    rng = np.random.default_rng(seed)
+    grid, frames, kind = _random_grid(rng), int(rng.integers(1, 5)), int(rng.integers(4))
+    dense = _noise(rng, grid, frames) if kind == 3 else _waves(rng, grid, frames, kind == 2)
+    scale = 10.0 ** rng.integers(-3, 3)
+    return [ForceField.from_dense(grid, (scale * field).astype(np.float32)) for field in dense]
+
+
+MODES: dict[str, Callable[[np.random.Generator], dict[str, Any]]] = {
+    "mask": lambda rng: {"k": rng.choice([0.02, 0.1, 0.3]), "f0_n": rng.choice([0.0, 0.01, 0.05, 0.5])},
+    "exact-support": lambda rng: {"support": "exact", "f0_n": rng.choice([0.01, 0.2])},
+    "mask-direction": lambda rng: {"mode": "mask-direction", "direction_jnd_deg": rng.choice([5.0, 18.4, 60.0])},
+    "nmse": lambda rng: {"mode": "nmse", "step_n": rng.choice([0.001, 0.05, 0.5])},
+    "masking": lambda rng: {"masking": rng.choice([0.05, 0.5]), "masking_radius_m": rng.choice([0.0025, 0.01])},
+    "inter": lambda rng: {"interframe": rng.choice(["on", "off"]), "effort": "fast"},
+}
+
+
+def random_segment(mode: str, seed: int, **options: Any) -> Segment:
+    """Frames of a seed, with random options of a mode."""
+    values = MODES[mode](np.random.default_rng(1000 + seed))
+    values = {key: value.item() if hasattr(value, "item") else value for key, value in values.items()}
+    return Segment(TouchSpec(**values, **options), random_frames(seed))
