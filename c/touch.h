@@ -602,6 +602,7 @@ static int touch_read_columns(touch_cursor c, const touch_grid *grid, const touc
 static int touch_read_exact(touch_cursor c, const touch_grid *grid, const touch_tables *tables, touch_exact_models *m,
                             const touch_exact *before, touch_exact *out, touch_arena *arena, touch_cursor *error) {
     touch_exact_pass pass;
+    const touch_point *points;
     touch_list none;
     none.key = 0, none.count = 0;
     if (before) *out = *before;
@@ -617,7 +618,7 @@ static int touch_read_exact(touch_cursor c, const touch_grid *grid, const touch_
             touch_need(&c, (out->levels[4 * i + 3] & 0x7f) != 0x7f || !(out->levels[4 * i + 2] & 0x80),
                        "a level that is not finite");
         if (!c.code) {
-            out->vertices = touch_codebook(out->book, &out->vertex_count, arena);
+            out->vertices = touch_codebook(out->book, &out->vertex_count, &points, arena);
             if (!out->vertices) return touch_fail(error, TOUCH_MEMORY, "no room for a codebook");
         }
     }

@@ -693,6 +693,8 @@ int touch_encode_next(touch_encoder *encoder, const touch_source *frame, const t
     double inter_fraction = 0.0;
     int is_inter = 0;
     const touch_source *source = coded ? coded : frame;
+    encoder->error = "";
+    if (w->options.mode == TOUCH_LOSSLESS) return w->frames++, TOUCH_OK; /* all are coded in the end */
     if (w->frames && w->options.interframe == TOUCH_INTER_AUTO)
         inter_fraction = touch_fraction_within(w, source, &w->previous, &w->work);
     if (inter_fraction < 0) touch_fail(&error, TOUCH_MEMORY, "no room for a frame");
@@ -708,6 +710,267 @@ int touch_encode_next(touch_encoder *encoder, const touch_source *frame, const t
     }
     return touch_report(encoder, &error);
 }
+
+/* -- the exact mode -------------------------------------------------------------------------------------------------- */
+
+typedef struct { /* levels and a codebook of which all forces are products */
+    int book; /* 0: none, forces are components */
+    uint32_t level_count, vertex_count;
+    double *level;       /* ascending */
+    uint8_t *level_bytes; /* as float32 */
+    const float *vertices;
+    const touch_point *points;
+} touch_palette;
+
+typedef struct { /* ranges that levels may have, ascending */
+    double *low, *high;
+    uint64_t count;
+} touch_ranges;
+
+/* The vertex of largest dot product, the first of several. Vertices ascend by x; one as near as the best so far differs
+   from the direction by no more than its chord along x. */
+static uint32_t touch_nearest(const touch_palette *p, const float v[3]) {
+    const double grain = 1 / 1099511627776.0;
+    double x = v[0], y = v[1], z = v[2], size = sqrt(x * x + y * y + z * z), best = -HUGE_VAL, chord = 3;
+    uint32_t low = 0, high = p->vertex_count, winner = 0;
+    if (!(size > 0)) return 0;
+    while (low < high) {
+        uint32_t middle = low + (high - low) / 2;
+        if ((double)p->points[middle].p[0] * grain < x / size) low = middle + 1;
+        else high = middle;
+    }
+    for (int side = 0; side < 2; side++)
+        for (int64_t j = side ? (int64_t)low : (int64_t)low - 1; j >= 0 && j < (int64_t)p->vertex_count; j += side ? 1 : -1) {
+            const int64_t *g = p->points[j].p;
+            double a = (double)g[0] * grain, b = (double)g[1] * grain, c = (double)g[2] * grain;
+            if (fabs(a - x / size) > chord) break;
+            double dot = a * x + b * y + c * z;
+            if (dot < best || (dot == best && (uint32_t)j > winner)) continue;
+            best = dot, winner = (uint32_t)j;
+            chord = sqrt(dot < size ? 2 - 2 * dot / size : 0) + 1e-6;
+        }
+    return winner;
+}
+
+/* The range of levels whose rounded products with the nearest vertex are a force; 0: none are, or it is not finite. */
+static int touch_level_range(const float v[3], const float vertex[3], double *low, double *high) {
+    *low = -HUGE_VAL, *high = HUGE_VAL;
+    for (int n = 0; n < 3; n++) {
+        double size = fabs((double)v[n]), d = fabs((double)vertex[n]), half;
+        uint32_t exponent = touch_f32_bits(v[n]) >> 23 & 255;
+        if ((touch_f32_bits(v[n]) & 0x7fffffffu) == 0x7f7fffffu) return 0; /* the step from the largest is infinite */
+        half = ldexp(1, (exponent ? (int)exponent - 150 : -149) - 1);
+        if ((d > 0 ? (size - half) / d : 0) > *low) *low = d > 0 ? (size - half) / d : 0;
+        if (!(d > 0)) continue;
+        if ((size + half) / d < *high) *high = (size + half) / d;
+    }
+    return *low <= *high && *high < HUGE_VAL;
+}
+
+/* Merge ranges: those that overlap are of one level. */
+static int touch_merge_ranges(touch_ranges *r, touch_arena *arena) {
+    uint64_t mark = arena->used, *key = (uint64_t *)touch_take(arena, r->count, 8), count = 0;
+    uint32_t *tag = (uint32_t *)touch_take(arena, r->count, 4);
+    double *copy = (double *)touch_take(arena, 2 * r->count, 8), previous = -1;
+    if (!key || !tag || !copy) return 0;
+    for (uint64_t i = 0; i < r->count; i++) {
+        double sum = r->low[i] + r->high[i];
+        memcpy(key + i, &sum, 8), tag[i] = (uint32_t)i;
+        key[i] = key[i] >> 63 ? ~key[i] : key[i] | (uint64_t)1 << 63; /* ascends as the sum does */
+        copy[2 * i] = r->low[i], copy[2 * i + 1] = r->high[i];
+    }
+    touch_sort(key, tag, r->count);
+    for (uint64_t i = 0; i < r->count; i++) {
+        double low = copy[2 * (uint64_t)tag[i]], high = copy[2 * (uint64_t)tag[i] + 1], sum = low + high;
+        if (!i || sum - previous > sum / 1048576) r->low[count] = low, r->high[count] = high, count++;
+        else {
+            if (low > r->low[count - 1]) r->low[count - 1] = low;
+            if (high < r->high[count - 1]) r->high[count - 1] = high;
+        }
+        previous = sum;
+    }
+    r->count = count, arena->used = mark;
+    return 1;
+}
+
+static int touch_has_bits(const float v[3]) { return (touch_f32_bits(v[0]) | touch_f32_bits(v[1]) | touch_f32_bits(v[2])) != 0; }
+
+/* Add the ranges of the first `max` forces of a frame; 0: one has none. -1: no memory. */
+static int touch_add_ranges(const touch_palette *p, const touch_source *frame, uint64_t max, touch_ranges *r,
+                            touch_arena *arena) {
+    for (uint64_t i = 0; i < 512 * frame->bricks && max; i++) {
+        const float *v = frame->forces_n + 3 * i;
+        double low, high;
+        if (!touch_has_bits(v)) continue;
+        if (!touch_level_range(v, p->vertices + 3 * (uint64_t)touch_nearest(p, v), &low, &high)) return 0;
+        r->low[r->count] = low, r->high[r->count++] = high, max--;
+    }
+    return touch_merge_ranges(r, arena) ? 1 : -1;
+}
+
+/* The level and the vertex of a force that a palette has. */
+static touch_symbols touch_palette_symbols(const touch_palette *p, const float v[3]) {
+    touch_symbols s = {{0, 0, 0}, 1};
+    double low, high;
+    uint32_t first = 0, count = p->level_count - 1;
+    s.symbol[1] = touch_nearest(p, v);
+    touch_level_range(v, p->vertices + 3 * (uint64_t)s.symbol[1], &low, &high);
+    while (count) { /* levels whose mean with the next one is below */
+        uint32_t half = count / 2, middle = first + half;
+        if (p->level[middle] + p->level[middle + 1] < low + high) first = middle + 1, count -= half + 1;
+        else count = half;
+    }
+    s.symbol[0] = first;
+    return s;
+}
+
+/* Whether the products of a palette are all forces of a frame, to the bit. */
+static int touch_is_product(const touch_palette *p, const touch_source *frame) {
+    for (uint64_t i = 0; i < 512 * frame->bricks; i++) {
+        const float *v = frame->forces_n + 3 * i;
+        if (!touch_has_bits(v)) continue;
+        touch_symbols s = touch_palette_symbols(p, v);
+        for (int n = 0; n < 3; n++) {
+            float product = (float)p->level[s.symbol[0]] * p->vertices[3 * (uint64_t)s.symbol[1] + (uint64_t)n];
+            if (touch_f32_bits(product) != touch_f32_bits(v[n])) return 0;
+        }
+    }
+    return 1;
+}
+
+/* Levels for a codebook; 0: it has none, or too many, -1: no memory. */
+static int touch_find_levels(touch_palette *p, const touch_source *frames, uint32_t count, touch_arena *arena) {
+    enum { MAX_LEVELS = 65535, MAX_RANGES = 1 << 17 }; /* in the end; so far */
+    uint64_t samples = 0, room = MAX_RANGES + 64;
+    touch_ranges r;
+    for (uint32_t i = 0; i < count; i++)
+        if (512 * frames[i].bricks + MAX_RANGES + 64 > room) room = 512 * frames[i].bricks + MAX_RANGES + 64;
+    r.count = 0, r.low = (double *)touch_take(arena, room, 8), r.high = (double *)touch_take(arena, room, 8);
+    if (!r.low || !r.high) return -1;
+    for (uint32_t i = 0; i <= count; i++) {
+        const touch_source *frame = frames + (i ? i - 1 : 0);
+        int found = touch_add_ranges(p, frame, i ? ~(uint64_t)0 : 64, &r, arena);
+        if (found < 1 || r.count > MAX_RANGES) return found < 0 ? found : 0;
+        for (uint64_t n = 0; i && n < 512 * frame->bricks; n++) samples += (uint64_t)touch_has_bits(frame->forces_n + 3 * n);
+    }
+    if (!r.count || r.count >= samples || r.count >= MAX_LEVELS) return 0;
+    p->level_count = (uint32_t)r.count, p->level = r.low;
+    p->level_bytes = (uint8_t *)touch_take(arena, 4 * r.count, 1);
+    if (!p->level_bytes) return -1;
+    for (uint32_t i = 0; i < p->level_count; i++) {
+        double middle = (r.low[i] + r.high[i]) / 2;
+        float level = (float)(middle < 3.4028234663852886e38 ? middle : 3.4028234663852886e38);
+        uint32_t bits = touch_f32_bits(level);
+        p->level[i] = level;
+        for (int n = 0; n < 4; n++) p->level_bytes[4 * i + (uint32_t)n] = (uint8_t)(bits >> 8 * n);
+    }
+    for (uint32_t i = 0; i < count; i++)
+        if (!touch_is_product(p, frames + i)) return 0;
+    return 1;
+}
+
+/* A palette of all forces of some frames; `book` is 0 if there is none. */
+static int touch_find_palette(touch_palette *p, const touch_source *frames, uint32_t count, touch_arena *arena) {
+    static const int books[10] = {5, 23, 3, 1, 2, 4, 21, 22, 8, 10}; /* ico5, octa3, ico3, ico1, ... the likely first */
+    for (int n = 0; n < 10; n++) {
+        uint64_t mark = arena->used;
+        memset(p, 0, sizeof *p), p->book = books[n];
+        p->vertices = touch_codebook(p->book, &p->vertex_count, &p->points, arena);
+        int found = p->vertices ? touch_find_levels(p, frames, count, arena) : -1;
+        if (found) return found > 0;
+        arena->used = mark;
+    }
+    memset(p, 0, sizeof *p);
+    return 1;
+}
+
+/* The symbols of a frame, in the bricks that have a force. */
+static int touch_exact_of(touch_exact *f, const touch_palette *p, const touch_source *frame, touch_arena *arena) {
+    uint64_t *key = touch_source_keys(frame, arena), count = 0;
+    memset(f, 0, sizeof *f), f->book = p->book, f->levels = p->level_bytes, f->level_count = p->level_count;
+    f->vertices = p->vertices, f->vertex_count = p->vertex_count, f->list.key = key;
+    f->own = (touch_symbols *)touch_take_zero(arena, 512 * frame->bricks, sizeof *f->own);
+    f->force = (float *)touch_take(arena, 3 * 512 * frame->bricks, 4);
+    if (!key || !f->own || !f->force) return 0;
+    for (uint64_t i = 0; i < frame->bricks; i++) {
+        const float *v = frame->forces_n + 1536 * i;
+        touch_symbols *own = f->own + 512 * count;
+        int any = 0;
+        for (int n = 0; n < 512; n++) {
+            memset(own + n, 0, sizeof *own);
+            if (!touch_has_bits(v + 3 * n)) continue;
+            any = own[n].is_supported = 1;
+            if (p->book) own[n] = touch_palette_symbols(p, v + 3 * n);
+            else
+                for (int k = 0; k < 3; k++) own[n].symbol[k] = touch_ordered(v[3 * n + k]);
+        }
+        memcpy(f->force + 1536 * count, v, 6144);
+        if (any) key[count++] = key[i];
+    }
+    f->list.count = count;
+    return 1;
+}
+
+/* The record of an exact frame, given the one before. */
+static int touch_put_exact(touch_writer *w, touch_exact_models *models, const touch_exact *before, touch_exact *f,
+                           touch_arena *arena, touch_cursor *error) {
+    touch_exact_pass pass;
+    touch_list none;
+    touch_sink payload;
+    touch_spent spent;
+    double bits[3];
+    uint64_t head;
+    none.key = 0, none.count = 0;
+    if (!touch_sink_make(&payload, (f->list.count + 1) * 32768 + 4 * (uint64_t)f->level_count, arena))
+        return touch_fail(error, TOUCH_MEMORY, "no room for a payload");
+    touch_put_u(&payload, (uint64_t)f->book, 1);
+    if (f->book && !before) touch_put_u(&payload, f->level_count, 2), touch_put(&payload, f->levels, 4 * (uint64_t)f->level_count);
+    head = payload.size;
+    touch_coder coder = touch_writing(&payload, &w->tables, &spent);
+    pass.coder = &coder, pass.models = models, pass.grid = &w->grid, pass.before = before;
+    if (!touch_code_list(&coder, &models->list, w->grid.shape, before ? before->list : none, &f->list, arena, error)) return 0;
+    touch_account(&coder, 0);
+    if (!touch_code_samples(&pass, f, arena, error)) return 0;
+    if (!touch_finish(&coder, &payload)) return touch_fail(error, TOUCH_MEMORY, "no room for a payload");
+    touch_pad(&payload, head, touch_min_bytes(4 * f->list.count));
+    bits[1] = 8.0 * (double)head + spent.bits[1], bits[2] = spent.bits[2];
+    bits[0] = 8.0 * (double)payload.size - bits[1] - bits[2];
+    touch_put_u(&w->body, before != 0, 1), touch_put_fractions(&w->body, bits), touch_put_chunk(&w->body, &payload);
+    if (w->body.size > w->body.capacity) return touch_fail(error, TOUCH_MEMORY, "no room for a segment");
+    return 1;
+}
+
+/* All frames of a segment, losslessly: each given the one before, unless inter frames are off. */
+static int touch_put_exact_frames(touch_writer *w, const touch_source *frames, touch_cursor *error) {
+    int is_alone = w->options.interframe == TOUCH_INTER_OFF;
+    touch_exact_models *models = (touch_exact_models *)touch_take(&w->work, 1, sizeof *models);
+    touch_palette common, palette;
+    touch_exact before, f;
+    uint64_t mark;
+    if (!models || !touch_find_palette(&common, frames, is_alone ? 1 : w->frames, &w->work))
+        return touch_fail(error, TOUCH_MEMORY, "no room for a palette");
+    mark = w->work.used;
+    for (uint32_t n = 0; n < w->frames; n++) {
+        if (n && is_alone) w->work.used = mark;
+        palette = common;
+        if (is_alone ? n > 0 : !n && !common.book) {
+            if (!touch_find_palette(&palette, frames + n, 1, &w->work))
+                return touch_fail(error, TOUCH_MEMORY, "no room for a palette");
+            if (!is_alone) mark = w->work.used;
+        }
+        if (!n || is_alone) touch_exact_fresh(models);
+        if (!touch_exact_of(&f, &palette, frames + n, &w->work)) return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
+        if (!touch_put_exact(w, models, n && !is_alone ? &before : 0, &f, &w->work, error)) return 0;
+        w->work.used = mark; /* the frame moves down, over what is no longer needed */
+        before = f;
+        before.list.key = (uint64_t *)touch_keep(&w->work, f.list.key, 8 * f.list.count);
+        before.own = (touch_symbols *)touch_keep(&w->work, f.own, 512 * f.list.count * sizeof *f.own);
+        before.force = (float *)touch_keep(&w->work, f.force, 6144 * f.list.count);
+    }
+    return 1;
+}
+
+/* -- the finished segment -------------------------------------------------------------------------------------------- */
 
 /* A decoded field as a side of a comparison. */
 static int touch_side_of_field(touch_side *side, const touch_field *field, touch_arena *arena) {
@@ -785,7 +1048,8 @@ int touch_encode_finish(touch_encoder *encoder, const touch_source *frames, touc
     int is_stated = w->options.mode != TOUCH_NMSE;
     memset(out, 0, sizeof *out);
     s.bytes = head, s.size = 0, s.capacity = sizeof head;
-    if ((w->options.is_checked || w->has_violations) && !touch_check_body(w, frames, &error))
+    if (w->options.mode == TOUCH_LOSSLESS && !touch_put_exact_frames(w, frames, &error)) return touch_report(encoder, &error);
+    if ((w->options.is_checked || w->has_violations || w->options.mode == TOUCH_LOSSLESS) && !touch_check_body(w, frames, &error))
         return touch_report(encoder, &error);
     touch_put_u(&s, (uint64_t)is_stated, 1);
     if (w->options.mode != TOUCH_LOSSLESS) {

@@ -1687,8 +1687,9 @@ static void touch_split(touch_point *p, uint64_t *count, const double t[3][3], i
     touch_split(p, count, (const double(*)[3])middle, times - 1);
 }
 
-/* The vertices of codebook B (docs/format/paper.md): 1 to 20 ico1 to ico20, 21 to 25 octa1 to octa5. */
-static const float *touch_codebook(int book, uint32_t *vertices, touch_arena *arena) {
+/* The vertices of codebook B (docs/format/paper.md): 1 to 20 ico1 to ico20, 21 to 25 octa1 to octa5. `*points`: the same
+   in 2^-40. */
+static const float *touch_codebook(int book, uint32_t *vertices, const touch_point **points, touch_arena *arena) {
     uint64_t count = 0, kept = 0;
     touch_point *p = (touch_point *)touch_take(arena, 24576, sizeof *p);
     float *out = (float *)touch_take(arena, 3 * 4098, 4);
@@ -1737,7 +1738,7 @@ static const float *touch_codebook(int book, uint32_t *vertices, touch_arena *ar
             for (int n = 0; n < 3; n++) out[3 * kept + (uint64_t)n] = (float)((double)p[i].p[n] / 1099511627776.0);
             kept++;
         }
-    *vertices = (uint32_t)kept;
+    *vertices = (uint32_t)kept, *points = p;
     return out;
 }
 

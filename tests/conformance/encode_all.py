@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from encode_content import MODES, random_segment
+from encode_content import MODES, lossless_segment, random_segment
 from native_encoder import NativeEncoder
 
 
@@ -16,6 +16,9 @@ def main(library: str) -> None:
         for seed in range(2):
             segment = random_segment(mode, seed, guess="off")
             native.segment(segment.grid, segment.spec, segment.frames)
+    for seed in range(6):
+        segment = lossless_segment(seed)
+        native.segment(segment.grid, segment.spec, segment.frames)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from second import make_golden
 
+from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.medium import ForceField, Grid
 
@@ -90,6 +91,26 @@ MODES: dict[str, Callable[[np.random.Generator], dict[str, Any]]] = {
     "masking": lambda rng: {"masking": rng.choice([0.05, 0.5]), "masking_radius_m": rng.choice([0.0025, 0.01])},
     "inter": lambda rng: {"interframe": rng.choice(["on", "off"]), "effort": "fast"},
 }
+
+
+def lossless_segment(seed: int) -> Segment:
+    """Frames for the exact mode: as they are, rounded, or products of levels and directions that change at times."""
+    rng, frames = np.random.default_rng(2000 + seed), random_frames(seed)
+    kind = seed % 4
+    if kind == 1:
+        frames = [ForceField.from_dense(f.grid, np.rint(f.to_dense() * 4) / np.float32(4)) for f in frames]
+    if kind > 1:
+        books = [Codebook.get(str(rng.choice(["ico5", "octa3", "ico1", "ico10"])))] * len(frames)
+        levels = np.sort(rng.uniform(0.1, 5, int(rng.integers(1, 40)))).astype(np.float32)
+        for i, frame in enumerate(frames):
+            is_supported = frame.forces_n.any(axis=-1)
+            level = levels[rng.integers(0, len(levels), is_supported.shape)][..., None]
+            vertex = books[i].vertices_float32[books[i].nearest(frame.forces_n.reshape(-1, 3))]
+            forces = level * vertex.reshape(*is_supported.shape, 3) * is_supported[..., None]
+            if not (kind == 3 and i):  # of kind 3 only the first frame has a palette
+                frames[i] = ForceField.from_bricks(frame.grid, frame.bricks, forces.astype(np.float32))
+    interframe = "off" if seed % 5 == 4 else "auto"
+    return Segment(TouchSpec(mode="lossless", interframe=interframe), frames)
 
 
 def random_segment(mode: str, seed: int, **options: Any) -> Segment:

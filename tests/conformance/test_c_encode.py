@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from encode_content import GOLDEN, MODES, Segment, golden_segments, random_segment
+from encode_content import MODES, Segment, golden_segments, lossless_segment, random_segment
 from native_encoder import COMPILER, NativeEncoder, build
 
 from touchfield.codec.touch.encoder import TouchEncoder
@@ -40,6 +40,17 @@ def assert_same_bytes(native: NativeEncoder, segment: Segment) -> None:
 @pytest.mark.parametrize("mode", MODES)
 def test_random_fields_without_base_layer(mode: str, seed: int, native: NativeEncoder) -> None:
     assert_same_bytes(native, random_segment(mode, seed, guess="off"))
+
+
+@pytest.mark.parametrize("seed", range(2 * SEEDS))
+def test_lossless(seed: int, native: NativeEncoder) -> None:
+    assert_same_bytes(native, lossless_segment(seed))
+
+
+@pytest.mark.parametrize("name", ["touch-lossless"])
+def test_golden_segments(name: str, native: NativeEncoder) -> None:
+    for segment in golden_segments(name):
+        assert_same_bytes(native, segment)
 
 
 def test_key_frame(native: NativeEncoder) -> None:
