@@ -469,6 +469,417 @@ static int touch_code_frame(const touch_grid *grid, const touch_steps *steps, co
     return 1;
 }
 
+/* -- base layers: columns, fitted ------------------------------------------------------------------------------------ */
+
+struct touch_column_fit { /* the samples of a column, from outside to inside, and the surfaces that they speak for */
+    const touch_source *source;
+    touch_map map; /* indices of its bricks */
+    float units_per_n;
+    double k, f0;       /* the mask, units */
+    double top, ramp;   /* the force deep inside, units; the growth of its fraction from sample to sample */
+    float (*force)[4];  /* [depth]: along a, along b, outward, and the length; units */
+    double *weight;     /* [depth]: 1 over the square of what is allowed */
+    double (*rest)[3];  /* [depth]: what the first of two surfaces leaves */
+    int64_t first, flat; /* first sample with a force; that from which on it is constant */
+    double surface[3][4]; /* numbers of the one surface, and of two; an amplitude of 0 cannot be told */
+};
+
+enum { TOUCH_AXIS_BRICKS = 64 };
+
+/* The axis of the columns: the main axis of the force, if there is one. */
+static int touch_find_axis(const touch_source *frame, int *axis, int *is_inverted) {
+    uint64_t step = (frame->bricks + TOUCH_AXIS_BRICKS - 1) / TOUCH_AXIS_BRICKS;
+    double total[3] = {0, 0, 0}, size = 0;
+    for (uint64_t i = 0; i < frame->bricks; i += step)
+        for (int n = 0; n < 512; n++) {
+            const float *f = frame->forces_n + 1536 * i + 3 * n;
+            for (int k = 0; k < 3; k++) total[k] += f[k];
+            size += sqrtf(f[0] * f[0] + f[1] * f[1] + f[2] * f[2]);
+        }
+    *axis = fabs(total[1]) > fabs(total[0]) ? 1 : 0;
+    if (fabs(total[2]) > fabs(total[*axis])) *axis = 2;
+    *is_inverted = total[*axis] > 0;
+    return !(fabs(total[*axis]) < 0.4 * size);
+}
+
+/* The box of columns of a frame: 1; 0 if it has no main axis, few of its tiles reach the inner border of the grid (what
+   the force of a solid does), or the box is too large; -1 if there is no memory. */
+static int touch_find_view(touch_view *v, const touch_grid *grid, const touch_source *frame, touch_arena *arena) {
+    uint64_t mark = arena->used, *key = (uint64_t *)touch_take(arena, frame->bricks, 8), tiles = 0, border = 0;
+    uint32_t *tag = (uint32_t *)touch_take_zero(arena, frame->bricks, 4);
+    int axis, is_inverted;
+    int64_t last[2] = {0, 0};
+    if (!key || !tag) return -1;
+    if (!frame->bricks || !touch_find_axis(frame, &axis, &is_inverted)) return 0;
+    *v = touch_view_of(grid, axis, is_inverted);
+    int32_t inner = is_inverted ? 0 : (int32_t)((grid->shape[axis] + 7) >> 3) - 1;
+    for (uint64_t i = 0; i < frame->bricks; i++) {
+        const int32_t *b = frame->brick + 3 * i;
+        for (int n = 0; n < 2; n++) {
+            int64_t tile = b[v->across[n]];
+            if (!i || tile < v->tile[n]) v->tile[n] = tile;
+            if (!i || tile > last[n]) last[n] = tile;
+        }
+        key[i] = touch_key(b[v->across[0]], b[v->across[1]], 0), border += b[axis] == inner;
+    }
+    touch_sort(key, tag, frame->bricks);
+    for (uint64_t i = 0; i < frame->bricks; i++) tiles += !i || key[i] != key[i - 1];
+    arena->used = mark;
+    for (int n = 0; n < 2; n++) v->tiles[n] = last[n] - v->tile[n] + 1;
+    return !((double)border < 0.2 * (double)tiles) && v->depth <= 1 << 14 &&
+           v->tiles[0] * v->tiles[1] <= 64 + 4 * (int64_t)tiles && v->tiles[1] * 64 * v->depth <= 1 << 24;
+}
+
+/* The number of rank `rank`, from 0, of positive floats given as bits; `count` is room for 65536 numbers. */
+static uint32_t touch_ranked(const uint32_t *bits, uint64_t n, uint64_t rank, uint32_t *count) {
+    uint32_t found = 0;
+    for (int shift = 16; shift >= 0; shift -= 16) {
+        uint32_t digit = 0;
+        memset(count, 0, 65536 * sizeof *count);
+        for (uint64_t i = 0; i < n; i++)
+            if (shift || bits[i] >> 16 == found >> 16) count[bits[i] >> shift & 65535]++;
+        while (rank >= count[digit]) rank -= count[digit++];
+        found |= digit << shift;
+    }
+    return found;
+}
+
+/* How much the force grows from sample to sample behind a surface, relative to the top: the 80th percentile, as larger
+   growths are of mixed surfaces. 0: it does not grow, or the top is not above the mask; -1: no memory. */
+static double touch_find_ramp(const touch_view *v, const touch_source *frame, float unit_n, double f0, double *top,
+                              touch_arena *arena) {
+    uint32_t *ratio = (uint32_t *)touch_take(arena, 448 * frame->bricks, 4), *room = (uint32_t *)touch_take(arena, 65536, 4);
+    uint64_t count = 0, rank;
+    int step = 64 >> 3 * v->axis;
+    float longest = 0;
+    if (!ratio || !room) return -1;
+    for (uint64_t i = 0; i < 512 * frame->bricks; i++) {
+        const float *f = frame->forces_n + 3 * i;
+        float length = sqrtf(f[0] * f[0] + f[1] * f[1] + f[2] * f[2]) / unit_n;
+        if (length > longest) longest = length;
+    }
+    *top = longest;
+    const float low_limit = (float)(0.2 * *top), high_limit = (float)(0.9 * *top), growth_limit = (float)(0.002 * *top);
+    for (uint64_t i = 0; i < 512 * frame->bricks; i++) {
+        if ((i & 511) / (uint64_t)step % 8 == 7) continue; /* both samples lie in one brick */
+        const float *at = frame->forces_n + 3 * i, *next = at + 3 * step, *f = v->is_inverted ? next : at;
+        const float *inner = v->is_inverted ? at : next;
+        float low = sqrtf(f[0] * f[0] + f[1] * f[1] + f[2] * f[2]) / unit_n, outward = fabsf(f[v->axis]) / unit_n;
+        float growth = sqrtf(inner[0] * inner[0] + inner[1] * inner[1] + inner[2] * inner[2]) / unit_n - low;
+        if (low > low_limit && low + growth < high_limit && growth > growth_limit && outward > 0.3f * low)
+            ratio[count++] = touch_f32_bits(growth * low / outward);
+    }
+    if (count < 8 || *top <= f0) return 0;
+    double index = (double)(count - 1) * 0.8;
+    rank = (uint64_t)floor(index), index -= (double)rank;
+    float low = touch_f32_of(touch_ranked(ratio, count, rank, room));
+    float high = rank + 1 < count ? touch_f32_of(touch_ranked(ratio, count, rank + 1, room)) : low;
+    float between = index >= 0.5 ? high - (high - low) * (float)(1 - index) : low + (high - low) * (float)index;
+    return (double)between / *top;
+}
+
+/* The numbers that all columns have in common; 0: there is no solid behind a surface, -1: no memory. */
+static int touch_find_heads(touch_columns *h, const touch_source *frame, float unit_n, double k, double f0,
+                            touch_arena *arena) {
+    static const int64_t low[7] = {1, 1, 0, 0, 16, 4, 16};
+    static const int64_t limit[7] = {1 << 17, 1 << 20, 1 << 20, 1 << 20, 1 << 14, 1 << 12, 1 << 16};
+    const touch_view *v = &h->view;
+    const double *spacing = v->grid->spacing_m;
+    double top, ramp = touch_find_ramp(v, frame, unit_n, f0, &top, arena), number[7], small;
+    int64_t head[7];
+    if (!(ramp > 0)) return (int)ramp;
+    small = f0 / top < 0.5 ? f0 / top : 0.5, small = small > k ? small : k, small = small > 1e-3 ? small : 1e-3;
+    number[0] = top, number[1] = 65536 * ramp;
+    for (int n = 0; n < 2; n++) number[2 + n] = 256 * spacing[v->across[n]] / spacing[v->axis];
+    number[4] = 16384 * small * 0.35, number[6] = 65536 * small * 0.9;
+    number[5] = 256 * (f0 / top > 0.1 * k ? f0 / top : 0.1 * k) / ramp * 1.4; /* steps should not exceed the mask by much */
+    for (int n = 0; n < 7; n++) {
+        double clipped = number[n] > (double)low[n] ? number[n] : (double)low[n];
+        head[n] = (int64_t)rint(clipped < (double)(limit[n] - 1) ? clipped : (double)(limit[n] - 1));
+    }
+    h->top = head[0], h->ramp = head[1], h->ratio[0] = head[2], h->ratio[1] = head[3];
+    for (int n = 0; n < 3; n++) h->step[n] = head[4 + n];
+    return 1;
+}
+
+/* The samples of the column at (a, b) of the box; 0: there is no force at its inner end. */
+static int touch_load_column(const touch_columns *h, int64_t a, int64_t b) {
+    struct touch_column_fit *f = h->fit;
+    const touch_view *v = &h->view;
+    int64_t at[3], brick = -1, last = v->is_inverted ? 0 : v->depth - 1;
+    at[v->across[0]] = 8 * v->tile[0] + a, at[v->across[1]] = 8 * v->tile[1] + b, at[v->axis] = last;
+    if (touch_map_get(&f->map, touch_key(at[0] >> 3, at[1] >> 3, at[2] >> 3)) < 0) return 0;
+    for (int64_t i = 0; i < v->depth; i++) {
+        float *to = f->force[v->is_inverted ? v->depth - 1 - i : i];
+        at[v->axis] = i;
+        if (!(i & 7)) brick = touch_map_get(&f->map, touch_key(at[0] >> 3, at[1] >> 3, at[2] >> 3));
+        to[0] = to[1] = to[2] = to[3] = 0;
+        if (brick < 0) continue;
+        const float *from = f->source->forces_n + 3 * (512 * brick + 64 * (at[0] & 7) + 8 * (at[1] & 7) + (at[2] & 7));
+        to[0] = from[v->across[0]] * f->units_per_n, to[1] = from[v->across[1]] * f->units_per_n;
+        to[2] = from[v->axis] * f->units_per_n, to[2] = v->is_inverted ? to[2] : -to[2];
+        to[3] = sqrtf(to[0] * to[0] + to[1] * to[1] + to[2] * to[2]);
+    }
+    return f->force[v->depth - 1][3] > 0;
+}
+
+/* The mean direction of weighted sums, and their length. */
+static double touch_unit_of(double u[3]) {
+    double length = touch_size(u);
+    for (int n = 0; n < 3; n++) u[n] /= length > 1e-9 ? length : 1e-9;
+    return length;
+}
+
+static double touch_dot(const double a[3], const double b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+/* A sample of the column, or of what the first surface leaves. */
+static void touch_column_sample(const struct touch_column_fit *f, int is_rest, int64_t t, double out[3]) {
+    for (int n = 0; n < 3; n++) out[n] = is_rest ? f->rest[t][n] : (double)f->force[t][n];
+}
+
+/* The direction of samples start to stop - 1; returns the length of their weighted sum. */
+static double touch_direction(const struct touch_column_fit *f, int is_rest, int64_t start, int64_t stop, double u[3]) {
+    double d[3];
+    u[0] = u[1] = u[2] = 0;
+    for (int64_t t = start; t < stop; t++) {
+        touch_column_sample(f, is_rest, t, d);
+        for (int n = 0; n < 3; n++) u[n] += f->weight[t] * d[n];
+    }
+    return touch_unit_of(u);
+}
+
+/* Where the ramp of samples start to stop - 1 begins, samples. */
+static double touch_ramp_start(const struct touch_column_fit *f, int is_rest, const double u[3], double amplitude,
+                               double slope, int64_t start, int64_t stop) {
+    double total = 0, weight = 0, d[3];
+    for (int64_t t = start; t < stop; t++) {
+        touch_column_sample(f, is_rest, t, d);
+        double fraction = touch_dot(d, u) / amplitude;
+        if (0.0 < fraction && fraction < 0.97) total += f->weight[t] * ((double)t - fraction / slope), weight += f->weight[t];
+    }
+    return weight > 0 ? total / weight : (double)start - 0.5;
+}
+
+static void touch_set_fit(double out[4], const double u[3], double start, double amplitude) {
+    out[0] = 16384.0 * u[0] / (1.0 + u[2]), out[1] = 16384.0 * u[1] / (1.0 + u[2]), out[2] = 256.0 * start;
+    out[3] = amplitude;
+}
+
+/* The span of a column, the weights of its samples, and the one surface. */
+static void touch_fit_one(struct touch_column_fit *f, int64_t depth) {
+    int64_t first = depth, flat = depth - 1;
+    double u[3], deepest = f->force[depth - 1][3];
+    while (first > 0 && f->force[first - 1][3] > 0) {
+        double allowed = f->k * (double)f->force[--first][3];
+        if (!(allowed > f->f0)) allowed = f->f0;
+        f->weight[first] = 1.0 / (allowed * allowed);
+    }
+    while (flat > first && (double)fabsf(f->force[flat - 1][3] - f->force[depth - 1][3]) <= 0.01 * deepest) flat--;
+    if (flat == depth - 1) flat = depth;
+    f->first = first, f->flat = flat;
+    touch_direction(f, 0, first, depth, u);
+    if (u[2] < 0.05) u[2] = 0.05; /* no direction is less outward */
+    double amplitude = flat < depth ? deepest : f->top;
+    double start = touch_ramp_start(f, 0, u, amplitude, f->ramp * u[2], first, flat);
+    touch_set_fit(f->surface[0], u, start, flat < depth ? amplitude : 0.0);
+}
+
+/* Two surfaces that part at `cut`; the error, or -1 if there are none. */
+static double touch_fit_cut(struct touch_column_fit *f, int64_t depth, int64_t cut, double one[4], double two[4]) {
+    double u[3], v[3], growth, amplitude = 0, cost = 0, before[3], after[3];
+    touch_direction(f, 0, f->first, cut, u);
+    touch_column_sample(f, 0, f->first + 1, before), touch_column_sample(f, 0, cut - 1, after);
+    growth = (touch_dot(after, u) - touch_dot(before, u)) / (double)(cut - f->first - 2);
+    if (u[2] > 0.05) amplitude = growth / (f->ramp * u[2]);
+    if (amplitude < 0.01 * f->top || amplitude > 1.5 * f->top) return -1;
+    double start = touch_ramp_start(f, 0, u, amplitude, f->ramp * u[2], f->first, cut);
+    for (int64_t t = f->first; t < depth; t++) {
+        double fraction = ((double)t - start) * f->ramp * u[2];
+        double size = amplitude * (fraction < 0 ? 0.0 : fraction > 1 ? 1.0 : fraction);
+        for (int n = 0; n < 3; n++) f->rest[t][n] = (double)f->force[t][n] - size * u[n];
+    }
+    double behind = touch_direction(f, 1, f->flat < depth ? depth - 1 : cut, depth, v);
+    behind = f->flat < depth ? behind / f->weight[depth - 1] : f->top - amplitude;
+    if (v[2] <= 0.05 || behind < 0.01 * f->top) return -1;
+    double start_behind = touch_ramp_start(f, 1, v, behind, f->ramp * v[2], cut, f->flat);
+    for (int64_t t = f->first; t < f->flat; t++) {
+        double fraction = ((double)t - start_behind) * f->ramp * v[2], e[3];
+        double size = behind * (fraction < 0 ? 0.0 : fraction > 1 ? 1.0 : fraction);
+        for (int n = 0; n < 3; n++) e[n] = f->rest[t][n] - size * v[n];
+        double error = touch_dot(e, e) * f->weight[t];
+        cost += error < 4.0 ? error : 4.0;
+    }
+    touch_set_fit(one, u, start, amplitude), touch_set_fit(two, v, start_behind, behind);
+    return cost;
+}
+
+/* Two surfaces one behind the other, where they miss least; 0: there are none. */
+static int touch_fit_two(struct touch_column_fit *f, int64_t depth) {
+    double best = 1e18;
+    int64_t step = touch_max((f->flat - f->first) / 24, 1);
+    for (int64_t cut = f->first + 3; cut < f->flat; cut += step) {
+        double one[4], two[4], cost = touch_fit_cut(f, depth, cut, one, two);
+        if (cost < 0 || !(cost < best)) continue;
+        best = cost, memcpy(f->surface[1], one, sizeof one), memcpy(f->surface[2], two, sizeof two);
+    }
+    return best < 1e18;
+}
+
+/* Bits of a residual, about. */
+static double touch_residual_bits(int64_t r) { return r ? 2.5 + 2.0 * log2((double)touch_abs(r)) : 0.1; }
+
+/* Bits that the voxels of a column would still take, about; whatever is above `enough` counts as that. */
+static double touch_column_cost(const touch_columns *h, const touch_column *own, double enough) {
+    const struct touch_column_fit *f = h->fit;
+    const double miss = 6.5; /* bits, about, of a voxel that the base layer misses */
+    double cost = 0.0;
+    int64_t start = touch_max(0, touch_min(f->first, own->surface[0].number[TOUCH_START] >> 8));
+    for (int64_t t = start; t < h->view.depth; t++) {
+        double deep[2] = {0, 0}, square = 0.0;
+        for (int n = 0; n < own->count; n++)
+            deep[n] = (double)(touch_ramp(h, own->surface + n, t) * own->surface[n].number[TOUCH_AMPLITUDE]);
+        for (int n = 0; n < 3; n++) {
+            double sum = deep[0] * own->surface[0].normal[n];
+            if (own->count > 1) sum += deep[1] * own->surface[1].normal[n];
+            double x = sum / 1073741824.0 - (double)f->force[t][n];
+            square += x * x;
+        }
+        double allowed = f->k * (double)f->force[t][3];
+        if (!(allowed > f->f0)) allowed = f->f0;
+        if (square > allowed * allowed) cost += miss;
+        if (cost > enough) break;
+    }
+    return cost;
+}
+
+/* Set the surfaces of a column by a choice, with its residuals, and return the bits that this takes, about. Bits 0, 1, 2
+   of `fitted`: whether direction, start and amplitude of the last surface are as fitted, else as expected. */
+static double touch_try_column(touch_columns *h, const touch_column *const near[4], touch_column *own,
+                               touch_column_choice *choice, int fitted, double best) {
+    const int count = choice->count;
+    double bits = 0.2 + 2.0 * (choice->mode > 0) + 3.0 * (count > 1);
+    own->count = 0;
+    for (int slot = 0; slot < count; slot++) {
+        const double *fit = h->fit->surface[slot + count - 1];
+        const touch_surface *side[2];
+        int64_t e[4], *r = choice->residual[slot];
+        int sides = touch_expect_surface(h, near, own, slot, choice->mode, count, e, side);
+        for (int q = 0; q < 4; q++) {
+            int is_fitted = slot + 1 < count || (fitted >> (q > 1 ? q - 1 : 0) & 1);
+            int64_t step = q == TOUCH_AMPLITUDE ? touch_amplitude_step(h, e[q]) : h->step[q == TOUCH_START];
+            r[q] = 0;
+            if (is_fitted && fit[TOUCH_AMPLITUDE] + (q != TOUCH_AMPLITUDE) > 0.0) {
+                double steps = (fit[q] - (double)e[q]) / (double)step;
+                r[q] = (int64_t)rint(steps < -1e6 ? -1e6 : steps > 1e6 ? 1e6 : steps);
+            }
+            bits += touch_residual_bits(r[q]);
+            if (q == TOUCH_Y) touch_turn_surface(h, own->surface + slot, e, r, side, sides);
+        }
+        touch_set_surface(h, own->surface + slot, e, r);
+        own->count = slot + 1;
+    }
+    return bits < best ? bits + touch_column_cost(h, own, best - bits) : best;
+}
+
+/* One surface or two, which neighbours they continue, and what of them is sent: the fewest bits, about. Columns without
+   a force at their inner end have no surface. */
+static void touch_choose_column(touch_columns *h, int64_t a, int64_t b, const touch_column *const near[4],
+                                touch_column *own, touch_column_choice *choice) {
+    double best = 1e18;
+    int modes = touch_is_torn(near) ? 4 : 1, chosen[3] = {1, 0, 0};
+    if (!touch_load_column(h, a, b)) return;
+    touch_fit_one(h->fit, h->view.depth);
+    for (int count = 1; count <= 2; count++) {
+        if (count == 2 && !touch_fit_two(h->fit, h->view.depth)) break;
+        for (int n = 0; n < 8 * modes; n++) {
+            choice->count = count, choice->mode = n >> 3;
+            double bits = touch_try_column(h, near, own, choice, n & 7, best);
+            if (bits < best) best = bits, chosen[0] = count, chosen[1] = n >> 3, chosen[2] = n & 7;
+        }
+    }
+    choice->count = chosen[0], choice->mode = chosen[1];
+    touch_try_column(h, near, own, choice, chosen[2], 1e18);
+}
+
+/* Columns of a frame within a mask, and their bytes: 1; 0: there are none. */
+static int touch_fit_columns(const touch_grid *grid, const touch_tables *tables, const touch_source *frame, float unit_n,
+                             double k, double f0, touch_sink *s, touch_units *out, touch_arena *arena,
+                             touch_cursor *error) {
+    struct touch_column_fit fit;
+    touch_columns h;
+    touch_spent spent;
+    uint64_t *key = touch_source_keys(frame, arena), start;
+    int found;
+    memset(&fit, 0, sizeof fit), memset(&h, 0, sizeof h);
+    if (f0 < 1) f0 = 1;
+    found = touch_find_view(&h.view, grid, frame, arena);
+    if (found > 0) found = touch_find_heads(&h, frame, unit_n, k, f0, arena);
+    if (!found) return 0;
+    fit.source = frame, fit.units_per_n = (float)(1 / (double)unit_n), fit.k = k, fit.f0 = f0, fit.top = (double)h.top;
+    fit.ramp = (double)h.ramp / 65536, h.fit = &fit;
+    fit.force = (float(*)[4])touch_take(arena, (uint64_t)h.view.depth, sizeof *fit.force);
+    fit.weight = (double *)touch_take(arena, (uint64_t)h.view.depth, sizeof *fit.weight);
+    fit.rest = (double(*)[3])touch_take(arena, (uint64_t)h.view.depth, sizeof *fit.rest);
+    if (found < 0 || !key || !fit.force || !fit.weight || !fit.rest || !touch_map_make(&fit.map, frame->bricks, arena) ||
+        !touch_columns_make(&h, arena) ||
+        !touch_sink_make(s, (uint64_t)(64 * h.view.tiles[0] * h.view.tiles[1]) * 400 + 128, arena))
+        return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
+    for (uint64_t i = 0; i < frame->bricks; i++) touch_map_put(&fit.map, key[i], (uint32_t)i);
+    touch_put_u(s, 1, 1), touch_put_varint(s, (uint64_t)(2 * h.view.axis + h.view.is_inverted));
+    for (int n = 0; n < 2; n++) touch_put_varint(s, (uint64_t)h.view.tile[n]);
+    for (int n = 0; n < 2; n++) touch_put_varint(s, (uint64_t)h.view.tiles[n] - 1);
+    touch_put_varint(s, (uint64_t)h.top), touch_put_varint(s, (uint64_t)h.ramp);
+    for (int n = 0; n < 2; n++) touch_put_varint(s, (uint64_t)h.ratio[n]);
+    for (int n = 0; n < 3; n++) touch_put_varint(s, (uint64_t)h.step[n]);
+    start = s->size, h.coder = touch_writing(s, tables, &spent);
+    if (!touch_code_columns(&h, error)) return 0;
+    if (!touch_finish(&h.coder, s)) return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
+    if (!touch_fill_columns(&h, ~(uint64_t)0, out, arena, error)) return 0;
+    uint64_t tiles = (uint64_t)(h.view.tiles[0] * h.view.tiles[1]), min = touch_min_bytes(out->list.count);
+    touch_pad(s, start, tiles > 64 && tiles - 64 > min ? tiles - 64 : min);
+    return 1;
+}
+
+/* -- base layers: splines, whose coefficients are fitted elsewhere --------------------------------------------------- */
+
+/* The bytes of a spline of a frame's bricks. */
+static int touch_put_spline(const touch_grid *grid, const touch_tables *tables, const touch_source *frame,
+                            const touch_spline *spline, touch_sink *s, touch_units *out, touch_arena *arena,
+                            touch_cursor *error) {
+    touch_spline_models *models = (touch_spline_models *)touch_take(arena, 1, sizeof *models);
+    touch_spline_head head;
+    touch_nodes nodes;
+    touch_list none;
+    touch_spent spent;
+    uint64_t start;
+    none.key = 0, none.count = 0, head.step = spline->step;
+    for (int n = 0; n < 3; n++) head.shift[n] = spline->shift[n], head.scale[n] = spline->scale[n];
+    out->list.key = touch_source_keys(frame, arena), out->list.count = frame->bricks;
+    out->v = (touch_vector *)touch_take_zero(arena, 512 * frame->bricks, sizeof *out->v);
+    if (!models || !out->list.key || !out->v || !touch_nodes_of(&nodes, head.shift, out->list, arena) ||
+        !touch_sink_make(s, 640 * frame->bricks + 64 * nodes.count + 128, arena))
+        return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
+    if (nodes.count != spline->nodes) return touch_fail(error, TOUCH_ARGUMENT, "coefficients of other nodes");
+    for (uint64_t i = 0; i < nodes.count; i++) {
+        double c = spline->coefficient[i];
+        nodes.value[i] = (int32_t)rint(c < -8388608 ? -8388608 : c > 8388608 ? 8388608 : c);
+    }
+    TOUCH_FRESH(models->list.context, models->list.weight);
+    touch_fresh(models->node.length[0], sizeof models->node / sizeof(touch_context), 0, 0);
+    touch_put_u(s, 0, 1);
+    for (int n = 0; n < 3; n++) touch_put_varint(s, (uint64_t)head.shift[n]);
+    touch_put_varint(s, (uint64_t)head.step);
+    for (int n = 0; n < 3; n++) touch_put_varint(s, (uint64_t)head.scale[n]);
+    start = s->size;
+    touch_coder coder = touch_writing(s, tables, &spent);
+    if (!touch_code_list(&coder, &models->list, grid->shape, none, &out->list, arena, error)) return 0;
+    touch_code_nodes(&coder, models, &nodes, head.step);
+    if (!touch_finish(&coder, s)) return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
+    touch_pad(s, start, touch_min_bytes(frame->bricks));
+    touch_fill_spline(&head, &nodes, grid, out);
+    return 1;
+}
+
 /* -- segments -------------------------------------------------------------------------------------------------------- */
 
 typedef struct touch_writer {
@@ -644,8 +1055,33 @@ typedef struct { /* a base layer that was fitted to a frame; `bytes` are empty i
     double fraction; /* of the voxels at which it is within the bound */
 } touch_layer;
 
+/* The best base layer of a frame, of a coarse spline, a fine one, and columns; each is tried only if those before are
+   not good enough. It must be within the bound at half of the voxels; in mode NMSE any may be tried. */
 static int touch_fit_base_layer(touch_writer *w, const touch_source *frame, const touch_spline_fit *splines,
-                                touch_layer *out, touch_cursor *error);
+                                touch_layer *best, touch_cursor *error) {
+    static const double enough[3] = {1.0, 0.97, 0.75};
+    double k = w->bound.k, f0 = w->bound.f0;
+    best->fraction = 0.5;
+    if (w->options.mode == TOUCH_NMSE) f0 = 0.35 * (double)w->steps.floor, best->fraction = 0;
+    for (int kind = 0; kind < 3; kind++) {
+        touch_layer layer;
+        touch_spline spline;
+        int found = 0;
+        memset(&layer, 0, sizeof layer), memset(&spline, 0, sizeof spline);
+        if (!(best->fraction < enough[kind])) continue;
+        if (kind < 2 && (!splines || !frame->bricks || !splines->fit(splines->self, frame, 4 - kind, &spline))) continue;
+        if (kind < 2) found = touch_put_spline(&w->grid, &w->tables, frame, &spline, &layer.bytes, &layer.units, &w->work, error);
+        else found = touch_fit_columns(&w->grid, &w->tables, frame, w->steps.unit_n, k, f0, &layer.bytes, &layer.units,
+                                       &w->work, error);
+        if (error->code) return 0;
+        if (!found) continue;
+        layer.fraction = touch_fraction_within(w, frame, &layer.units, &w->work);
+        if (layer.fraction < 0) return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
+        if (layer.fraction >= best->fraction) *best = layer;
+    }
+    if (!best->bytes.size) best->fraction = 0;
+    return 1;
+}
 
 /* Mode decision: a frame is coded with the reference of a base layer, or with that of the frame before or none; the
    fewest bytes win, in mode NMSE the least cost of bytes and errors. */
@@ -1066,17 +1502,6 @@ int touch_encode_finish(touch_encoder *encoder, const touch_source *frames, touc
     out->body = w->body.bytes + TOUCH_HEAD_ROOM - s.size, out->size = w->body.size - TOUCH_HEAD_ROOM + s.size;
     memcpy(w->body.bytes + TOUCH_HEAD_ROOM - s.size, head, (size_t)s.size);
     return touch_report(encoder, &error);
-}
-
-static void touch_choose_column(touch_columns *h, int64_t a, int64_t b, const touch_column *const near[4],
-                                touch_column *own, touch_column_choice *choice) {
-    (void)h, (void)a, (void)b, (void)near, (void)own, (void)choice;
-}
-
-static int touch_fit_base_layer(touch_writer *w, const touch_source *frame, const touch_spline_fit *splines,
-                                touch_layer *out, touch_cursor *error) {
-    (void)w, (void)frame, (void)splines, (void)out;
-    return !error->code;
 }
 
 #endif

@@ -11,7 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from touchfield.codec.touch import base_layer, base_layer_fit
 from touchfield.codec.touch.error_bound import masked_error_n
+from touchfield.codec.touch.frame_encoder import lattice_for, limits_for
+from touchfield.codec.touch.lattice import TOP, Lattice
 from touchfield.codec.touch.spec import MODES, TouchSpec
 from touchfield.medium import ForceField, Grid
 
@@ -64,6 +67,27 @@ class CSegment(ctypes.Structure):
     ]
 
 
+class CSpline(ctypes.Structure):
+    """`touch_spline`."""
+
+    _fields_ = [
+        ("shift", ctypes.c_int32 * 3),
+        ("step", ctypes.c_int64),
+        ("scale", ctypes.c_int64 * 3),
+        ("coefficient", ctypes.c_void_p),
+        ("nodes", ctypes.c_uint64),
+    ]
+
+
+_FIT = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.POINTER(CSource), ctypes.c_int, ctypes.POINTER(CSpline))
+
+
+class CSplineFit(ctypes.Structure):
+    """`touch_spline_fit`."""
+
+    _fields_ = [("fit", _FIT), ("self", ctypes.c_void_p)]
+
+
 class CEncoder(ctypes.Structure):
     """`touch_encoder`."""
 
@@ -100,6 +124,51 @@ class Source:
         self.c = CSource(len(self.bricks), *pointers)
 
 
+class Splines:
+    """Splines as the package fits them, for C to ask for."""
+
+    def __init__(self, grid: Grid, spec: TouchSpec, longest: float) -> None:
+        self._grid, self._lattice = grid, lattice_for(spec, longest)
+        limits = limits_for(spec, self._lattice)
+        if spec.mode == "nmse":
+            limits = limits._replace(f0=base_layer_fit._FINENESS * self._lattice.floor)
+        self._k, self._f0 = limits.k, limits.f0
+        self._coefficients = np.zeros(0)
+        self.c = CSplineFit(_FIT(self._fit), None)
+
+    def _fit(self, _: Any, source: Any, level: int, out: Any) -> int:
+        count = source.contents.bricks
+        bricks = np.ctypeslib.as_array(ctypes.cast(source.contents.brick, ctypes.POINTER(ctypes.c_int32)), (count, 3))
+        forces = ctypes.cast(source.contents.forces, ctypes.POINTER(ctypes.c_float))
+        frame = ForceField(self._grid, bricks, np.ctypeslib.as_array(forces, (count, 8, 8, 8, 3)))
+        fitted = spline_coefficients(frame, self._lattice, self._k, self._f0, level)
+        if fitted is None:
+            return 0
+        head, self._coefficients = fitted
+        out.contents.shift[:], out.contents.step, out.contents.scale[:] = head.shifts, head.step, head.scales
+        out.contents.coefficient, out.contents.nodes = self._coefficients.ctypes.data, len(self._coefficients)
+        return 1
+
+
+def spline_coefficients(
+    frame: ForceField, lattice: Lattice, k: float, f0: float, level: int
+) -> tuple[base_layer.Head, np.ndarray] | None:
+    """What `base_layer_fit.fit_spline` fits, before it is coded."""
+    fit, f0 = base_layer_fit, max(f0, 1.0)
+    if f0 >= TOP:
+        return None
+    forces, spacing = frame.forces_n / np.float32(lattice.unit_n), np.array(frame.grid.spacing_m)
+    stiffness = fit._find_stiffness(forces[:: -(-len(frame.bricks) // fit._STIFFNESS_BRICKS)], frame.grid)
+    if not stiffness:
+        return None
+    x, y, z = np.clip(np.rint(level - np.log2(spacing / spacing.min())), 2, 5).astype(int).tolist()
+    a, b, c = np.clip(2**35 / 864 / stiffness / spacing, 1, (1 << 20) - 1).astype(int).tolist()
+    step = int(np.clip(fit._STEP * max(f0, fit._RAMP[0] * k), 1, (1 << 20) - 1))
+    head = base_layer.Head((x, y, z), step, (a, b, c))
+    samples = fit._Samples(frame, forces, head.shifts, base_layer.Nodes(frame.bricks, head.shifts))
+    return head, np.ascontiguousarray(fit._fit_coefficients(samples, k, f0, stiffness), np.float64)
+
+
 class NativeEncoder:
     """The functions of a library that `build` compiled."""
 
@@ -118,7 +187,7 @@ class NativeEncoder:
         spec: TouchSpec,
         frames: Sequence[ForceField],
         key_frame: ForceField | None = None,
-        splines: Any = None,
+        has_splines: bool = False,
         out_bytes: int = 1 << 26,
     ) -> bytes:
         """The body of a segment; ValueError with the text of the encoder if it fails."""
@@ -129,7 +198,8 @@ class NativeEncoder:
             MODES.index(spec.mode), spec.support == "exact", _INTER.index(spec.interframe), spec.guess == "auto",
             spec.effort == "default", spec.k, spec.f0_n, spec.direction_jnd_deg, spec.step_n,
         )  # fmt: skip
-        own, encoder = c_grid(grid), CEncoder()
+        own, encoder, longest = c_grid(grid), CEncoder(), longest_n(frames, key_frame)
+        splines = Splines(grid, spec, longest) if has_splines else None
         room = self.c.touch_encode_room(ctypes.byref(own), bricks)
         work, out = np.empty(room, np.uint8), np.empty(out_bytes, np.uint8)
         arenas = (CArena(a.ctypes.data, a.size, 0, 0) for a in (work, out))
@@ -139,10 +209,10 @@ class NativeEncoder:
                 raise ValueError(f"{code}: {encoder.error.decode()}")
 
         start = ctypes.byref(encoder), ctypes.byref(own), ctypes.byref(options)
-        check(self.c.touch_encode_start(*start, longest_n(frames, key_frame), *arenas))
+        check(self.c.touch_encode_start(*start, longest, *arenas))
         for i, source in enumerate(sources):
             coded = ctypes.byref(key.c) if key and not i else None
-            check(self.c.touch_encode_next(start[0], ctypes.byref(source.c), coded, splines))
+            check(self.c.touch_encode_next(start[0], ctypes.byref(source.c), coded, splines and ctypes.byref(splines.c)))
         segment, all_frames = CSegment(), (CSource * len(sources))(*(s.c for s in sources))
         check(self.c.touch_encode_finish(start[0], all_frames, ctypes.byref(segment)))
         return ctypes.string_at(segment.body, segment.size)

@@ -8,10 +8,13 @@ import sys
 from pathlib import Path
 
 import pytest
-from encode_content import MODES, Segment, golden_segments, lossless_segment, random_segment
+from encode_content import GOLDEN, MODES, Segment, golden_segments, lossless_segment, random_segment
 from native_encoder import COMPILER, NativeEncoder, build
 
+from touchfield.codec.touch import base_layer_fit
 from touchfield.codec.touch.encoder import TouchEncoder
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.medium import ForceField, Grid
 
 HERE = Path(__file__).parent
 WATCHED = ("-g", "-Og", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
@@ -31,9 +34,14 @@ def expected(segment: Segment) -> bytes:
     return TouchEncoder(segment.grid, segment.spec).encode_segment(segment.frames).body
 
 
+def segment_arguments(segment: Segment) -> tuple[Grid, TouchSpec, list[ForceField]]:
+    """The arguments of `NativeEncoder.segment`."""
+    return segment.grid, segment.spec, segment.frames
+
+
 def assert_same_bytes(native: NativeEncoder, segment: Segment) -> None:
     """The same body from both encoders."""
-    assert native.segment(segment.grid, segment.spec, segment.frames) == expected(segment)
+    assert native.segment(*segment_arguments(segment)) == expected(segment)
 
 
 @pytest.mark.parametrize("seed", range(SEEDS))
@@ -42,15 +50,32 @@ def test_random_fields_without_base_layer(mode: str, seed: int, native: NativeEn
     assert_same_bytes(native, random_segment(mode, seed, guess="off"))
 
 
+@pytest.mark.parametrize("seed", range(SEEDS))
+@pytest.mark.parametrize("mode", MODES)
+def test_random_fields_with_columns(
+    mode: str, seed: int, native: NativeEncoder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(base_layer_fit, "_FITS", base_layer_fit._FITS[2:])
+    assert_same_bytes(native, random_segment(mode, seed))
+
+
+@pytest.mark.parametrize("seed", range(SEEDS))
+@pytest.mark.parametrize("mode", MODES)
+def test_random_fields_with_splines(mode: str, seed: int, native: NativeEncoder) -> None:
+    """The coefficients are those of the package: their sums of float32 depend on the order of the processor."""
+    segment = random_segment(mode, seed)
+    assert native.segment(*segment_arguments(segment), has_splines=True) == expected(segment)
+
+
 @pytest.mark.parametrize("seed", range(2 * SEEDS))
 def test_lossless(seed: int, native: NativeEncoder) -> None:
     assert_same_bytes(native, lossless_segment(seed))
 
 
-@pytest.mark.parametrize("name", ["touch-lossless"])
+@pytest.mark.parametrize("name", GOLDEN)
 def test_golden_segments(name: str, native: NativeEncoder) -> None:
     for segment in golden_segments(name):
-        assert_same_bytes(native, segment)
+        assert native.segment(*segment_arguments(segment), has_splines=True) == expected(segment)
 
 
 def test_key_frame(native: NativeEncoder) -> None:
