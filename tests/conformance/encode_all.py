@@ -13,9 +13,9 @@ def main(library: str) -> None:
     """Encode some segments of each mode."""
     native = NativeEncoder(Path(library))
     for mode in MODES:
-        for seed in range(2):
-            segment = random_segment(mode, seed, guess="off")
-            native.segment(segment.grid, segment.spec, segment.frames)
+        for seed in range(6):
+            segment = random_segment(mode, seed)
+            native.segment(segment.grid, segment.spec, segment.frames, has_splines=True)
     for seed in range(6):
         segment = lossless_segment(seed)
         native.segment(segment.grid, segment.spec, segment.frames)

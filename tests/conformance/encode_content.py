@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 from second import make_golden
 
 from touchfield.codec.paper.directions import Codebook
@@ -36,7 +37,7 @@ def golden_segments(name: str) -> Iterator[Segment]:
 
 
 def _random_grid(rng: np.random.Generator) -> Grid:
-    shape = tuple(int(n) for n in rng.integers(1, 30, 3))
+    shape = tuple(int(n) for n in rng.integers(1, 34, 3))
     spacing = tuple(float(x) for x in rng.choice([0.001, 0.002, 0.0015], 3))
     return Grid(shape, spacing, tuple(float(x) for x in rng.normal(0, 0.01, 3)))
 
@@ -61,6 +62,34 @@ def _waves(rng: np.random.Generator, grid: Grid, frames: int, is_solid: bool) ->
     return fields
 
 
+def _ball(rng: np.random.Generator, grid: Grid, frames: int) -> list[np.ndarray]:
+    """A soft ball that moves: the field of a penalty force, which is smooth."""
+    metres = np.stack([(np.arange(grid.shape[i]) * grid.spacing_m[i])[np.indices(grid.shape)[i]] for i in range(3)], -1)
+    extent = np.array(grid.shape) * grid.spacing_m
+    centre, radius = extent * rng.uniform(0.3, 0.7, 3), extent.max() * rng.uniform(0.4, 0.7)
+    fields = []
+    for t in range(frames):
+        offset = metres - centre - t * 0.0004
+        distance = np.linalg.norm(offset, axis=-1, keepdims=True)
+        fields.append(np.clip(3 * (radius - distance) / radius, 0, 2) * offset / np.maximum(distance, 1e-9))
+    return fields
+
+
+def _steps(rng: np.random.Generator, grid: Grid, frames: int) -> list[np.ndarray]:
+    """A solid with steps, after a low-pass that mixes the surfaces on both sides of a step."""
+    _, axis, across = rng.permutation(3)
+    indices, sign = np.indices(grid.shape), int(rng.choice([-1, 1]))
+    fields = []
+    for t in range(frames):
+        step = rng.uniform(3, 7) * ((indices[across] + t) // 5 % 2)
+        depth = sign * (indices[axis] - grid.shape[axis] / 2 - step + indices[across] * rng.uniform(-0.3, 0.3))
+        field = np.zeros((*grid.shape, 3))
+        field[..., axis] = -sign * np.clip(depth / 4, 0, 1)
+        field[..., across] = 0.2 * np.clip(depth / 4, 0, 1)
+        fields.append(uniform_filter1d(field, 3, axis=int(across), mode="nearest"))
+    return fields
+
+
 def _noise(rng: np.random.Generator, grid: Grid, frames: int) -> list[np.ndarray]:
     """Forces of any size at some samples, some of them tiny, and frames that repeat."""
     fields: list[np.ndarray] = []
@@ -77,8 +106,9 @@ def _noise(rng: np.random.Generator, grid: Grid, frames: int) -> list[np.ndarray
 def random_frames(seed: int) -> list[ForceField]:
     """One to four frames on a grid of up to four bricks an axis."""
     rng = np.random.default_rng(seed)
-    grid, frames, kind = _random_grid(rng), int(rng.integers(1, 5)), int(rng.integers(4))
-    dense = _noise(rng, grid, frames) if kind == 3 else _waves(rng, grid, frames, kind == 2)
+    grid, frames, kind = _random_grid(rng), int(rng.integers(1, 5)), int(rng.integers(6))
+    makers = {3: _noise, 4: _ball, 5: _steps}
+    dense = makers[kind](rng, grid, frames) if kind in makers else _waves(rng, grid, frames, kind == 2)
     scale = 10.0 ** rng.integers(-3, 3)
     return [ForceField.from_dense(grid, (scale * field).astype(np.float32)) for field in dense]
 
