@@ -1,4 +1,4 @@
-/* touch.h: a decoder of .touch files (format 1) in one file of C99; docs/format tells every byte.
+/* touch.h: a decoder of .touch files (format 1) in C99; docs/format tells every byte. touch_model.h lies beside it.
 
    In one source file:   #define TOUCH_IMPLEMENTATION
                          #include "touch.h"
@@ -131,7 +131,7 @@ touch_arena touch_arena_of(void *memory, uint64_t size) {
 
 static touch_cursor touch_cursor_of(const uint8_t *bytes, uint64_t size) {
     touch_cursor c;
-    c.at = bytes, c.end = bytes + size, c.code = TOUCH_OK, c.what = 0;
+    c.at = bytes, c.end = size ? bytes + size : bytes, c.code = TOUCH_OK, c.what = 0; /* NULL has no end */
     return c;
 }
 

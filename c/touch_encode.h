@@ -71,6 +71,11 @@ typedef struct {
     uint32_t max_error_frame, max_error_voxel[3];
 } touch_segment;
 
+typedef struct { /* samples of a frame that are to be exact: 512 times the number of a brick plus the sample, ascending */
+    uint64_t samples;
+    const uint64_t *sample;
+} touch_exact_samples;
+
 struct touch_writer;
 typedef struct {
     struct touch_writer *writer;
@@ -79,6 +84,8 @@ typedef struct {
 
 /* Bytes that are enough for an encoder of frames of at most so many bricks. */
 uint64_t touch_encode_room(const touch_grid *grid, uint64_t bricks);
+/* The length of the longest force of a frame; not a number, or infinite, if one is not finite. */
+double touch_longest_n(const touch_source *frame);
 /* `longest_n` is an upper limit of the length of all forces; `out` takes the bytes of the segment. */
 int touch_encode_start(touch_encoder *encoder, const touch_grid *grid, const touch_options *options, double longest_n,
                        touch_arena work, touch_arena out);
@@ -87,6 +94,48 @@ int touch_encode_next(touch_encoder *encoder, const touch_source *frame, const t
                       const touch_spline_fit *splines);
 /* The body; `frames` are those that were given. */
 int touch_encode_finish(touch_encoder *encoder, const touch_source *frames, touch_segment *out);
+/* Whether a frame differs from an earlier one by so little of the mask that segments of a static scene may share that one
+   as their first frame: 1 or 0; -1: `work` is too small. */
+int touch_is_static(const touch_grid *grid, const touch_options *options, const touch_source *frame,
+                    const touch_source *earlier, touch_arena work);
+/* A body, coded from `frames`, with the forces of some samples sent as they are; not of mode LOSSLESS. They predict
+   nothing, so everything else decodes as before. */
+int touch_encode_with_exact(touch_encoder *encoder, const touch_grid *grid, const touch_options *options, touch_bytes body,
+                            const touch_source *frames, const touch_exact_samples *exact, uint32_t count,
+                            touch_arena work, touch_arena out, touch_segment *segment);
+
+/* Other parts of a file. Their bytes lie in the arena; `text` says in words what is wrong, or is empty. */
+
+typedef struct { /* a support: bricks that ascend, and whether each of their samples is set */
+    uint64_t bricks;
+    const int32_t *brick;  /* [bricks][3] */
+    const uint8_t *is_set; /* [bricks][8][8][8] */
+} touch_samples;
+
+typedef struct { /* samples that vibrate in a frame, in raster order */
+    uint64_t samples;
+    const int32_t *position; /* [samples][3] */
+    const float *amplitude_n, *frequency_hz;
+} touch_vibration_samples;
+
+typedef struct { /* a body in a segment: its poses, and its fields if it deforms */
+    touch_bytes poses, fields;
+    int32_t is_deforming;
+} touch_body_part;
+
+/* A support by itself, given another one of the same grid, or NULL (docs/format/bits.md). */
+int touch_encode_support(const touch_grid *grid, const touch_samples *samples, const touch_samples *before,
+                         touch_arena *arena, touch_bytes *out, const char **text);
+/* Whole numbers by themselves, each below 2^30. */
+int touch_encode_numbers(const int64_t *numbers, uint64_t count, touch_arena *arena, touch_bytes *out, const char **text);
+/* The body of VIBR of a segment (docs/format/vibration.md). */
+int touch_encode_vibration(const touch_grid *grid, const touch_vibration_samples *frames, uint32_t count,
+                           touch_arena *arena, touch_bytes *out, const char **text);
+/* Poses of a body in a segment, [count][7]: positions and quaternions in steps (docs/format/objects.md). */
+int touch_encode_poses(const int64_t *numbers, uint32_t count, touch_arena *arena, touch_bytes *out, const char **text);
+/* The body of a segment of coder objects; `max_error` is that of the composed field, or NULL if it has no bound. */
+int touch_encode_bodies(const touch_body_part *parts, uint32_t count, const touch_segment *max_error, touch_arena *arena,
+                        touch_bytes *out, const char **text);
 
 #ifdef __cplusplus
 }
@@ -192,7 +241,7 @@ static void touch_account(touch_coder *b, int kind) {
 
 typedef struct { /* newtons, or units of a pass, less what rounding costs */
     double k, f0, sine; /* the last of the direction JND; 0 where only the mask counts */
-    int is_exact;       /* the support is kept */
+    int is_exact;       /* a force may neither vanish nor appear */
 } touch_bound;
 
 static double touch_size(const double f[3]) { return sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2]); }
@@ -224,7 +273,7 @@ static int touch_is_within(const int32_t v[3], const double f[4], const touch_bo
     return touch_error_ratio2(f, d, f[3], bound) <= 1.0;
 }
 
-typedef struct { /* a decoded frame beside its original */
+typedef struct { /* a decoded frame compared with its original */
     uint64_t *violation, violations; /* 512 times the number of a brick plus the sample, ascending */
     double max_ratio;
     uint32_t voxel[3];
@@ -241,7 +290,8 @@ typedef struct { /* forces of one of the two, by keys of bricks */
 /* The keys of a source; they ascend. */
 static uint64_t *touch_source_keys(const touch_source *s, touch_arena *arena) {
     uint64_t *key = (uint64_t *)touch_take(arena, s->bricks, 8);
-    for (uint64_t i = 0; key && i < s->bricks; i++) key[i] = touch_key(s->brick[3 * i], s->brick[3 * i + 1], s->brick[3 * i + 2]);
+    for (uint64_t i = 0; key && i < s->bricks; i++)
+        key[i] = touch_key(s->brick[3 * i], s->brick[3 * i + 1], s->brick[3 * i + 2]);
     return key;
 }
 
@@ -360,6 +410,12 @@ static int touch_choose_skip(const touch_pass *p, const touch_voxel *v) {
     return touch_is_within(v->prediction, touch_target_at(p, v->here), &p->target->bound);
 }
 
+/* The nearest whole number, within 2^40. */
+static int64_t touch_round(double x) {
+    const double limit = 1099511627776.0;
+    return (int64_t)rint(x < -limit ? -limit : x < limit ? x : limit);
+}
+
 /* The residual that probably costs the fewest bits, of the points around the force that keep the bound: zeros are cheap,
    then small numbers. The nearest point if none keeps it. */
 static void touch_choose_residual(const touch_pass *p, touch_voxel *v) {
@@ -368,14 +424,13 @@ static void touch_choose_residual(const touch_pass *p, touch_voxel *v) {
     double along[3], best = HUGE_VAL;
     for (int k = 0; k < 3; k++)
         along[k] = (f[0] * (double)v->basis[k][0] + f[1] * (double)v->basis[k][1] + f[2] * (double)v->basis[k][2]) / 16384.0;
-    int64_t level = touch_level_of(p->steps, (int64_t)rint(fabs(along[0])));
+    int64_t level = touch_level_of(p->steps, touch_round(fabs(along[0])));
     int64_t nearest = (int64_t)rint((double)((along[0] >= 0 ? level : -level) - v->centre_level) / 256.0);
     v->residual[0] = v->residual[1] = v->residual[2] = 0;
     for (int i = 0; i < 3; i++) {
-        int64_t r[3], size, low[2];
-        r[0] = nearest + around[i], size = touch_abs(touch_length_of(p->steps, v->centre_level + 256 * r[0]));
-        double step = (double)touch_max((size * p->steps->cross_rate) >> 16, p->steps->cross_floor);
-        low[0] = (int64_t)rint(along[1] / step), low[1] = (int64_t)rint(along[2] / step);
+        int64_t r[3], low[2], step, length;
+        r[0] = nearest + around[i], length = touch_along(p, v, r[0], &step);
+        low[0] = touch_round(along[1] / (double)step), low[1] = touch_round(along[2] / (double)step);
         for (int j = 0; j < 9; j++) {
             int32_t vector[3];
             r[1] = low[0] + around[j / 3], r[2] = low[1] + around[j % 3];
@@ -383,7 +438,7 @@ static void touch_choose_residual(const touch_pass *p, touch_voxel *v) {
             int64_t max = touch_max(touch_max(touch_abs(r[0]), touch_abs(r[1])), touch_abs(r[2]));
             double cost = (double)((r[0] != 0) + (r[1] != 0) + (r[2] != 0)) + larger * (double)sum;
             if (!(cost < best) || max >= 1 << 18 || !(max > 0 || v->followed)) continue;
-            touch_place(p, v, r, vector);
+            touch_place(v, length, r[1] * step, r[2] * step, vector);
             int is_within = touch_is_within(vector, f, &p->target->bound);
             if (is_within) best = cost;
             if (is_within || i + j == 0) memcpy(v->residual, r, sizeof v->residual);
@@ -481,7 +536,7 @@ struct touch_column_fit { /* the samples of a column, from outside to inside, an
     double *weight;     /* [depth]: 1 over the square of what is allowed */
     double (*rest)[3];  /* [depth]: what the first of two surfaces leaves */
     int64_t first, flat; /* first sample with a force; that from which on it is constant */
-    double surface[3][4]; /* numbers of the one surface, and of two; an amplitude of 0 cannot be told */
+    double surface[3][4]; /* numbers of the one surface, and of two; an amplitude of 0 is not known */
 };
 
 enum { TOUCH_AXIS_BRICKS = 64 };
@@ -901,6 +956,8 @@ typedef struct touch_writer {
 
 enum { TOUCH_HEAD_ROOM = 64 };
 
+#define TOUCH_MAX_NEWTONS 1329227995784915872903807060280344576.0 /* 2^120 */
+
 static int64_t touch_below(int64_t limit, double number) {
     if (!(number > 1)) number = 1;
     return (int64_t)(number < (double)(limit - 1) ? number : (double)(limit - 1));
@@ -963,6 +1020,34 @@ static double touch_fraction_within(const touch_writer *w, const touch_source *f
     return c.violations ? (double)c.within / (double)(c.within + c.violations) : 1.0;
 }
 
+double touch_longest_n(const touch_source *frame) {
+    double longest = 0;
+    for (uint64_t i = 0; i < 512 * frame->bricks; i++) {
+        const float *f = frame->forces_n + 3 * i;
+        double x = f[0], y = f[1], z = f[2], square = x * x + z * z + y * y; /* in the order of numpy: the unit follows */
+        if (!(square <= longest)) longest = square;
+        if (longest != longest) break;
+    }
+    return sqrt(longest);
+}
+
+/* Bricks ascend and lie within the grid; forces are finite, and three times as much is still a float32. */
+static int touch_check_source(const touch_grid *grid, const touch_source *frame, touch_cursor *error) {
+    uint64_t last = 0;
+    for (uint64_t i = 0; i < frame->bricks; i++) {
+        const int32_t *b = frame->brick + 3 * i;
+        for (int n = 0; n < 3; n++)
+            if (b[n] < 0 || 8 * (int64_t)b[n] >= grid->shape[n])
+                return touch_fail(error, TOUCH_ARGUMENT, "a brick beyond the grid");
+        uint64_t key = touch_key(b[0], b[1], b[2]);
+        if (i && key <= last) return touch_fail(error, TOUCH_ARGUMENT, "bricks that do not ascend");
+        last = key;
+    }
+    if (!(touch_longest_n(frame) <= TOUCH_MAX_NEWTONS))
+        return touch_fail(error, TOUCH_ARGUMENT, "a force that is not finite, or above 2^120 N");
+    return 1;
+}
+
 uint64_t touch_encode_room(const touch_grid *grid, uint64_t bricks) {
     (void)grid;
     return ((uint64_t)32 << 20) + (bricks + 1) * ((uint64_t)400 << 10);
@@ -973,6 +1058,9 @@ int touch_encode_start(touch_encoder *encoder, const touch_grid *grid, const tou
     touch_writer *w = (touch_writer *)touch_take_zero(&work, 1, sizeof *w);
     encoder->writer = w, encoder->error = "no room for a segment";
     if (!w) return TOUCH_MEMORY;
+    encoder->error = "a force that is not finite, or above 2^120 N";
+    if (!(longest_n <= TOUCH_MAX_NEWTONS)) return TOUCH_ARGUMENT;
+    encoder->error = "no room for a segment";
     w->grid = *grid, w->options = *options, w->tries_base_layers = options->has_base_layers;
     touch_fill_tables(&w->tables);
     if (out.size < out.used + 2 * TOUCH_HEAD_ROOM || !touch_sink_make(&w->body, out.size - out.used - TOUCH_HEAD_ROOM, &out))
@@ -1070,9 +1158,11 @@ static int touch_fit_base_layer(touch_writer *w, const touch_source *frame, cons
         memset(&layer, 0, sizeof layer), memset(&spline, 0, sizeof spline);
         if (!(best->fraction < enough[kind])) continue;
         if (kind < 2 && (!splines || !frame->bricks || !splines->fit(splines->self, frame, 4 - kind, &spline))) continue;
-        if (kind < 2) found = touch_put_spline(&w->grid, &w->tables, frame, &spline, &layer.bytes, &layer.units, &w->work, error);
-        else found = touch_fit_columns(&w->grid, &w->tables, frame, w->steps.unit_n, k, f0, &layer.bytes, &layer.units,
-                                       &w->work, error);
+        if (kind < 2)
+            found = touch_put_spline(&w->grid, &w->tables, frame, &spline, &layer.bytes, &layer.units, &w->work, error);
+        else
+            found = touch_fit_columns(&w->grid, &w->tables, frame, w->steps.unit_n, k, f0, &layer.bytes, &layer.units,
+                                      &w->work, error);
         if (error->code) return 0;
         if (!found) continue;
         layer.fraction = touch_fraction_within(w, frame, &layer.units, &w->work);
@@ -1129,8 +1219,9 @@ int touch_encode_next(touch_encoder *encoder, const touch_source *frame, const t
     double inter_fraction = 0.0;
     int is_inter = 0;
     const touch_source *source = coded ? coded : frame;
-    encoder->error = "";
-    if (w->options.mode == TOUCH_LOSSLESS) return w->frames++, TOUCH_OK; /* all are coded in the end */
+    if (!touch_check_source(&w->grid, frame, &error) || (coded && !touch_check_source(&w->grid, coded, &error)))
+        return touch_report(encoder, &error);
+    if (w->options.mode == TOUCH_LOSSLESS) return w->frames++, touch_report(encoder, &error); /* coded in the end */
     if (w->frames && w->options.interframe == TOUCH_INTER_AUTO)
         inter_fraction = touch_fraction_within(w, source, &w->previous, &w->work);
     if (inter_fraction < 0) touch_fail(&error, TOUCH_MEMORY, "no room for a frame");
@@ -1229,7 +1320,9 @@ static int touch_merge_ranges(touch_ranges *r, touch_arena *arena) {
     return 1;
 }
 
-static int touch_has_bits(const float v[3]) { return (touch_f32_bits(v[0]) | touch_f32_bits(v[1]) | touch_f32_bits(v[2])) != 0; }
+static int touch_has_bits(const float v[3]) {
+    return (touch_f32_bits(v[0]) | touch_f32_bits(v[1]) | touch_f32_bits(v[2])) != 0;
+}
 
 /* Add the ranges of the first `max` forces of a frame; 0: one has none. -1: no memory. */
 static int touch_add_ranges(const touch_palette *p, const touch_source *frame, uint64_t max, touch_ranges *r,
@@ -1360,7 +1453,10 @@ static int touch_put_exact(touch_writer *w, touch_exact_models *models, const to
     if (!touch_sink_make(&payload, (f->list.count + 1) * 32768 + 4 * (uint64_t)f->level_count, arena))
         return touch_fail(error, TOUCH_MEMORY, "no room for a payload");
     touch_put_u(&payload, (uint64_t)f->book, 1);
-    if (f->book && !before) touch_put_u(&payload, f->level_count, 2), touch_put(&payload, f->levels, 4 * (uint64_t)f->level_count);
+    if (f->book && !before) {
+        touch_put_u(&payload, f->level_count, 2);
+        touch_put(&payload, f->levels, 4 * (uint64_t)f->level_count);
+    }
     head = payload.size;
     touch_coder coder = touch_writing(&payload, &w->tables, &spent);
     pass.coder = &coder, pass.models = models, pass.grid = &w->grid, pass.before = before;
@@ -1484,9 +1580,9 @@ int touch_encode_finish(touch_encoder *encoder, const touch_source *frames, touc
     int is_stated = w->options.mode != TOUCH_NMSE;
     memset(out, 0, sizeof *out);
     s.bytes = head, s.size = 0, s.capacity = sizeof head;
-    if (w->options.mode == TOUCH_LOSSLESS && !touch_put_exact_frames(w, frames, &error)) return touch_report(encoder, &error);
-    if ((w->options.is_checked || w->has_violations || w->options.mode == TOUCH_LOSSLESS) && !touch_check_body(w, frames, &error))
-        return touch_report(encoder, &error);
+    int is_exact = w->options.mode == TOUCH_LOSSLESS, is_checked = is_exact || w->options.is_checked || w->has_violations;
+    if (is_exact && !touch_put_exact_frames(w, frames, &error)) return touch_report(encoder, &error);
+    if (is_checked && !touch_check_body(w, frames, &error)) return touch_report(encoder, &error);
     touch_put_u(&s, (uint64_t)is_stated, 1);
     if (w->options.mode != TOUCH_LOSSLESS) {
         touch_put_u(&s, touch_f32_bits(w->steps.unit_n), 4);
@@ -1502,6 +1598,334 @@ int touch_encode_finish(touch_encoder *encoder, const touch_source *frames, touc
     out->body = w->body.bytes + TOUCH_HEAD_ROOM - s.size, out->size = w->body.size - TOUCH_HEAD_ROOM + s.size;
     memcpy(w->body.bytes + TOUCH_HEAD_ROOM - s.size, head, (size_t)s.size);
     return touch_report(encoder, &error);
+}
+
+/* -- key frames, and segments with exact samples ---------------------------------------------------------------------- */
+
+int touch_is_static(const touch_grid *grid, const touch_options *options, const touch_source *frame,
+                    const touch_source *earlier, touch_arena work) {
+    const double margin = 0.02; /* of the mask */
+    touch_source original = *frame;
+    touch_bound bound = {0, 0, 0, 0};
+    touch_comparison c;
+    touch_side side;
+    if (options->mode > TOUCH_MASK_DIRECTION) return 0;
+    bound.k = margin * options->k > 0.001 ? margin * options->k : 0.001, bound.f0 = margin * options->f0_n;
+    original.hidden_n = 0, side.count = earlier->bricks, side.slot = 0, side.forces_n = earlier->forces_n;
+    side.key = touch_source_keys(earlier, &work);
+    if (!side.key || !touch_compare(&original, &side, &bound, grid, 0, &c, &work)) return -1;
+    return !c.violations;
+}
+
+/* The outliers of a chunk and further samples, ascending, each once. */
+static int touch_merge_outliers(touch_comparison *c, touch_cursor chunk, const touch_exact_samples *exact,
+                                const touch_grid *grid, touch_arena *arena, touch_cursor *error) {
+    uint64_t max = touch_left(&chunk) / 2 + exact->samples, brick = 0, count = 0, next = 0;
+    int64_t last = -1;
+    memset(c, 0, sizeof *c);
+    c->violation = (uint64_t *)touch_take(arena, max, 8);
+    if (!c->violation) return touch_fail(error, TOUCH_MEMORY, "no room for outliers");
+    while (chunk.at < chunk.end || next < exact->samples) {
+        uint64_t number = ~(uint64_t)0;
+        if (chunk.at < chunk.end) {
+            int32_t position[3];
+            float force[3];
+            if (!touch_read_exception(&chunk, grid, &brick, &last, position, force))
+                return touch_fail(error, chunk.code, chunk.what);
+            number = 512 * brick + (uint64_t)last;
+        }
+        while (next < exact->samples && exact->sample[next] < number) c->violation[count++] = exact->sample[next++];
+        if (next < exact->samples && exact->sample[next] == number) next++;
+        if (number != ~(uint64_t)0) c->violation[count++] = number;
+    }
+    c->violations = count;
+    return 1;
+}
+
+/* The record of a frame with more outliers. */
+static int touch_put_record(touch_writer *w, touch_cursor *c, const touch_source *frame, const touch_exact_samples *exact,
+                            touch_cursor *error) {
+    uint64_t flags = touch_u(c, 1), fractions = touch_u(c, 2), mark = w->work.used;
+    touch_cursor layer = flags & 2 ? touch_chunk(c) : touch_cursor_of(c->at, 0), payload = touch_chunk(c);
+    touch_cursor chunk = flags & 4 ? touch_chunk(c) : touch_cursor_of(c->at, 0);
+    uint64_t *key = touch_source_keys(frame, &w->work);
+    touch_comparison merged;
+    touch_sink s;
+    if (c->code) return touch_fail(error, c->code, c->what);
+    if (!touch_merge_outliers(&merged, chunk, exact, &w->grid, &w->work, error)) return 0;
+    if (!key || !touch_sink_make(&s, 24 * merged.violations, &w->work))
+        return touch_fail(error, TOUCH_MEMORY, "no room for outliers");
+    touch_put_outliers(&s, w, frame, &merged, key);
+    touch_put_u(&w->body, (flags & 3) | (s.size ? 4 : 0), 1), touch_put_u(&w->body, fractions, 2);
+    if (flags & 2) touch_put_varint(&w->body, touch_left(&layer)), touch_put(&w->body, layer.at, touch_left(&layer));
+    touch_put_varint(&w->body, touch_left(&payload)), touch_put(&w->body, payload.at, touch_left(&payload));
+    if (s.size) touch_put_chunk(&w->body, &s);
+    if (w->body.size > w->body.capacity) return touch_fail(error, TOUCH_MEMORY, "no room for a segment");
+    w->work.used = mark, w->frames++;
+    return 1;
+}
+
+int touch_encode_with_exact(touch_encoder *encoder, const touch_grid *grid, const touch_options *options, touch_bytes body,
+                            const touch_source *frames, const touch_exact_samples *exact, uint32_t count,
+                            touch_arena work, touch_arena out, touch_segment *segment) {
+    touch_options checked = *options;
+    touch_cursor error = touch_cursor_of(0, 0), c = touch_cursor_of(body.bytes, body.size);
+    touch_fields f;
+    checked.is_checked = 1;
+    int code = options->mode == TOUCH_LOSSLESS ? TOUCH_ARGUMENT : touch_encode_start(encoder, grid, &checked, 1, work, out);
+    if (code) {
+        if (code == TOUCH_ARGUMENT) encoder->error = "every sample of mode lossless is exact";
+        return code;
+    }
+    touch_writer *w = encoder->writer;
+    memset(&f, 0, sizeof f), f.grid = *grid;
+    if (!touch_begin_fields(&f, &c, count, &w->work, &error)) return touch_report(encoder, &error);
+    w->steps = f.steps, w->mark = w->work.used;
+    for (uint32_t i = 0; i < count; i++)
+        if (!touch_put_record(w, &c, frames + i, exact + i, &error)) return touch_report(encoder, &error);
+    touch_need(&error, c.at == c.end, "bytes behind the last frame of a segment");
+    return error.code ? touch_report(encoder, &error) : touch_encode_finish(encoder, frames, segment);
+}
+
+/* -- supports, whole numbers, vibration, poses ------------------------------------------------------------------------ */
+
+static int touch_result(const touch_sink *s, touch_bytes *out, const char **text, const touch_cursor *error) {
+    out->bytes = s->bytes, out->size = error->code ? 0 : s->size, *text = error->code ? error->what : "";
+    return error->code;
+}
+
+/* A support by itself; samples of bricks, as bytes, [bricks][8][8][8]. */
+static touch_set touch_set_of(const touch_samples *samples, touch_arena *arena) {
+    touch_set set;
+    set.list.key = (uint64_t *)touch_take(arena, samples->bricks, 8), set.list.count = samples->bricks;
+    set.is_set = (uint8_t *)touch_take(arena, 512 * samples->bricks, 1);
+    if (!set.list.key || !set.is_set) {
+        set.is_set = 0;
+        return set;
+    }
+    for (uint64_t i = 0; i < samples->bricks; i++)
+        set.list.key[i] = touch_key(samples->brick[3 * i], samples->brick[3 * i + 1], samples->brick[3 * i + 2]);
+    if (samples->bricks) memcpy(set.is_set, samples->is_set, (size_t)(512 * samples->bricks));
+    return set;
+}
+
+int touch_encode_support(const touch_grid *grid, const touch_samples *samples, const touch_samples *before,
+                         touch_arena *arena, touch_bytes *out, const char **text) {
+    touch_cursor error = touch_cursor_of(0, 0);
+    touch_tables *tables = (touch_tables *)touch_take(arena, 1, sizeof *tables);
+    touch_set_models *models = (touch_set_models *)touch_take(arena, 1, sizeof *models);
+    touch_set set = touch_set_of(samples, arena), other;
+    touch_spent spent;
+    touch_sink s;
+    memset(&s, 0, sizeof s), memset(&other, 0, sizeof other);
+    if (before) other = touch_set_of(before, arena);
+    if (!tables || !models || !set.is_set || (before && !other.is_set) ||
+        !touch_sink_make(&s, 1216 * samples->bricks + 64, arena))
+        touch_fail(&error, TOUCH_MEMORY, "no room for a support");
+    else {
+        touch_fill_tables(tables), touch_set_fresh(models);
+        touch_coder coder = touch_writing(&s, tables, &spent);
+        if (touch_code_set(&coder, models, grid, &other, &set, arena, &error) && !touch_finish(&coder, &s))
+            touch_fail(&error, TOUCH_MEMORY, "no room for a support");
+        touch_pad(&s, 0, touch_min_bytes(samples->bricks));
+    }
+    return touch_result(&s, out, text, &error);
+}
+
+int touch_encode_numbers(const int64_t *numbers, uint64_t count, touch_arena *arena, touch_bytes *out, const char **text) {
+    touch_cursor error = touch_cursor_of(0, 0);
+    touch_tables *tables = (touch_tables *)touch_take(arena, 1, sizeof *tables);
+    touch_numbers *models = (touch_numbers *)touch_take(arena, 1, sizeof *models);
+    touch_spent spent;
+    touch_sink s;
+    memset(&s, 0, sizeof s);
+    for (uint64_t i = 0; i < count; i++)
+        if (touch_abs(numbers[i]) >= (int64_t)1 << 30) touch_fail(&error, TOUCH_ARGUMENT, "a number beyond 2^30 - 1");
+    if (!tables || !models || !touch_sink_make(&s, 128 * count + 64, arena))
+        touch_fail(&error, TOUCH_MEMORY, "no room for numbers");
+    else {
+        touch_fill_tables(tables), touch_numbers_fresh(models);
+        touch_coder coder = touch_writing(&s, tables, &spent);
+        for (uint64_t i = 0; i < count; i++) touch_code_number(&coder, models, numbers[i]);
+        if (!touch_finish(&coder, &s)) touch_fail(&error, TOUCH_MEMORY, "no room for numbers");
+    }
+    return touch_result(&s, out, text, &error);
+}
+
+typedef struct { /* a frame of a vibration in whole numbers */
+    touch_set set;
+    uint64_t samples, *key; /* of each sample, ascending */
+    int64_t *value[2];      /* steps of amplitude; hertz */
+} touch_vibrating_source;
+
+/* The nearest step of an amplitude; below 0: it is less than the lowest. */
+static int64_t touch_amplitude_of(double amplitude_n) {
+    int exponent;
+    double mantissa = frexp(amplitude_n, &exponent);
+    return 4 * ((int64_t)exponent - 3 + 22) + (int64_t)rint(8 * mantissa) - 4;
+}
+
+/* Round the samples of a frame; those below the lowest step, 1 micronewton, go. */
+static int touch_round_vibration(touch_vibrating_source *v, const touch_vibration_samples *frame, touch_arena *arena,
+                                 touch_cursor *error) {
+    memset(v, 0, sizeof *v);
+    v->key = (uint64_t *)touch_take(arena, frame->samples, 8);
+    for (int n = 0; n < 2; n++) v->value[n] = (int64_t *)touch_take(arena, frame->samples, 8);
+    if (!v->key || !v->value[0] || !v->value[1]) return touch_fail(error, TOUCH_MEMORY, "no room for a vibration");
+    for (uint64_t i = 0; i < frame->samples; i++) {
+        const int32_t *at = frame->position + 3 * i;
+        int64_t step = touch_amplitude_of(frame->amplitude_n[i]);
+        double hertz = rint((double)frame->frequency_hz[i]);
+        if (step > 159) return touch_fail(error, TOUCH_ARGUMENT, "an amplitude above 0.9 meganewton");
+        if (step < 0) continue;
+        v->key[v->samples] = touch_key(at[0], at[1], at[2]);
+        v->value[0][v->samples] = step, v->value[1][v->samples++] = hertz > 1 ? (int64_t)hertz : 1;
+    }
+    return 1;
+}
+
+/* The support of a frame. */
+static int touch_vibration_set(touch_vibrating_source *v, touch_arena *arena) {
+    uint64_t *key = (uint64_t *)touch_take(arena, v->samples, 8), count = 0;
+    uint32_t *tag = (uint32_t *)touch_take_zero(arena, v->samples, 4);
+    touch_map map;
+    int32_t at[3];
+    if (!key || !tag) return 0;
+    for (uint64_t i = 0; i < v->samples; i++)
+        touch_position(v->key[i], at), key[i] = touch_key(at[0] >> 3, at[1] >> 3, at[2] >> 3);
+    touch_sort(key, tag, v->samples);
+    for (uint64_t i = 0; i < v->samples; i++)
+        if (!i || key[i] != key[i - 1]) key[count++] = key[i];
+    v->set.list.key = key, v->set.list.count = count;
+    v->set.is_set = (uint8_t *)touch_take_zero(arena, 512 * count, 1);
+    if (!v->set.is_set || !touch_map_make(&map, count, arena)) return 0;
+    for (uint64_t i = 0; i < count; i++) touch_map_put(&map, key[i], (uint32_t)i);
+    for (uint64_t i = 0; i < v->samples; i++) {
+        touch_position(v->key[i], at);
+        int64_t slot = touch_map_get(&map, touch_key(at[0] >> 3, at[1] >> 3, at[2] >> 3));
+        v->set.is_set[512 * slot + 64 * (at[0] & 7) + 8 * (at[1] & 7) + (at[2] & 7)] = 1;
+    }
+    return 1;
+}
+
+/* The values of a frame minus those of the same samples in the frame before, or of the sample before. */
+static void touch_put_vibration(touch_coder *b, touch_numbers *models, const touch_vibrating_source *v,
+                                const touch_vibrating_source *before, int n) {
+    uint64_t at = 0;
+    for (uint64_t i = 0; i < v->samples; i++) {
+        int64_t from = i ? v->value[n][i - 1] : 0;
+        while (before && at < before->samples && before->key[at] < v->key[i]) at++;
+        if (before && at < before->samples && before->key[at] == v->key[i]) from = before->value[n][at];
+        touch_code_number(b, models, v->value[n][i] - from);
+    }
+}
+
+int touch_encode_vibration(const touch_grid *grid, const touch_vibration_samples *frames, uint32_t count,
+                           touch_arena *arena, touch_bytes *out, const char **text) {
+    touch_cursor error = touch_cursor_of(0, 0);
+    touch_tables *tables = (touch_tables *)touch_take(arena, 1, sizeof *tables);
+    touch_set_models *models = (touch_set_models *)touch_take(arena, 1, sizeof *models);
+    touch_numbers *numbers = (touch_numbers *)touch_take(arena, 1, sizeof *numbers);
+    touch_vibrating_source *v = (touch_vibrating_source *)touch_take(arena, count, sizeof *v);
+    uint64_t bricks = 0, samples = 0;
+    touch_spent spent;
+    touch_sink s;
+    touch_set none;
+    memset(&s, 0, sizeof s), memset(&none, 0, sizeof none);
+    if (!tables || !models || !numbers || !v) touch_fail(&error, TOUCH_MEMORY, "no room for a vibration");
+    for (uint32_t i = 0; i < count && !error.code; i++) {
+        if (!touch_round_vibration(v + i, frames + i, arena, &error)) break;
+        if (!touch_vibration_set(v + i, arena)) touch_fail(&error, TOUCH_MEMORY, "no room for a vibration");
+        bricks += v[i].set.list.count, samples += v[i].samples;
+    }
+    if (!error.code && !touch_sink_make(&s, 1216 * bricks + 256 * samples + 16 * (uint64_t)count + 64, arena))
+        touch_fail(&error, TOUCH_MEMORY, "no room for a vibration");
+    if (error.code) return touch_result(&s, out, text, &error);
+    touch_fill_tables(tables), touch_set_fresh(models);
+    touch_coder coder = touch_writing(&s, tables, &spent);
+    for (uint32_t i = 0; i < count && !error.code; i++)
+        touch_code_set(&coder, models, grid, i ? &v[i - 1].set : &none, &v[i].set, arena, &error);
+    for (int n = 0; n < 2 && !error.code; n++) {
+        touch_numbers_fresh(numbers);
+        for (uint32_t i = 0; i < count; i++) touch_put_vibration(&coder, numbers, v + i, i ? v + i - 1 : 0, n);
+    }
+    if (!touch_finish(&coder, &s)) touch_fail(&error, TOUCH_MEMORY, "no room for a vibration");
+    touch_pad(&s, 0, touch_min_bytes(bricks + 16 * (uint64_t)count));
+    return touch_result(&s, out, text, &error);
+}
+
+/* Differences of an order of component c of poses, coded; those of the first pose are 0. */
+static void touch_put_moves(touch_coder *b, touch_numbers *models, const int64_t *numbers, uint32_t count, int c, int order) {
+    touch_numbers_fresh(models);
+    for (uint32_t i = 1; i < count; i++) {
+        static const int binomial[4][4] = {{1}, {1, -1}, {1, -2, 1}, {1, -3, 3, -1}};
+        uint64_t sum = 0; /* overflow is that of the reader */
+        for (uint32_t k = 0; k <= (uint32_t)order && k <= i; k++)
+            sum += (uint64_t)(int64_t)binomial[order][k] * (uint64_t)(numbers[7 * (i - k) + (uint32_t)c] - numbers[c]);
+        touch_code_number(b, models, (int64_t)sum);
+    }
+}
+
+/* The order of differences with the shortest code; 0 where nothing moves. */
+static int touch_choose_order(const touch_sink *s, const touch_tables *tables, touch_numbers *models,
+                              const int64_t *numbers, uint32_t count, int c) {
+    double best = HUGE_VAL;
+    int order = 0, is_still = 1;
+    for (uint32_t i = 1; i < count; i++) is_still &= numbers[7 * i + (uint32_t)c] == numbers[c];
+    for (int n = 1; n <= 3 && !is_still; n++) {
+        touch_spent spent;
+        touch_coder coder = touch_writing(s, tables, &spent);
+        touch_put_moves(&coder, models, numbers, count, c, n);
+        touch_account(&coder, 0);
+        if (spent.total < best) best = spent.total, order = n;
+    }
+    return order;
+}
+
+int touch_encode_poses(const int64_t *numbers, uint32_t count, touch_arena *arena, touch_bytes *out, const char **text) {
+    touch_cursor error = touch_cursor_of(0, 0);
+    touch_tables *tables = (touch_tables *)touch_take(arena, 1, sizeof *tables);
+    touch_numbers *models = (touch_numbers *)touch_take(arena, 1, sizeof *models);
+    int order[7];
+    touch_spent spent;
+    touch_sink s;
+    memset(&s, 0, sizeof s);
+    if (!count) touch_fail(&error, TOUCH_ARGUMENT, "no poses");
+    if (!tables || !models || !touch_sink_make(&s, 128 * (7 * (uint64_t)count + 14) + 64, arena))
+        touch_fail(&error, TOUCH_MEMORY, "no room for poses");
+    if (error.code) return touch_result(&s, out, text, &error);
+    touch_fill_tables(tables);
+    for (int c = 0; c < 7; c++) order[c] = touch_choose_order(&s, tables, models, numbers, count, c);
+    touch_coder coder = touch_writing(&s, tables, &spent);
+    touch_numbers_fresh(models);
+    for (int c = 0; c < 7; c++) touch_code_number(&coder, models, order[c]);
+    for (int c = 0; c < 7; c++) touch_code_number(&coder, models, numbers[c]);
+    for (int c = 0; c < 7; c++)
+        if (order[c]) touch_put_moves(&coder, models, numbers, count, c, order[c]);
+    if (!touch_finish(&coder, &s)) touch_fail(&error, TOUCH_MEMORY, "no room for poses");
+    return touch_result(&s, out, text, &error);
+}
+
+int touch_encode_bodies(const touch_body_part *parts, uint32_t count, const touch_segment *max_error, touch_arena *arena,
+                        touch_bytes *out, const char **text) {
+    touch_cursor error = touch_cursor_of(0, 0);
+    uint64_t size = 64;
+    touch_sink s;
+    for (uint32_t i = 0; i < count; i++) size += 16 + parts[i].poses.size + parts[i].fields.size;
+    memset(&s, 0, sizeof s);
+    if (!touch_sink_make(&s, size, arena)) {
+        touch_fail(&error, TOUCH_MEMORY, "no room for a segment");
+        return touch_result(&s, out, text, &error);
+    }
+    touch_put_varint(&s, max_error ? 1 + (uint64_t)ceil(max_error->max_error_ratio * 65535) : 0);
+    if (max_error) touch_put_varint(&s, max_error->max_error_frame);
+    for (int n = 0; n < 3 && max_error; n++) touch_put_varint(&s, max_error->max_error_voxel[n]);
+    for (uint32_t i = 0; i < count; i++) {
+        touch_put_varint(&s, parts[i].poses.size), touch_put(&s, parts[i].poses.bytes, parts[i].poses.size);
+        if (!parts[i].is_deforming) continue;
+        touch_put_varint(&s, parts[i].fields.size), touch_put(&s, parts[i].fields.bytes, parts[i].fields.size);
+    }
+    return touch_result(&s, out, text, &error);
 }
 
 #endif

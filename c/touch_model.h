@@ -43,12 +43,12 @@ typedef struct { /* bytes read from the first to the last; `code` is the first e
 
 /* A piece of an arena for `count` things of `each` bytes, or NULL; behind it may be a guard. */
 static void *touch_piece(touch_arena *arena, uint64_t count, uint64_t each, uint64_t guard) {
-    uint64_t base = (uint64_t)(uintptr_t)arena->base, begin = ((base + arena->used + 15) & ~(uint64_t)15) - base;
-    if (begin > arena->size || (each && count > (arena->size - begin) / each)) return 0;
-    arena->used = begin + count * each;
-    arena->used += TOUCH_GUARD(arena->base + begin, count * each, guard);
+    uint64_t base = (uint64_t)(uintptr_t)arena->base, start = ((base + arena->used + 15) & ~(uint64_t)15) - base;
+    if (start > arena->size || (each && count > (arena->size - start) / each)) return 0;
+    arena->used = start + count * each;
+    arena->used += TOUCH_GUARD(arena->base + start, count * each, guard);
     if (arena->used > arena->peak) arena->peak = arena->used;
-    return arena->base + begin;
+    return arena->base + start;
 }
 
 static void *touch_take(touch_arena *arena, uint64_t count, uint64_t each) { return touch_piece(arena, count, each, 32); }
@@ -451,13 +451,13 @@ static int touch_code_list(touch_coder *b, touch_list_models *m, const uint32_t 
     if (!key) return touch_fail(error, TOUCH_MEMORY, "no room for a list of bricks");
     if (touch_code(b, &m->context.any, target.count > 0)) key[count++] = touch_key(0, 0, 0);
     for (int level = touch_bit_length((longest - 1) >> 3) - 1; level >= 0; level--) {
-        uint64_t mark = arena->used, kept = 0;
+        uint64_t mark = arena->used, occupied = 0;
         touch_level l;
         if (!touch_level_make(&l, key, count, shape, level, before, target, arena))
             return touch_fail(error, TOUCH_MEMORY, "no room for a list of bricks");
         touch_code_level(b, m, &l);
-        for (uint64_t i = 0; i < l.count; i++) kept += l.state[i] == 1;
-        if (kept > max) return touch_fail(error, TOUCH_CORRUPT, "more bricks than the bytes may list");
+        for (uint64_t i = 0; i < l.count; i++) occupied += l.state[i] == 1;
+        if (occupied > max) return touch_fail(error, TOUCH_CORRUPT, "more bricks than the bytes may list");
         count = 0;
         for (uint64_t i = 0; i < l.count; i++)
             if (l.state[i] == 1) key[count++] = l.key[i];
@@ -623,7 +623,7 @@ typedef struct { /* a pass over a frame */
     touch_scan scan;
     int64_t slope[3]; /* loss of force along each axis from sample to sample, for `next_length` */
     const touch_units *reference;
-    uint64_t *has_reference; /* bits of its voxels with a force, 8 words a brick: its vectors lie far apart */
+    uint64_t *has_reference; /* bits of its voxels with a force, 8 words a brick: its vectors lie far from each other */
     touch_cell *cell;        /* 512 of each brick; of length 0: not supported */
     int32_t cell_at[TOUCH_WINDOW], reference_at[TOUCH_WINDOW]; /* indices into `cell` and `reference`; -1: none */
     int32_t last_vector[3];
@@ -942,13 +942,17 @@ static int64_t touch_code_component(touch_pass *p, const touch_voxel *v, int k, 
     return is_negative ? -size : size;
 }
 
-/* The vector of a residual: a length by the step table, and two steps across. */
-static void touch_place(const touch_pass *p, const touch_voxel *v, const int64_t r[3], int32_t out[3]) {
-    int64_t along = touch_length_of(p->steps, v->centre_level + 256 * r[0]);
-    int64_t step = touch_max((touch_abs(along) * p->steps->cross_rate) >> 16, p->steps->cross_floor);
+/* The length along the centre by the first component of a residual, and the steps across it there. */
+static int64_t touch_along(const touch_pass *p, const touch_voxel *v, int64_t r, int64_t *cross_step) {
+    int64_t along = touch_length_of(p->steps, v->centre_level + 256 * r);
+    *cross_step = touch_max((touch_abs(along) * p->steps->cross_rate) >> 16, p->steps->cross_floor);
+    return along;
+}
+
+/* The vector of a residual: a length along the centre, and two components across it. */
+static void touch_place(const touch_voxel *v, int64_t along, int64_t b, int64_t c, int32_t out[3]) {
     for (int n = 0; n < 3; n++)
-        out[n] = touch_limit((along * v->basis[0][n] + r[1] * step * v->basis[1][n] + r[2] * step * v->basis[2][n] + 8192) >>
-                             14);
+        out[n] = touch_limit((along * v->basis[0][n] + b * v->basis[1][n] + c * v->basis[2][n] + 8192) >> 14);
 }
 
 #ifdef TOUCH_WRITES /* the choices of a writer (touch_encode.h) */
@@ -971,7 +975,7 @@ static void touch_code_voxel(touch_pass *p, int here, int32_t index, int state) 
         memcpy(v.vector, v.prediction, sizeof v.vector);
         TOUCH_ACCOUNT(b, 1);
     } else {
-        int64_t residual[3] = {0, 0, 0};
+        int64_t residual[3] = {0, 0, 0}, along, step;
         touch_aim(p, &v);
 #ifdef TOUCH_WRITES
         if (TOUCH_IS_WRITING(b)) touch_choose_residual(p, &v), memcpy(residual, v.residual, sizeof residual);
@@ -981,7 +985,8 @@ static void touch_code_voxel(touch_pass *p, int here, int32_t index, int state) 
             if (!k) TOUCH_ACCOUNT(b, 1);
         }
         TOUCH_ACCOUNT(b, 2);
-        touch_place(p, &v, v.residual, v.vector);
+        along = touch_along(p, &v, v.residual[0], &step);
+        touch_place(&v, along, v.residual[1] * step, v.residual[2] * step, v.vector);
     }
     touch_store(p, here, index, v.vector, touch_min(touch_abs(v.residual[0]), 15),
                 touch_min(touch_abs(v.residual[1]) + touch_abs(v.residual[2]), 31));
@@ -1175,21 +1180,21 @@ static int64_t touch_code_node_residual(touch_coder *b, touch_context *c, int64_
 static int64_t touch_expected_node(const touch_nodes *nodes, uint64_t key, int64_t *sizes) {
     const int32_t *value = nodes->value;
     int32_t at[3];
-    int64_t beside[3], across[3], sum = 0;
+    int64_t before[3], across[3], sum = 0;
     int count = 0;
     *sizes = 0;
     touch_position(key, at);
     for (int n = 0; n < 3; n++) { /* before it along an axis, and along the two others together */
-        beside[n] = touch_map_get(&nodes->map, touch_key(at[0] - (n == 0), at[1] - (n == 1), at[2] - (n == 2)));
+        before[n] = touch_map_get(&nodes->map, touch_key(at[0] - (n == 0), at[1] - (n == 1), at[2] - (n == 2)));
         across[n] = touch_map_get(&nodes->map, touch_key(at[0] - (n != 0), at[1] - (n != 1), at[2] - (n != 2)));
-        if (beside[n] >= 0) *sizes += nodes->size[beside[n]];
+        if (before[n] >= 0) *sizes += nodes->size[before[n]];
     }
     for (int n = 0; n < 3; n++) {
-        int64_t p = beside[(n + 1) % 3], q = beside[(n + 2) % 3];
+        int64_t p = before[(n + 1) % 3], q = before[(n + 2) % 3];
         if (p >= 0 && q >= 0 && across[n] >= 0) sum += (int64_t)value[p] + value[q] - value[across[n]], count++;
     }
     for (int n = 0, has_planes = count > 0; n < 3 && !has_planes; n++)
-        if (beside[n] >= 0) sum += value[beside[n]], count++;
+        if (before[n] >= 0) sum += value[before[n]], count++;
     return count ? touch_div(2 * sum + count, 2 * count) : 0;
 }
 
@@ -1417,7 +1422,7 @@ static void touch_turn_surface(const touch_columns *h, touch_surface *s, int64_t
     s->normal[0] = (int32_t)((x * inverse) >> 14), s->normal[1] = (int32_t)((y * inverse) >> 14);
     s->normal[2] = (int32_t)touch_max(inverse - 16384, 820);
     if (!sides) return;
-    for (int n = 0; n < 2; n++) /* west is beside along b, north along a */
+    for (int n = 0; n < 2; n++) /* west is the neighbour along b, north along a */
         if (side[n])
             sum += side[n]->number[TOUCH_START] +
                    ((touch_rise(h, side[n]->normal, 1 - n) + touch_rise(h, s->normal, 1 - n)) >> 1);
@@ -1463,10 +1468,10 @@ static void touch_code_column(touch_columns *h, const touch_column *const near[4
         int64_t e[4], r[4], last = 0;
         int sides = touch_expect_surface(h, near, own, slot, mode, count, e, side);
         for (int q = 0; q < 4; q++) {
-            int64_t beside[2];
+            int64_t sizes[2];
             for (int n = 0; n < 2; n++)
-                beside[n] = near[n] && near[n]->count > slot ? touch_min(touch_abs(near[n]->surface[slot].residual[q]), 4) : 5;
-            r[q] = touch_column_number(h, 2 + 4 * (count - 1 + slot) + q, (int)(6 * beside[0] + beside[1]),
+                sizes[n] = near[n] && near[n]->count > slot ? touch_min(touch_abs(near[n]->surface[slot].residual[q]), 4) : 5;
+            r[q] = touch_column_number(h, 2 + 4 * (count - 1 + slot) + q, (int)(6 * sizes[0] + sizes[1]),
                                        (int)(4 * last) + (some < 3 ? some : 3), choice->residual[slot][q]);
             last = touch_max(q == TOUCH_Y ? last : 0, touch_min(touch_abs(r[q]), 3));
             if (q == TOUCH_Y) touch_turn_surface(h, s, e, r, side, sides);
@@ -1690,7 +1695,7 @@ static void touch_split(touch_point *p, uint64_t *count, const double t[3][3], i
 /* The vertices of codebook B (docs/format/paper.md): 1 to 20 ico1 to ico20, 21 to 25 octa1 to octa5. `*points`: the same
    in 2^-40. */
 static const float *touch_codebook(int book, uint32_t *vertices, const touch_point **points, touch_arena *arena) {
-    uint64_t count = 0, kept = 0;
+    uint64_t count = 0, unique = 0;
     touch_point *p = (touch_point *)touch_take(arena, 24576, sizeof *p);
     float *out = (float *)touch_take(arena, 3 * 4098, 4);
     if (!p || !out) return 0;
@@ -1733,12 +1738,12 @@ static const float *touch_codebook(int book, uint32_t *vertices, const touch_poi
         touch_point_sift(p, 0, i);
     }
     for (uint64_t i = 0; i < count; i++)
-        if (!i || touch_point_less(p + kept - 1, p + i)) {
-            p[kept] = p[i];
-            for (int n = 0; n < 3; n++) out[3 * kept + (uint64_t)n] = (float)((double)p[i].p[n] / 1099511627776.0);
-            kept++;
+        if (!i || touch_point_less(p + unique - 1, p + i)) {
+            p[unique] = p[i];
+            for (int n = 0; n < 3; n++) out[3 * unique + (uint64_t)n] = (float)((double)p[i].p[n] / 1099511627776.0);
+            unique++;
         }
-    *vertices = (uint32_t)kept, *points = p;
+    *vertices = (uint32_t)unique, *points = p;
     return out;
 }
 

@@ -9,9 +9,12 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from second import make_golden
 
+from touchfield.codec.objects.decoder import PoseSteps
 from touchfield.codec.paper.directions import Codebook
+from touchfield.codec.support import Bricks
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.medium import ForceField, Grid
+from touchfield.medium import ForceField, Grid, PoseTrack
+from touchfield.medium.medium import VibrationFrame
 
 GOLDEN = [name for name in make_golden.FIELDS if name.startswith("touch-")]
 
@@ -148,3 +151,38 @@ def random_segment(mode: str, seed: int, **options: Any) -> Segment:
     values = MODES[mode](np.random.default_rng(1000 + seed))
     values = {key: value.item() if hasattr(value, "item") else value for key, value in values.items()}
     return Segment(TouchSpec(**values, **options), random_frames(seed))
+
+
+def random_support(seed: int) -> tuple[Grid, list[Bricks]]:
+    """Supports of frames, each bricks and the mask of their samples."""
+    frames = random_frames(seed)
+    supports = []
+    for frame in frames:
+        mask = frame.forces_n.any(axis=-1)
+        has_any = mask.any(axis=(1, 2, 3))
+        supports.append((frame.bricks[has_any], mask[has_any]))
+    return frames[0].grid, supports
+
+
+def random_vibration(seed: int) -> list[VibrationFrame]:
+    """Frames in which some samples vibrate, many of them in several."""
+    rng = np.random.default_rng(3000 + seed)
+    grid, frames = _random_grid(rng), []
+    level = rng.random(grid.shape) * rng.choice([1e-7, 1e-3, 1.0])
+    for _ in range(int(rng.integers(1, 5))):
+        places = np.argwhere(rng.random(grid.shape) < rng.choice([0.0, 0.1, 0.7])).astype(np.int32)
+        amplitudes = (level[tuple(places.T)] * rng.uniform(0.9, 1.1, len(places)) + 1e-9).astype(np.float32)
+        frames.append(VibrationFrame(grid, places, amplitudes, rng.uniform(0.1, 1000, len(places)).astype(np.float32)))
+    return frames
+
+
+def random_poses(seed: int) -> tuple[PoseTrack, PoseSteps]:
+    """A body that rests, moves steadily, or trembles."""
+    rng = np.random.default_rng(4000 + seed)
+    count = int(rng.integers(1, 60))
+    t = np.arange(count)[:, None]
+    positions = rng.normal(0, 0.1, 3) + rng.choice([0.0, 0.001]) * t * rng.normal(0, 1, 3)
+    positions = positions + rng.choice([0.0, 1e-4]) * rng.normal(0, 1, (count, 3)) + 1e-5 * (seed % 3) * t**2
+    turns = rng.normal(0, 1, 4) + rng.choice([0.0, 0.01]) * t * rng.normal(0, 1, 4)
+    track = PoseTrack(turns / np.linalg.norm(turns, axis=1, keepdims=True), positions)
+    return track, PoseSteps(2.0 ** -int(rng.integers(8, 30)), 2.0 ** -int(rng.integers(4, 30)))

@@ -11,12 +11,15 @@ from typing import Any
 
 import numpy as np
 
+from touchfield.codec.objects.layout import SegmentParts
+from touchfield.codec.support import Bricks
 from touchfield.codec.touch import base_layer, base_layer_fit
 from touchfield.codec.touch.error_bound import masked_error_n
 from touchfield.codec.touch.frame_encoder import lattice_for, limits_for
 from touchfield.codec.touch.lattice import TOP, Lattice
 from touchfield.codec.touch.spec import MODES, TouchSpec
 from touchfield.medium import ForceField, Grid
+from touchfield.medium.medium import VibrationFrame
 
 C = Path(__file__).resolve().parents[2] / "c"
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
@@ -79,6 +82,39 @@ class CSpline(ctypes.Structure):
     ]
 
 
+class CBytes(ctypes.Structure):
+    """`touch_bytes`."""
+
+    _fields_ = [("bytes", ctypes.c_void_p), ("size", ctypes.c_uint64)]
+
+
+class CSamples(ctypes.Structure):
+    """`touch_samples`."""
+
+    _fields_ = [("bricks", ctypes.c_uint64), ("brick", ctypes.c_void_p), ("is_set", ctypes.c_void_p)]
+
+
+class CVibration(ctypes.Structure):
+    """`touch_vibration_samples`."""
+
+    _fields_ = [
+        ("samples", ctypes.c_uint64),
+        *((name, ctypes.c_void_p) for name in ("position", "amplitude_n", "frequency_hz")),
+    ]
+
+
+class CExact(ctypes.Structure):
+    """`touch_exact_samples`."""
+
+    _fields_ = [("samples", ctypes.c_uint64), ("sample", ctypes.c_void_p)]
+
+
+class CBody(ctypes.Structure):
+    """`touch_body_part`."""
+
+    _fields_ = [("poses", CBytes), ("fields", CBytes), ("is_deforming", ctypes.c_int32)]
+
+
 _FIT = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.POINTER(CSource), ctypes.c_int, ctypes.POINTER(CSpline))
 
 
@@ -101,6 +137,14 @@ def build(folder: Path, *options: str, source: Path = C / "touch_encode.c") -> P
     compiled = subprocess.run(command, capture_output=True, text=True, check=False)
     assert compiled.returncode == 0, compiled.stderr
     return out
+
+
+def c_options(spec: TouchSpec) -> COptions:
+    """Options for C."""
+    return COptions(
+        MODES.index(spec.mode), spec.support == "exact", _INTER.index(spec.interframe), spec.guess == "auto",
+        spec.effort == "default", spec.k, spec.f0_n, spec.direction_jnd_deg, spec.step_n,
+    )  # fmt: skip
 
 
 def c_grid(grid: Grid) -> CGrid:
@@ -176,6 +220,7 @@ class NativeEncoder:
         self.c: Any = ctypes.CDLL(str(library))
         self.c.touch_encode_room.restype = ctypes.c_uint64
         self.c.touch_encode_room.argtypes = [ctypes.c_void_p, ctypes.c_uint64]
+        self.c.touch_longest_n.restype = ctypes.c_double
         arena, pointer = CArena, ctypes.c_void_p
         self.c.touch_encode_start.argtypes = [pointer, pointer, pointer, ctypes.c_double, arena, arena]
         for name in ("touch_encode_next", "touch_encode_finish"):
@@ -191,14 +236,12 @@ class NativeEncoder:
         out_bytes: int = 1 << 26,
     ) -> bytes:
         """The body of a segment; ValueError with the text of the encoder if it fails."""
-        sources = [Source(frame, spec) for frame in frames]
+        sources, own = [Source(frame, spec) for frame in frames], c_grid(grid)
         key = None if key_frame is None else Source(key_frame, spec)
         bricks = 2 * max(len(s.bricks) for s in [*sources, *([key] if key else [])])
-        options = COptions(
-            MODES.index(spec.mode), spec.support == "exact", _INTER.index(spec.interframe), spec.guess == "auto",
-            spec.effort == "default", spec.k, spec.f0_n, spec.direction_jnd_deg, spec.step_n,
-        )  # fmt: skip
-        own, encoder, longest = c_grid(grid), CEncoder(), longest_n(frames, key_frame)
+        options, encoder, longest = c_options(spec), CEncoder(), max(self.longest_n(source) for source in sources)
+        if key:  # the unit of the key frame is kept if possible
+            longest = longest if longest > 1.01 * self.longest_n(key) else self.longest_n(key)
         splines = Splines(grid, spec, longest) if has_splines else None
         room = self.c.touch_encode_room(ctypes.byref(own), bricks)
         work, out = np.empty(room, np.uint8), np.empty(out_bytes, np.uint8)
@@ -217,15 +260,83 @@ class NativeEncoder:
         check(self.c.touch_encode_finish(start[0], all_frames, ctypes.byref(segment)))
         return ctypes.string_at(segment.body, segment.size)
 
+    def longest_n(self, source: Source) -> float:
+        """The length of the longest force of a frame."""
+        return float(self.c.touch_longest_n(ctypes.byref(source.c)))
 
-def longest_n(frames: Sequence[ForceField], key_frame: ForceField | None = None) -> float:
-    """The limit of all forces that the encoder of the package has."""
-    def length(frame: ForceField) -> float:
-        vectors = frame.forces_n.reshape(-1, 3)
-        return float(np.sqrt(np.einsum("ni,ni->n", vectors, vectors, dtype=np.float64).max(initial=0.0)))
+    def is_static(self, spec: TouchSpec, frame: ForceField, earlier: ForceField) -> bool:
+        """Whether an earlier frame serves as the key frame of a frame."""
+        sources, work = [Source(f, spec) for f in (frame, earlier)], np.empty(1 << 24, np.uint8)
+        arguments = (ctypes.byref(x) for x in (c_grid(frame.grid), c_options(spec), *(s.c for s in sources)))
+        return bool(self.c.touch_is_static(*arguments, CArena(work.ctypes.data, work.size, 0, 0)))
 
-    longest = max(map(length, frames))
-    if key_frame is None:
-        return longest
-    return longest if longest > 1.01 * length(key_frame) else length(key_frame)
+    def with_exact_samples(
+        self, grid: Grid, spec: TouchSpec, body: bytes, frames: Sequence[ForceField], samples: Sequence[np.ndarray]
+    ) -> bytes:
+        """A body with samples of each frame exact."""
+        sources, own, encoder = [Source(frame, spec) for frame in frames], c_grid(grid), CEncoder()
+        lists = [np.ascontiguousarray(s, np.uint64) for s in samples]
+        room = self.c.touch_encode_room(ctypes.byref(own), 2 * max(len(s.bricks) for s in sources))
+        work, out, segment = np.empty(room, np.uint8), np.empty(1 << 26, np.uint8), CSegment()
+        arenas = (CArena(a.ctypes.data, a.size, 0, 0) for a in (work, out))
+        data = CBytes(ctypes.cast(ctypes.c_char_p(body), ctypes.c_void_p), len(body))
+        code = self.c.touch_encode_with_exact(
+            ctypes.byref(encoder), ctypes.byref(own), ctypes.byref(c_options(spec)), data,
+            (CSource * len(sources))(*(s.c for s in sources)),
+            (CExact * len(lists))(*(CExact(len(s), _pointer(s)) for s in lists)),
+            ctypes.c_uint32(len(sources)), *arenas, ctypes.byref(segment),
+        )  # fmt: skip
+        if code:
+            raise ValueError(f"{code}: {encoder.error.decode()}")
+        return ctypes.string_at(segment.body, segment.size)
 
+    def _part(self, name: str, *arguments: Any) -> bytes:
+        """The bytes of a function that takes an arena, a place for them, and one for the text of an error."""
+        memory, out, text = np.empty(1 << 26, np.uint8), CBytes(), ctypes.c_char_p()
+        arena = CArena(memory.ctypes.data, memory.size, 0, 0)
+        last = ctypes.byref(arena), ctypes.byref(out), ctypes.byref(text)
+        if getattr(self.c, name)(*arguments, *last):
+            raise ValueError(text.value.decode() if text.value else name)
+        return ctypes.string_at(out.bytes, out.size)
+
+    def support(self, grid: Grid, support: Bricks, before: Bricks | None = None) -> bytes:
+        """A support by itself."""
+        arrays = [(np.ascontiguousarray(b, np.int32), np.ascontiguousarray(m, np.uint8)) for b, m in (support, before or support)]
+        own, other = (CSamples(len(b), b.ctypes.data, m.ctypes.data) for b, m in arrays)
+        return self._part(
+            "touch_encode_support", ctypes.byref(c_grid(grid)), ctypes.byref(own), before and ctypes.byref(other)
+        )
+
+    def numbers(self, numbers: np.ndarray) -> bytes:
+        """Whole numbers by themselves."""
+        values = np.ascontiguousarray(numbers, np.int64)
+        return self._part("touch_encode_numbers", ctypes.c_void_p(values.ctypes.data), ctypes.c_uint64(len(values)))
+
+    def vibration(self, frames: Sequence[VibrationFrame]) -> bytes:
+        """The body of VIBR."""
+        frames = list(frames)
+        sources = (CVibration * len(frames))(
+            *(CVibration(len(f), *(_pointer(a) for a in (f.positions, f.amplitudes_n, f.frequencies_hz))) for f in frames)
+        )
+        grid = c_grid(frames[0].grid)
+        return self._part("touch_encode_vibration", ctypes.byref(grid), sources, ctypes.c_uint32(len(frames)))
+
+    def poses(self, numbers: np.ndarray) -> bytes:
+        """Poses of a body in steps, [n, 7]."""
+        values = np.ascontiguousarray(numbers, np.int64)
+        return self._part("touch_encode_poses", ctypes.c_void_p(values.ctypes.data), ctypes.c_uint32(len(values)))
+
+    def bodies(self, parts: SegmentParts) -> bytes:
+        """The body of a segment of objects."""
+        def view(data: bytes | None) -> CBytes:
+            return CBytes(ctypes.cast(ctypes.c_char_p(data), ctypes.c_void_p), len(data or b""))
+
+        bodies = (CBody * len(parts.objects))(
+            *(CBody(view(part.poses), view(part.fields), part.fields is not None) for part in parts.objects)
+        )
+        worst = None
+        if parts.max_error:
+            voxel = (ctypes.c_uint32 * 3)(*parts.max_error.voxel)
+            worst = CSegment(None, 0, parts.max_error.ratio, parts.max_error.frame, voxel)
+        count = ctypes.c_uint32(len(bodies))
+        return self._part("touch_encode_bodies", bodies, count, worst and ctypes.byref(worst))

@@ -7,14 +7,31 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
-from encode_content import GOLDEN, MODES, Segment, golden_segments, lossless_segment, random_segment
-from native_encoder import COMPILER, NativeEncoder, build
+from encode_content import (
+    GOLDEN,
+    MODES,
+    Segment,
+    golden_segments,
+    lossless_segment,
+    random_poses,
+    random_segment,
+    random_support,
+    random_vibration,
+)
+from native_encoder import COMPILER, C, NativeEncoder, build
+from second import make_golden
 
+from touchfield.codec.objects.encoder import ObjectsEncoder, encode_poses, round_poses
+from touchfield.codec.objects.layout import SegmentParts
+from touchfield.codec.support import encode_numbers, encode_support
 from touchfield.codec.touch import base_layer_fit
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
+from touchfield.codec.vibration import encode_vibration
 from touchfield.medium import ForceField, Grid
+from touchfield.medium.field import brick_keys
 
 HERE = Path(__file__).parent
 WATCHED = ("-g", "-Og", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
@@ -78,12 +95,91 @@ def test_golden_segments(name: str, native: NativeEncoder) -> None:
         assert native.segment(*segment_arguments(segment), has_splines=True) == expected(segment)
 
 
+@pytest.mark.parametrize("seed", range(SEEDS))
+def test_supports(seed: int, native: NativeEncoder) -> None:
+    grid, supports = random_support(seed)
+    for i, (bricks, mask) in enumerate(supports):
+        before = supports[i - 1] if i else None
+        assert native.support(grid, (bricks, mask), before) == encode_support(grid, bricks, mask, before)
+
+
+@pytest.mark.parametrize("seed", range(SEEDS))
+def test_whole_numbers(seed: int, native: NativeEncoder) -> None:
+    rng = np.random.default_rng(seed)
+    numbers = np.rint(rng.standard_normal(200 * seed) * 2.0 ** rng.integers(0, 27, 200 * seed)).astype(np.int64)
+    assert native.numbers(numbers) == encode_numbers(numbers)
+    with pytest.raises(ValueError, match="beyond 2"):
+        native.numbers(np.array([1 << 30]))
+
+
+@pytest.mark.parametrize("seed", range(SEEDS))
+def test_vibration(seed: int, native: NativeEncoder) -> None:
+    frames = random_vibration(seed)
+    assert native.vibration(frames) == encode_vibration(frames)
+    golden = [make_golden.hum(t) for t in range(seed)] or [make_golden.hum(4)]
+    assert native.vibration(golden) == encode_vibration(golden)
+
+
+@pytest.mark.parametrize("seed", range(3 * SEEDS))
+def test_poses(seed: int, native: NativeEncoder) -> None:
+    track, steps = random_poses(seed)
+    assert native.poses(round_poses(track, steps)) == encode_poses(track, steps)
+
+
+@pytest.mark.parametrize("name", [name for name in make_golden.SCENES if "touch" in name])
+def test_golden_bodies(name: str, native: NativeEncoder) -> None:
+    scene, spec = make_golden.SCENES[name]
+    encoder = ObjectsEncoder(scene, spec, 1 / 64)
+    is_deforming = [not body.is_rigid for body in scene.objects]
+    for _, _, body in encoder.segments():
+        assert native.bodies(SegmentParts.from_bytes(body, is_deforming)) == body
+
+
+@pytest.mark.parametrize("seed", range(SEEDS))
+def test_exact_samples(seed: int, native: NativeEncoder) -> None:
+    segment = random_segment("mask", seed, guess="off")
+    coder, rng = TouchEncoder(segment.grid, segment.spec), np.random.default_rng(seed)
+    coded = coder.encode_segment(segment.frames)
+    samples = []
+    for frame in segment.frames:
+        brick, sample = np.nonzero(rng.random((len(frame.bricks), 512)) < 0.02)
+        inside = (8 * frame.bricks[brick] + np.stack(np.unravel_index(sample, (8, 8, 8)), axis=1) < segment.grid.shape).all(axis=1)
+        samples.append((512 * brick_keys(segment.grid, frame.bricks)[brick] + sample)[inside])
+    body = coder.with_exact_samples(coded, segment.frames, samples).body
+    assert native.with_exact_samples(segment.grid, segment.spec, coded.body, segment.frames, samples) == body
+
+
+def test_functions_are_short() -> None:
+    for name in ("touch_model.h", "touch_encode.h"):
+        start, lines = 0, (C / name).read_text().splitlines()
+        for number, line in enumerate(lines):
+            assert len(line) <= 128, f"{name}:{number + 1}"
+            if line and line[0].isalpha():
+                start = number
+            if line == "}":
+                assert number - start < 80, f"{name}:{start + 1}"
+
+
 def test_key_frame(native: NativeEncoder) -> None:
     segment = random_segment("mask", 1, guess="off")
     key_frame = segment.frames[0].scaled(1.0005)
     coder = TouchEncoder(segment.grid, segment.spec)
     body = coder.encode_segment(segment.frames, key_frame=key_frame).body
     assert native.segment(segment.grid, segment.spec, segment.frames, key_frame) == body
+    for scale in (1.0, 1.0005, 1.01, 2.0):
+        frame = segment.frames[0].scaled(scale)
+        is_static = coder.key_frame(frame, segment.frames[0]) is segment.frames[0]
+        assert native.is_static(segment.spec, frame, segment.frames[0]) == is_static
+
+
+def test_forces_that_are_not_finite_are_refused(native: NativeEncoder) -> None:
+    segment = random_segment("mask", 1, guess="off")
+    for value in (np.nan, np.inf, 2e36):
+        forces = segment.frames[0].forces_n.copy()
+        forces[0, 0, 0, 0, 1] = value
+        bad = ForceField(segment.grid, segment.frames[0].bricks, forces)
+        with pytest.raises(ValueError, match="6: a force that is not finite, or above"):
+            native.segment(segment.grid, segment.spec, [bad])
 
 
 def test_too_little_memory_is_reported(native: NativeEncoder) -> None:
