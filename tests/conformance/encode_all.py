@@ -5,7 +5,14 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from encode_content import MODES, lossless_segment, random_poses, random_segment, random_support, random_vibration
+from encode_content import (
+    MODES,
+    lossless_segment,
+    random_poses,
+    random_segment,
+    random_support,
+    random_vibration,
+)
 from native_encoder import NativeEncoder
 
 from touchfield.codec.objects.encoder import round_poses

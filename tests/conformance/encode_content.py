@@ -1,4 +1,4 @@
-"""Segments that encoders are compared on: golden contents, and fields of a seed; each with the options to code them."""
+"""Segments that encoders are compared on: golden and random fields, each with the options to code them."""
 
 from __future__ import annotations
 
@@ -67,7 +67,9 @@ def _waves(rng: np.random.Generator, grid: Grid, frames: int, is_solid: bool) ->
 
 def _ball(rng: np.random.Generator, grid: Grid, frames: int) -> list[np.ndarray]:
     """A soft ball that moves: the field of a penalty force, which is smooth."""
-    metres = np.stack([(np.arange(grid.shape[i]) * grid.spacing_m[i])[np.indices(grid.shape)[i]] for i in range(3)], -1)
+    metres = np.stack(
+        [(np.arange(grid.shape[i]) * grid.spacing_m[i])[np.indices(grid.shape)[i]] for i in range(3)], -1
+    )
     extent = np.array(grid.shape) * grid.spacing_m
     centre, radius = extent * rng.uniform(0.3, 0.7, 3), extent.max() * rng.uniform(0.4, 0.7)
     fields = []
@@ -85,7 +87,9 @@ def _steps(rng: np.random.Generator, grid: Grid, frames: int) -> list[np.ndarray
     fields = []
     for t in range(frames):
         step = rng.uniform(3, 7) * ((indices[across] + t) // 5 % 2)
-        depth = sign * (indices[axis] - grid.shape[axis] / 2 - step + indices[across] * rng.uniform(-0.3, 0.3))
+        depth = sign * (
+            indices[axis] - grid.shape[axis] / 2 - step + indices[across] * rng.uniform(-0.3, 0.3)
+        )
         field = np.zeros((*grid.shape, 3))
         field[..., axis] = -sign * np.clip(depth / 4, 0, 1)
         field[..., across] = 0.2 * np.clip(depth / 4, 0, 1)
@@ -119,15 +123,21 @@ def random_frames(seed: int) -> list[ForceField]:
 MODES: dict[str, Callable[[np.random.Generator], dict[str, Any]]] = {
     "mask": lambda rng: {"k": rng.choice([0.02, 0.1, 0.3]), "f0_n": rng.choice([0.0, 0.01, 0.05, 0.5])},
     "exact-support": lambda rng: {"support": "exact", "f0_n": rng.choice([0.01, 0.2])},
-    "mask-direction": lambda rng: {"mode": "mask-direction", "direction_jnd_deg": rng.choice([5.0, 18.4, 60.0])},
+    "mask-direction": lambda rng: {
+        "mode": "mask-direction",
+        "direction_jnd_deg": rng.choice([5.0, 18.4, 60.0]),
+    },
     "nmse": lambda rng: {"mode": "nmse", "step_n": rng.choice([0.001, 0.05, 0.5])},
-    "masking": lambda rng: {"masking": rng.choice([0.05, 0.5]), "masking_radius_m": rng.choice([0.0025, 0.01])},
+    "masking": lambda rng: {
+        "masking": rng.choice([0.05, 0.5]),
+        "masking_radius_m": rng.choice([0.0025, 0.01]),
+    },
     "inter": lambda rng: {"interframe": rng.choice(["on", "off"]), "effort": "fast"},
 }
 
 
 def lossless_segment(seed: int) -> Segment:
-    """Frames for the exact mode: as they are, rounded, or products of levels and directions that change at times."""
+    """Frames for the lossless mode: as they are, rounded, or products of levels and directions."""
     rng, frames = np.random.default_rng(2000 + seed), random_frames(seed)
     kind = seed % 4
     if kind == 1:
@@ -172,7 +182,9 @@ def random_vibration(seed: int) -> list[VibrationFrame]:
     for _ in range(int(rng.integers(1, 5))):
         places = np.argwhere(rng.random(grid.shape) < rng.choice([0.0, 0.1, 0.7])).astype(np.int32)
         amplitudes = (level[tuple(places.T)] * rng.uniform(0.9, 1.1, len(places)) + 1e-9).astype(np.float32)
-        frames.append(VibrationFrame(grid, places, amplitudes, rng.uniform(0.1, 1000, len(places)).astype(np.float32)))
+        frames.append(
+            VibrationFrame(grid, places, amplitudes, rng.uniform(0.1, 1000, len(places)).astype(np.float32))
+        )
     return frames
 
 

@@ -1,4 +1,4 @@
-"""`c/touch_encode.h` by ctypes: a library of it, built here, and its functions on the types of the package."""
+"""`c/touch_encode.h` by ctypes: builds a library, and wraps its functions for the types of the package."""
 
 from __future__ import annotations
 
@@ -55,7 +55,10 @@ class COptions(ctypes.Structure):
 class CSource(ctypes.Structure):
     """`touch_source`."""
 
-    _fields_ = [("bricks", ctypes.c_uint64), *((name, ctypes.c_void_p) for name in ("brick", "forces", "hidden"))]
+    _fields_ = [
+        ("bricks", ctypes.c_uint64),
+        *((name, ctypes.c_void_p) for name in ("brick", "forces", "hidden")),
+    ]
 
 
 class CSegment(ctypes.Structure):
@@ -115,7 +118,9 @@ class CBody(ctypes.Structure):
     _fields_ = [("poses", CBytes), ("fields", CBytes), ("is_deforming", ctypes.c_int32)]
 
 
-_FIT = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.POINTER(CSource), ctypes.c_int, ctypes.POINTER(CSpline))
+_FIT = ctypes.CFUNCTYPE(
+    ctypes.c_int, ctypes.c_void_p, ctypes.POINTER(CSource), ctypes.c_int, ctypes.POINTER(CSpline)
+)
 
 
 class CSplineFit(ctypes.Structure):
@@ -133,7 +138,18 @@ class CEncoder(ctypes.Structure):
 def build(folder: Path, *options: str, source: Path = C / "touch_encode.c") -> Path:
     """`libtouch.so` in a folder, compiled with every warning an error."""
     out = folder / "libtouch.so"
-    command = [str(COMPILER), *STRICT, "-shared", "-fPIC", *options, f"-I{C}", "-o", str(out), str(source), "-lm"]
+    command = [
+        str(COMPILER),
+        *STRICT,
+        "-shared",
+        "-fPIC",
+        *options,
+        f"-I{C}",
+        "-o",
+        str(out),
+        str(source),
+        "-lm",
+    ]
     compiled = subprocess.run(command, capture_output=True, text=True, check=False)
     assert compiled.returncode == 0, compiled.stderr
     return out
@@ -182,7 +198,9 @@ class Splines:
 
     def _fit(self, _: Any, source: Any, level: int, out: Any) -> int:
         count = source.contents.bricks
-        bricks = np.ctypeslib.as_array(ctypes.cast(source.contents.brick, ctypes.POINTER(ctypes.c_int32)), (count, 3))
+        bricks = np.ctypeslib.as_array(
+            ctypes.cast(source.contents.brick, ctypes.POINTER(ctypes.c_int32)), (count, 3)
+        )
         forces = ctypes.cast(source.contents.forces, ctypes.POINTER(ctypes.c_float))
         frame = ForceField(self._grid, bricks, np.ctypeslib.as_array(forces, (count, 8, 8, 8, 3)))
         fitted = spline_coefficients(frame, self._lattice, self._k, self._f0, level)
@@ -239,7 +257,11 @@ class NativeEncoder:
         sources, own = [Source(frame, spec) for frame in frames], c_grid(grid)
         key = None if key_frame is None else Source(key_frame, spec)
         bricks = 2 * max(len(s.bricks) for s in [*sources, *([key] if key else [])])
-        options, encoder, longest = c_options(spec), CEncoder(), max(self.longest_n(source) for source in sources)
+        options, encoder, longest = (
+            c_options(spec),
+            CEncoder(),
+            max(self.longest_n(source) for source in sources),
+        )
         if key:  # the unit of the key frame is kept if possible
             longest = longest if longest > 1.01 * self.longest_n(key) else self.longest_n(key)
         splines = Splines(grid, spec, longest) if has_splines else None
@@ -255,7 +277,11 @@ class NativeEncoder:
         check(self.c.touch_encode_start(*start, longest, *arenas))
         for i, source in enumerate(sources):
             coded = ctypes.byref(key.c) if key and not i else None
-            check(self.c.touch_encode_next(start[0], ctypes.byref(source.c), coded, splines and ctypes.byref(splines.c)))
+            check(
+                self.c.touch_encode_next(
+                    start[0], ctypes.byref(source.c), coded, splines and ctypes.byref(splines.c)
+                )
+            )
         segment, all_frames = CSegment(), (CSource * len(sources))(*(s.c for s in sources))
         check(self.c.touch_encode_finish(start[0], all_frames, ctypes.byref(segment)))
         return ctypes.string_at(segment.body, segment.size)
@@ -271,7 +297,12 @@ class NativeEncoder:
         return bool(self.c.touch_is_static(*arguments, CArena(work.ctypes.data, work.size, 0, 0)))
 
     def with_exact_samples(
-        self, grid: Grid, spec: TouchSpec, body: bytes, frames: Sequence[ForceField], samples: Sequence[np.ndarray]
+        self,
+        grid: Grid,
+        spec: TouchSpec,
+        body: bytes,
+        frames: Sequence[ForceField],
+        samples: Sequence[np.ndarray],
     ) -> bytes:
         """A body with samples of each frame exact."""
         sources, own, encoder = [Source(frame, spec) for frame in frames], c_grid(grid), CEncoder()
@@ -301,22 +332,33 @@ class NativeEncoder:
 
     def support(self, grid: Grid, support: Bricks, before: Bricks | None = None) -> bytes:
         """A support by itself."""
-        arrays = [(np.ascontiguousarray(b, np.int32), np.ascontiguousarray(m, np.uint8)) for b, m in (support, before or support)]
+        arrays = [
+            (np.ascontiguousarray(b, np.int32), np.ascontiguousarray(m, np.uint8))
+            for b, m in (support, before or support)
+        ]
         own, other = (CSamples(len(b), b.ctypes.data, m.ctypes.data) for b, m in arrays)
         return self._part(
-            "touch_encode_support", ctypes.byref(c_grid(grid)), ctypes.byref(own), before and ctypes.byref(other)
+            "touch_encode_support",
+            ctypes.byref(c_grid(grid)),
+            ctypes.byref(own),
+            before and ctypes.byref(other),
         )
 
     def numbers(self, numbers: np.ndarray) -> bytes:
         """Whole numbers by themselves."""
         values = np.ascontiguousarray(numbers, np.int64)
-        return self._part("touch_encode_numbers", ctypes.c_void_p(values.ctypes.data), ctypes.c_uint64(len(values)))
+        return self._part(
+            "touch_encode_numbers", ctypes.c_void_p(values.ctypes.data), ctypes.c_uint64(len(values))
+        )
 
     def vibration(self, frames: Sequence[VibrationFrame]) -> bytes:
         """The body of VIBR."""
         frames = list(frames)
         sources = (CVibration * len(frames))(
-            *(CVibration(len(f), *(_pointer(a) for a in (f.positions, f.amplitudes_n, f.frequencies_hz))) for f in frames)
+            *(
+                CVibration(len(f), *(_pointer(a) for a in (f.positions, f.amplitudes_n, f.frequencies_hz)))
+                for f in frames
+            )
         )
         grid = c_grid(frames[0].grid)
         return self._part("touch_encode_vibration", ctypes.byref(grid), sources, ctypes.c_uint32(len(frames)))
@@ -324,10 +366,13 @@ class NativeEncoder:
     def poses(self, numbers: np.ndarray) -> bytes:
         """Poses of a body in steps, [n, 7]."""
         values = np.ascontiguousarray(numbers, np.int64)
-        return self._part("touch_encode_poses", ctypes.c_void_p(values.ctypes.data), ctypes.c_uint32(len(values)))
+        return self._part(
+            "touch_encode_poses", ctypes.c_void_p(values.ctypes.data), ctypes.c_uint32(len(values))
+        )
 
     def bodies(self, parts: SegmentParts) -> bytes:
         """The body of a segment of objects."""
+
         def view(data: bytes | None) -> CBytes:
             return CBytes(ctypes.cast(ctypes.c_char_p(data), ctypes.c_void_p), len(data or b""))
 

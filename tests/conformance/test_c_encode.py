@@ -79,7 +79,7 @@ def test_random_fields_with_columns(
 @pytest.mark.parametrize("seed", range(SEEDS))
 @pytest.mark.parametrize("mode", MODES)
 def test_random_fields_with_splines(mode: str, seed: int, native: NativeEncoder) -> None:
-    """The coefficients are those of the package: their sums of float32 depend on the order of the processor."""
+    """The package fits the coefficients: sums of float32 depend on the vector instructions."""
     segment = random_segment(mode, seed)
     assert native.segment(*segment_arguments(segment), has_splines=True) == expected(segment)
 
@@ -106,7 +106,9 @@ def test_supports(seed: int, native: NativeEncoder) -> None:
 @pytest.mark.parametrize("seed", range(SEEDS))
 def test_whole_numbers(seed: int, native: NativeEncoder) -> None:
     rng = np.random.default_rng(seed)
-    numbers = np.rint(rng.standard_normal(200 * seed) * 2.0 ** rng.integers(0, 27, 200 * seed)).astype(np.int64)
+    numbers = np.rint(rng.standard_normal(200 * seed) * 2.0 ** rng.integers(0, 27, 200 * seed)).astype(
+        np.int64
+    )
     assert native.numbers(numbers) == encode_numbers(numbers)
     with pytest.raises(ValueError, match="beyond 2"):
         native.numbers(np.array([1 << 30]))
@@ -143,7 +145,10 @@ def test_exact_samples(seed: int, native: NativeEncoder) -> None:
     samples = []
     for frame in segment.frames:
         brick, sample = np.nonzero(rng.random((len(frame.bricks), 512)) < 0.02)
-        inside = (8 * frame.bricks[brick] + np.stack(np.unravel_index(sample, (8, 8, 8)), axis=1) < segment.grid.shape).all(axis=1)
+        inside = (
+            8 * frame.bricks[brick] + np.stack(np.unravel_index(sample, (8, 8, 8)), axis=1)
+            < segment.grid.shape
+        ).all(axis=1)
         samples.append((512 * brick_keys(segment.grid, frame.bricks)[brick] + sample)[inside])
     body = coder.with_exact_samples(coded, segment.frames, samples).body
     assert native.with_exact_samples(segment.grid, segment.spec, coded.body, segment.frames, samples) == body
@@ -193,8 +198,13 @@ def test_no_memory_is_touched_that_is_not_its_own(tmp_path: Path) -> None:
     probe = tmp_path / "probe.c"
     probe.write_text("int main(void) { return 0; }\n")
     command = [str(COMPILER), *WATCHED, "-o", str(tmp_path / "probe"), str(probe)]
-    asan = subprocess.run([str(COMPILER), "-print-file-name=libasan.so"], capture_output=True, text=True, check=False)
-    if subprocess.run(command, capture_output=True, check=False).returncode or not Path(asan.stdout.strip()).is_file():
+    asan = subprocess.run(
+        [str(COMPILER), "-print-file-name=libasan.so"], capture_output=True, text=True, check=False
+    )
+    if (
+        subprocess.run(command, capture_output=True, check=False).returncode
+        or not Path(asan.stdout.strip()).is_file()
+    ):
         pytest.skip("the compiler has no address sanitizer")
     library = build(tmp_path, *WATCHED, source=HERE / "encode_watched.c")
     env = {**os.environ, "LD_PRELOAD": asan.stdout.strip(), "ASAN_OPTIONS": "detect_leaks=0"}
