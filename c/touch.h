@@ -932,7 +932,11 @@ static const touch_field *touch_make_field(const touch_fields *f, touch_cursor a
     float *forces, force[3];
     int64_t last = -1;
     int32_t place[3];
-    if (!touch_map_make(&map, list->count + touch_left(&apart) / 2, scratch)) {
+    uint64_t bricks = 1, before = 0; /* of the exceptions; it may be that of number 0 */
+    while (c.at < c.end && touch_read_exception(&c, &f->grid, &brick, &last, place, force))
+        bricks += brick != before, before = brick;
+    c = apart, brick = 0, last = -1;
+    if (!touch_map_make(&map, list->count + bricks, scratch)) {
         touch_fail(error, TOUCH_MEMORY, "no room for a field");
         return 0;
     }

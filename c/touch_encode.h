@@ -82,8 +82,11 @@ typedef struct {
     const char *error;
 } touch_encoder;
 
-/* Bytes that are enough for an encoder of frames of at most so many bricks. */
-uint64_t touch_encode_room(const touch_grid *grid, uint64_t bricks);
+/* Bytes of `work` that are enough for frames, and the key frame, of at most so many bricks each; bricks that only have
+   exact samples count, too. Some 50 to 80 KB a brick. */
+uint64_t touch_encode_room(const touch_grid *grid, const touch_options *options, uint64_t bricks);
+/* Bytes of `out` that are enough for `count` frames of so many bricks each. */
+uint64_t touch_segment_room(uint64_t bricks, uint32_t count);
 /* The length of the longest force of a frame; not a number, or infinite, if one is not finite. */
 double touch_longest_n(const touch_source *frame);
 /* `longest_n` is an upper limit of the length of all forces; `out` takes the bytes of the segment. */
@@ -105,6 +108,11 @@ int touch_encode_with_exact(touch_encoder *encoder, const touch_grid *grid, cons
                             touch_arena work, touch_arena out, touch_segment *segment);
 
 /* Other parts of a file. Their bytes lie in the arena; `text` says in words what is wrong, or is empty. */
+
+/* Bytes of an arena that are enough: by the bricks of all supports, a support and the one before or those of all frames,
+   and by all numbers, two for each sample that vibrates and seven for each pose. Bodies take 64 bytes more than they have,
+   and 16 more each. */
+uint64_t touch_part_room(uint64_t bricks, uint64_t numbers, uint64_t frames);
 
 typedef struct { /* a support: bricks that ascend, and whether each of their samples is set */
     uint64_t bricks;
@@ -151,14 +159,14 @@ int touch_encode_bodies(const touch_body_part *parts, uint32_t count, const touc
 
 /* -- bytes ----------------------------------------------------------------------------------------------------------- */
 
-typedef struct { /* bytes that are written; above `capacity` there was no room */
+typedef struct { /* bytes that are written, or only counted if NULL; above `capacity` there was no room */
     uint8_t *bytes;
     uint64_t size, capacity;
 } touch_sink;
 
 static void touch_put(touch_sink *s, const void *bytes, uint64_t count) {
     if (s->size <= s->capacity && count <= s->capacity - s->size) {
-        if (count) memcpy(s->bytes + s->size, bytes, (size_t)count);
+        if (count && s->bytes) memcpy(s->bytes + s->size, bytes, (size_t)count);
         s->size += count;
     } else s->size = s->capacity + 1;
 }
@@ -181,6 +189,22 @@ static void touch_put_chunk(touch_sink *s, const touch_sink *chunk) {
 static int touch_sink_make(touch_sink *s, uint64_t capacity, touch_arena *arena) {
     s->bytes = (uint8_t *)touch_take(arena, capacity, 1), s->size = 0, s->capacity = capacity;
     return s->bytes != 0;
+}
+
+enum { TOUCH_END_ROOM = 48 }; /* of a sink at the end of an arena: its alignment, and a guard */
+
+/* A sink at the end of an arena, so that pieces which are taken meanwhile can be given back while its bytes stay. */
+static int touch_sink_open(touch_sink *s, uint64_t capacity, touch_arena *arena) {
+    touch_arena end = *arena;
+    if (arena->used + capacity + TOUCH_END_ROOM > arena->size) return 0;
+    arena->size -= capacity + TOUCH_END_ROOM, end.used = arena->size;
+    return touch_sink_make(s, capacity, &end);
+}
+
+/* Move its bytes down, behind what the arena has. */
+static void touch_sink_close(touch_sink *s, touch_arena *arena) {
+    arena->size += s->capacity + TOUCH_END_ROOM;
+    s->bytes = (uint8_t *)touch_keep(arena, s->bytes, s->size), s->capacity = s->size;
 }
 
 /* -- the arithmetic code, written ------------------------------------------------------------------------------------ */
@@ -448,6 +472,9 @@ static void touch_choose_residual(const touch_pass *p, touch_voxel *v) {
 
 /* -- a frame --------------------------------------------------------------------------------------------------------- */
 
+/* Bytes of a code for each brick at most: noise takes 8000, and a code that takes more is refused. */
+enum { TOUCH_BRICK_BYTES = 12288 };
+
 typedef struct { /* a coded frame */
     touch_sink payload;
     touch_units units; /* what a reader has */
@@ -505,7 +532,7 @@ static int touch_code_frame(const touch_grid *grid, const touch_steps *steps, co
     out->units.v = (touch_vector *)touch_take_zero(arena, 512 * frame->bricks, sizeof *out->units.v);
     out->units.list.key = touch_source_keys(frame, arena), out->units.list.count = frame->bricks;
     if (!target || !p || !out->models || !out->units.v || !out->units.list.key ||
-        !touch_sink_make(&out->payload, (frame->bricks + 1) << 14, arena))
+        !touch_sink_open(&out->payload, (frame->bricks + 1) * TOUCH_BRICK_BYTES, arena))
         return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
     uint64_t mark = arena->used;
     memcpy(out->models, models, sizeof *models);
@@ -520,7 +547,8 @@ static int touch_code_frame(const touch_grid *grid, const touch_steps *steps, co
     arena->used = mark;
     if (!touch_finish(&coder, &out->payload)) return touch_fail(error, TOUCH_MEMORY, "no room for a payload");
     touch_pad(&out->payload, 4, touch_min_bytes(frame->bricks));
-    if (!bound->k) out->squared_error = touch_squared_error(frame, &out->units, target->units_per_n);
+    touch_sink_close(&out->payload, arena);
+    if (!(bound->k > 0)) out->squared_error = touch_squared_error(frame, &out->units, target->units_per_n);
     return 1;
 }
 
@@ -603,8 +631,8 @@ static uint32_t touch_ranked(const uint32_t *bits, uint64_t n, uint64_t rank, ui
    growths are of mixed surfaces. 0: it does not grow, or the top is not above the mask; -1: no memory. */
 static double touch_find_ramp(const touch_view *v, const touch_source *frame, float unit_n, double f0, double *top,
                               touch_arena *arena) {
+    uint64_t mark = arena->used, count = 0, rank;
     uint32_t *ratio = (uint32_t *)touch_take(arena, 448 * frame->bricks, 4), *room = (uint32_t *)touch_take(arena, 65536, 4);
-    uint64_t count = 0, rank;
     int step = 64 >> 3 * v->axis;
     float longest = 0;
     if (!ratio || !room) return -1;
@@ -629,6 +657,7 @@ static double touch_find_ramp(const touch_view *v, const touch_source *frame, fl
     rank = (uint64_t)floor(index), index -= (double)rank;
     float low = touch_f32_of(touch_ranked(ratio, count, rank, room));
     float high = rank + 1 < count ? touch_f32_of(touch_ranked(ratio, count, rank + 1, room)) : low;
+    arena->used = mark;
     float between = index >= 0.5 ? high - (high - low) * (float)(1 - index) : low + (high - low) * (float)index;
     return (double)between / *top;
 }
@@ -856,6 +885,14 @@ static void touch_choose_column(touch_columns *h, int64_t a, int64_t b, const to
     touch_try_column(h, near, own, choice, chosen[2], 1e18);
 }
 
+/* Bricks of a base layer at most, by those of its frame: columns that reach farther are no use. */
+static uint64_t touch_max_layer(uint64_t bricks) { return 2 * bricks + 64; }
+
+/* Bytes of columns at most: nine numbers of some 70 bits where a tile has a surface, and next to nothing elsewhere. */
+static uint64_t touch_columns_bytes(uint64_t tiles, uint64_t bricks) {
+    return 8192 * (tiles < bricks ? tiles : bricks) + 16 * tiles + touch_min_bytes(touch_max_layer(bricks)) + 128;
+}
+
 /* Columns of a frame within a mask, and their bytes: 1; 0: there are none. */
 static int touch_fit_columns(const touch_grid *grid, const touch_tables *tables, const touch_source *frame, float unit_n,
                              double k, double f0, touch_sink *s, touch_units *out, touch_arena *arena,
@@ -863,7 +900,8 @@ static int touch_fit_columns(const touch_grid *grid, const touch_tables *tables,
     struct touch_column_fit fit;
     touch_columns h;
     touch_spent spent;
-    uint64_t *key = touch_source_keys(frame, arena), start;
+    touch_cursor filled = touch_cursor_of(0, 0);
+    uint64_t *key = touch_source_keys(frame, arena), start, min;
     int found;
     memset(&fit, 0, sizeof fit), memset(&h, 0, sizeof h);
     if (f0 < 1) f0 = 1;
@@ -875,9 +913,9 @@ static int touch_fit_columns(const touch_grid *grid, const touch_tables *tables,
     fit.force = (float(*)[4])touch_take(arena, (uint64_t)h.view.depth, sizeof *fit.force);
     fit.weight = (double *)touch_take(arena, (uint64_t)h.view.depth, sizeof *fit.weight);
     fit.rest = (double(*)[3])touch_take(arena, (uint64_t)h.view.depth, sizeof *fit.rest);
+    uint64_t tiles = (uint64_t)(h.view.tiles[0] * h.view.tiles[1]), max_bricks = touch_max_layer(frame->bricks);
     if (found < 0 || !key || !fit.force || !fit.weight || !fit.rest || !touch_map_make(&fit.map, frame->bricks, arena) ||
-        !touch_columns_make(&h, arena) ||
-        !touch_sink_make(s, (uint64_t)(64 * h.view.tiles[0] * h.view.tiles[1]) * 400 + 128, arena))
+        !touch_columns_make(&h, arena) || !touch_sink_open(s, touch_columns_bytes(tiles, frame->bricks), arena))
         return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
     for (uint64_t i = 0; i < frame->bricks; i++) touch_map_put(&fit.map, key[i], (uint32_t)i);
     touch_put_u(s, 1, 1), touch_put_varint(s, (uint64_t)(2 * h.view.axis + h.view.is_inverted));
@@ -889,13 +927,18 @@ static int touch_fit_columns(const touch_grid *grid, const touch_tables *tables,
     start = s->size, h.coder = touch_writing(s, tables, &spent);
     if (!touch_code_columns(&h, error)) return 0;
     if (!touch_finish(&h.coder, s)) return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
-    if (!touch_fill_columns(&h, ~(uint64_t)0, out, arena, error)) return 0;
-    uint64_t tiles = (uint64_t)(h.view.tiles[0] * h.view.tiles[1]), min = touch_min_bytes(out->list.count);
+    if (!touch_fill_columns(&h, max_bricks, out, arena, &filled)) /* TOUCH_CUT: more bricks than it may have */
+        return filled.code == TOUCH_CUT ? 0 : touch_fail(error, filled.code, filled.what);
+    min = touch_min_bytes(out->list.count);
     touch_pad(s, start, tiles > 64 && tiles - 64 > min ? tiles - 64 : min);
+    touch_sink_close(s, arena);
     return 1;
 }
 
 /* -- base layers: splines, whose coefficients are fitted elsewhere --------------------------------------------------- */
+
+/* Bytes of a spline at most: some 50 bits a node, and the list of bricks. */
+static uint64_t touch_spline_bytes(uint64_t bricks, uint64_t nodes) { return 64 * bricks + 16 * nodes + 256; }
 
 /* The bytes of a spline of a frame's bricks. */
 static int touch_put_spline(const touch_grid *grid, const touch_tables *tables, const touch_source *frame,
@@ -912,7 +955,7 @@ static int touch_put_spline(const touch_grid *grid, const touch_tables *tables, 
     out->list.key = touch_source_keys(frame, arena), out->list.count = frame->bricks;
     out->v = (touch_vector *)touch_take_zero(arena, 512 * frame->bricks, sizeof *out->v);
     if (!models || !out->list.key || !out->v || !touch_nodes_of(&nodes, head.shift, out->list, arena) ||
-        !touch_sink_make(s, 640 * frame->bricks + 64 * nodes.count + 128, arena))
+        !touch_sink_open(s, touch_spline_bytes(frame->bricks, nodes.count), arena))
         return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
     if (nodes.count != spline->nodes) return touch_fail(error, TOUCH_ARGUMENT, "coefficients of other nodes");
     for (uint64_t i = 0; i < nodes.count; i++) {
@@ -932,6 +975,7 @@ static int touch_put_spline(const touch_grid *grid, const touch_tables *tables, 
     if (!touch_finish(&coder, s)) return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
     touch_pad(s, start, touch_min_bytes(frame->bricks));
     touch_fill_spline(&head, &nodes, grid, out);
+    touch_sink_close(s, arena);
     return 1;
 }
 
@@ -1048,11 +1092,6 @@ static int touch_check_source(const touch_grid *grid, const touch_source *frame,
     return 1;
 }
 
-uint64_t touch_encode_room(const touch_grid *grid, uint64_t bricks) {
-    (void)grid;
-    return ((uint64_t)32 << 20) + (bricks + 1) * ((uint64_t)400 << 10);
-}
-
 int touch_encode_start(touch_encoder *encoder, const touch_grid *grid, const touch_options *options, double longest_n,
                        touch_arena work, touch_arena out) {
     touch_writer *w = (touch_writer *)touch_take_zero(&work, 1, sizeof *w);
@@ -1078,13 +1117,13 @@ int touch_encode_start(touch_encoder *encoder, const touch_grid *grid, const tou
     return TOUCH_OK;
 }
 
-/* The forces of voxels that the bound does not allow are sent as they are. */
-static void touch_put_outliers(touch_sink *s, const touch_writer *w, const touch_source *frame, const touch_comparison *c,
-                               const uint64_t *key) {
+/* The forces of some voxels, as they are; into a sink, or only counted. */
+static void touch_put_forces(touch_sink *s, const touch_grid *grid, const touch_source *frame, const touch_comparison *c,
+                             const uint64_t *key) {
     uint64_t previous = 0, i = 0;
     for (uint64_t n = 0; n < c->violations; n++) {
         uint64_t number = c->violation[n] >> 9, sample = c->violation[n] & 511, bits = 0;
-        uint64_t by = (w->grid.shape[1] + 7) >> 3, bz = (w->grid.shape[2] + 7) >> 3;
+        uint64_t by = (grid->shape[1] + 7) >> 3, bz = (grid->shape[2] + 7) >> 3;
         uint64_t own = touch_key((int64_t)(number / (by * bz)), (int64_t)(number / bz % by), (int64_t)(number % bz));
         const float *force = 0;
         while (i < frame->bricks && key[i] < own) i++;
@@ -1094,6 +1133,14 @@ static void touch_put_outliers(touch_sink *s, const touch_writer *w, const touch
         for (int k = 0; k < 3 && bits; k++) touch_put_u(s, touch_f32_bits(force[k]), 4);
         previous = number;
     }
+}
+
+/* The chunk of the voxels that the bound does not allow: their forces are sent as they are. */
+static void touch_put_outliers(touch_writer *w, const touch_source *frame, const touch_comparison *c, const uint64_t *key) {
+    touch_sink counted;
+    counted.bytes = 0, counted.size = 0, counted.capacity = ~(uint64_t)0 - 1;
+    touch_put_forces(&counted, &w->grid, frame, c, key);
+    touch_put_varint(&w->body, counted.size), touch_put_forces(&w->body, &w->grid, frame, c, key);
 }
 
 /* Fractions of the bits, in 1/255, for people: of support and of amplitude. */
@@ -1115,19 +1162,16 @@ static int touch_put_frame(touch_writer *w, const touch_source *frame, int is_in
     double bits[3];
     touch_comparison c;
     touch_side side;
-    touch_sink outliers;
     if (!key || !touch_side_of(&side, &coded->units, w->steps.unit_n, &w->work) ||
-        !touch_compare(frame, &side, &bound, &w->grid, 1, &c, &w->work) ||
-        !touch_sink_make(&outliers, 24 * c.violations, &w->work))
+        !touch_compare(frame, &side, &bound, &w->grid, 1, &c, &w->work))
         return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
-    touch_put_outliers(&outliers, w, frame, &c, key);
-    int has_layer = base_layer->size > 0, has_outliers = outliers.size > 0;
+    int has_layer = base_layer->size > 0, has_outliers = c.violations > 0;
     touch_put_u(&w->body, (uint64_t)(is_inter | has_layer << 1 | has_outliers << 2), 1);
     bits[0] = 32.0 + coded->spent.bits[0], bits[1] = coded->spent.bits[1], bits[2] = coded->spent.bits[2];
     touch_put_fractions(&w->body, bits);
     if (has_layer) touch_put_chunk(&w->body, base_layer);
     touch_put_chunk(&w->body, &coded->payload);
-    if (has_outliers) touch_put_chunk(&w->body, &outliers);
+    if (has_outliers) touch_put_outliers(w, frame, &c, key);
     if (w->body.size > w->body.capacity) return touch_fail(error, TOUCH_MEMORY, "no room for a segment");
     w->has_violations |= c.violations > 0;
     if (c.max_ratio > w->max_ratio) {
@@ -1143,17 +1187,28 @@ typedef struct { /* a base layer that was fitted to a frame; `bytes` are empty i
     double fraction; /* of the voxels at which it is within the bound */
 } touch_layer;
 
+/* Move a base layer down, piece by piece in the order in which they lie. */
+static void touch_keep_layer(touch_layer *layer, touch_arena *arena) {
+    touch_units *u = &layer->units;
+    uint64_t count = u->list.count;
+    u->list.key = (uint64_t *)touch_keep(arena, u->list.key, 8 * count);
+    u->v = (touch_vector *)touch_keep(arena, u->v, 512 * count * sizeof *u->v);
+    layer->bytes.bytes = (uint8_t *)touch_keep(arena, layer->bytes.bytes, layer->bytes.size);
+}
+
 /* The best base layer of a frame, of a coarse spline, a fine one, and columns; each is tried only if those before are
    not good enough. It must be within the bound at half of the voxels; in mode NMSE any may be tried. */
 static int touch_fit_base_layer(touch_writer *w, const touch_source *frame, const touch_spline_fit *splines,
                                 touch_layer *best, touch_cursor *error) {
     static const double enough[3] = {1.0, 0.97, 0.75};
     double k = w->bound.k, f0 = w->bound.f0;
+    uint64_t mark = w->work.used, size = w->work.size;
     best->fraction = 0.5;
     if (w->options.mode == TOUCH_NMSE) f0 = 0.35 * (double)w->steps.floor, best->fraction = 0;
     for (int kind = 0; kind < 3; kind++) {
         touch_layer layer;
         touch_spline spline;
+        uint64_t used = w->work.used;
         int found = 0;
         memset(&layer, 0, sizeof layer), memset(&spline, 0, sizeof spline);
         if (!(best->fraction < enough[kind])) continue;
@@ -1164,10 +1219,11 @@ static int touch_fit_base_layer(touch_writer *w, const touch_source *frame, cons
             found = touch_fit_columns(&w->grid, &w->tables, frame, w->steps.unit_n, k, f0, &layer.bytes, &layer.units,
                                       &w->work, error);
         if (error->code) return 0;
-        if (!found) continue;
-        layer.fraction = touch_fraction_within(w, frame, &layer.units, &w->work);
+        if (found) layer.fraction = touch_fraction_within(w, frame, &layer.units, &w->work);
         if (layer.fraction < 0) return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
-        if (layer.fraction >= best->fraction) *best = layer;
+        if (found && layer.fraction >= best->fraction) w->work.used = mark, *best = layer, touch_keep_layer(best, &w->work);
+        else w->work.used = used;
+        w->work.size = size;
     }
     if (!best->bytes.size) best->fraction = 0;
     return 1;
@@ -1239,6 +1295,8 @@ int touch_encode_next(touch_encoder *encoder, const touch_source *frame, const t
 }
 
 /* -- the exact mode -------------------------------------------------------------------------------------------------- */
+
+enum { TOUCH_MAX_LEVELS = 65535, TOUCH_MAX_RANGES = 1 << 17 }; /* in the end; while they are looked for */
 
 typedef struct { /* levels and a codebook of which all forces are products */
     int book; /* 0: none, forces are components */
@@ -1369,26 +1427,26 @@ static int touch_is_product(const touch_palette *p, const touch_source *frame) {
 
 /* Levels for a codebook; 0: it has none, or too many, -1: no memory. */
 static int touch_find_levels(touch_palette *p, const touch_source *frames, uint32_t count, touch_arena *arena) {
-    enum { MAX_LEVELS = 65535, MAX_RANGES = 1 << 17 }; /* in the end; so far */
-    uint64_t samples = 0, room = MAX_RANGES + 64;
+    uint64_t samples = 0, room = TOUCH_MAX_RANGES + 64, mark = arena->used;
     touch_ranges r;
     for (uint32_t i = 0; i < count; i++)
-        if (512 * frames[i].bricks + MAX_RANGES + 64 > room) room = 512 * frames[i].bricks + MAX_RANGES + 64;
+        if (512 * frames[i].bricks + TOUCH_MAX_RANGES + 64 > room) room = 512 * frames[i].bricks + TOUCH_MAX_RANGES + 64;
     r.count = 0, r.low = (double *)touch_take(arena, room, 8), r.high = (double *)touch_take(arena, room, 8);
     if (!r.low || !r.high) return -1;
     for (uint32_t i = 0; i <= count; i++) {
         const touch_source *frame = frames + (i ? i - 1 : 0);
         int found = touch_add_ranges(p, frame, i ? ~(uint64_t)0 : 64, &r, arena);
-        if (found < 1 || r.count > MAX_RANGES) return found < 0 ? found : 0;
+        if (found < 1 || r.count > TOUCH_MAX_RANGES) return found < 0 ? found : 0;
         for (uint64_t n = 0; i && n < 512 * frame->bricks; n++) samples += (uint64_t)touch_has_bits(frame->forces_n + 3 * n);
     }
-    if (!r.count || r.count >= samples || r.count >= MAX_LEVELS) return 0;
-    p->level_count = (uint32_t)r.count, p->level = r.low;
+    if (!r.count || r.count >= samples || r.count >= TOUCH_MAX_LEVELS) return 0;
+    for (uint64_t i = 0; i < r.count; i++) r.low[i] = (r.low[i] + r.high[i]) / 2;
+    arena->used = mark, p->level_count = (uint32_t)r.count; /* the levels stay where the lower ends are, at the mark */
+    p->level = (double *)touch_keep(arena, r.low, 8 * r.count);
     p->level_bytes = (uint8_t *)touch_take(arena, 4 * r.count, 1);
     if (!p->level_bytes) return -1;
     for (uint32_t i = 0; i < p->level_count; i++) {
-        double middle = (r.low[i] + r.high[i]) / 2;
-        float level = (float)(middle < 3.4028234663852886e38 ? middle : 3.4028234663852886e38);
+        float level = (float)(p->level[i] < 3.4028234663852886e38 ? p->level[i] : 3.4028234663852886e38);
         uint32_t bits = touch_f32_bits(level);
         p->level[i] = level;
         for (int n = 0; n < 4; n++) p->level_bytes[4 * i + (uint32_t)n] = (uint8_t)(bits >> 8 * n);
@@ -1450,7 +1508,7 @@ static int touch_put_exact(touch_writer *w, touch_exact_models *models, const to
     double bits[3];
     uint64_t head;
     none.key = 0, none.count = 0;
-    if (!touch_sink_make(&payload, (f->list.count + 1) * 32768 + 4 * (uint64_t)f->level_count, arena))
+    if (!touch_sink_make(&payload, (f->list.count + 1) * TOUCH_BRICK_BYTES + 4 * (uint64_t)f->level_count, arena))
         return touch_fail(error, TOUCH_MEMORY, "no room for a payload");
     touch_put_u(&payload, (uint64_t)f->book, 1);
     if (f->book && !before) {
@@ -1620,25 +1678,33 @@ int touch_is_static(const touch_grid *grid, const touch_options *options, const 
 /* The outliers of a chunk and further samples, ascending, each once. */
 static int touch_merge_outliers(touch_comparison *c, touch_cursor chunk, const touch_exact_samples *exact,
                                 const touch_grid *grid, touch_arena *arena, touch_cursor *error) {
-    uint64_t max = touch_left(&chunk) / 2 + exact->samples, brick = 0, count = 0, next = 0;
-    int64_t last = -1;
     memset(c, 0, sizeof *c);
-    c->violation = (uint64_t *)touch_take(arena, max, 8);
-    if (!c->violation) return touch_fail(error, TOUCH_MEMORY, "no room for outliers");
-    while (chunk.at < chunk.end || next < exact->samples) {
-        uint64_t number = ~(uint64_t)0;
-        if (chunk.at < chunk.end) {
+    for (int is_written = 0; is_written < 2; is_written++) { /* counted, then written */
+        touch_cursor at = chunk;
+        uint64_t brick = 0, next = 0, count = 0;
+        int64_t last = -1;
+        while (at.at < at.end || next < exact->samples) {
+            uint64_t number = ~(uint64_t)0, own;
             int32_t position[3];
             float force[3];
-            if (!touch_read_exception(&chunk, grid, &brick, &last, position, force))
-                return touch_fail(error, chunk.code, chunk.what);
-            number = 512 * brick + (uint64_t)last;
+            if (at.at < at.end) {
+                if (!touch_read_exception(&at, grid, &brick, &last, position, force))
+                    return touch_fail(error, at.code, at.what);
+                number = 512 * brick + (uint64_t)last;
+            }
+            for (; next < exact->samples && exact->sample[next] <= number; next++) {
+                own = exact->sample[next];
+                if (own == number) continue;
+                if (is_written) c->violation[count] = own;
+                count++;
+            }
+            if (is_written && number != ~(uint64_t)0) c->violation[count] = number;
+            count += number != ~(uint64_t)0;
         }
-        while (next < exact->samples && exact->sample[next] < number) c->violation[count++] = exact->sample[next++];
-        if (next < exact->samples && exact->sample[next] == number) next++;
-        if (number != ~(uint64_t)0) c->violation[count++] = number;
+        if (!is_written) c->violation = (uint64_t *)touch_take(arena, count, 8);
+        if (!c->violation) return touch_fail(error, TOUCH_MEMORY, "no room for outliers");
+        c->violations = count;
     }
-    c->violations = count;
     return 1;
 }
 
@@ -1650,16 +1716,13 @@ static int touch_put_record(touch_writer *w, touch_cursor *c, const touch_source
     touch_cursor chunk = flags & 4 ? touch_chunk(c) : touch_cursor_of(c->at, 0);
     uint64_t *key = touch_source_keys(frame, &w->work);
     touch_comparison merged;
-    touch_sink s;
     if (c->code) return touch_fail(error, c->code, c->what);
     if (!touch_merge_outliers(&merged, chunk, exact, &w->grid, &w->work, error)) return 0;
-    if (!key || !touch_sink_make(&s, 24 * merged.violations, &w->work))
-        return touch_fail(error, TOUCH_MEMORY, "no room for outliers");
-    touch_put_outliers(&s, w, frame, &merged, key);
-    touch_put_u(&w->body, (flags & 3) | (s.size ? 4 : 0), 1), touch_put_u(&w->body, fractions, 2);
+    if (!key) return touch_fail(error, TOUCH_MEMORY, "no room for outliers");
+    touch_put_u(&w->body, (flags & 3) | (merged.violations ? 4 : 0), 1), touch_put_u(&w->body, fractions, 2);
     if (flags & 2) touch_put_varint(&w->body, touch_left(&layer)), touch_put(&w->body, layer.at, touch_left(&layer));
     touch_put_varint(&w->body, touch_left(&payload)), touch_put(&w->body, payload.at, touch_left(&payload));
-    if (s.size) touch_put_chunk(&w->body, &s);
+    if (merged.violations) touch_put_outliers(w, frame, &merged, key);
     if (w->body.size > w->body.capacity) return touch_fail(error, TOUCH_MEMORY, "no room for a segment");
     w->work.used = mark, w->frames++;
     return 1;
@@ -1687,7 +1750,110 @@ int touch_encode_with_exact(touch_encoder *encoder, const touch_grid *grid, cons
     return error.code ? touch_report(encoder, &error) : touch_encode_finish(encoder, frames, segment);
 }
 
+/* -- how much memory an encoder needs: the sum of what each step below takes ------------------------------------------- */
+
+enum {
+    TOUCH_MAX_BORDERS = 199730, /* of a table of steps: that of a floor of 21 and a rate below 64 */
+    TOUCH_SLACK = 1 << 16       /* alignment of all pieces, small structures, and heads */
+};
+
+static uint64_t touch_larger(uint64_t a, uint64_t b) { return a > b ? a : b; }
+
+static uint64_t touch_smaller(uint64_t a, uint64_t b) { return a < b ? a : b; }
+
+static uint64_t touch_map_room(uint64_t count) {
+    uint64_t size = 16;
+    while (size < 2 * count + 2) size *= 2;
+    return 12 * size;
+}
+
+/* A frame in units. */
+static uint64_t touch_units_room(uint64_t bricks) { return (512 * sizeof(touch_vector) + 8) * bricks; }
+
+/* A list of bricks while it is coded: boxes of a level, and maps of them and of both lists; a reader's keys. */
+static uint64_t touch_list_room(const touch_grid *grid, uint64_t bricks, uint64_t before, uint64_t bytes) {
+    uint64_t keys = touch_smaller(touch_brick_count(grid), touch_larger(bricks, 64 + 16 * bytes)) + 1;
+    return 8 * keys + 106 * (bricks + 1) + touch_map_room(8 * bricks) + touch_map_room(bricks) + touch_map_room(before);
+}
+
+/* A pass over a frame, without its result. */
+static uint64_t touch_pass_room(const touch_grid *grid, uint64_t bricks, uint64_t reference, uint64_t bytes) {
+    uint64_t cells = 512 * sizeof(touch_cell) * bricks + 12 * bricks + 64 * reference;
+    return sizeof(touch_pass) + touch_list_room(grid, bricks, reference, bytes) + cells + touch_map_room(bricks) +
+           touch_map_room(reference);
+}
+
+/* A base layer of columns: along any axis; `layer` is the number of its bricks. */
+static uint64_t touch_columns_room(const touch_grid *grid, uint64_t bricks, uint64_t layer) {
+    uint64_t ramp = 4 * (448 * bricks + 65536), max = 0;
+    for (int n = 0; n < 3; n++) {
+        uint64_t a = (grid->shape[n == 0] + 7) >> 3, b = (grid->shape[n == 2 ? 1 : 2] + 7) >> 3;
+        uint64_t tiles = touch_smaller(a * b, 64 + 4 * bricks), depth = touch_smaller(grid->shape[n], 1 << 14);
+        max = touch_larger(max, tiles * (64 * sizeof(touch_column) + 8) + 48 * depth + touch_columns_bytes(tiles, bricks));
+    }
+    max += TOUCH_COLUMN_NODES * (sizeof(touch_column_contexts) + 16) + touch_map_room(bricks) + 8 * bricks;
+    return touch_larger(ramp, max + touch_units_room(layer) + 4 * layer + touch_map_room(layer));
+}
+
+/* A base layer of a spline, of any lattice. */
+static uint64_t touch_spline_room(const touch_grid *grid, uint64_t bricks) {
+    uint64_t nodes = 1, each = 125 * bricks;
+    for (int n = 0; n < 3; n++) nodes *= 2 * (((uint64_t)grid->shape[n] + 7) >> 3) + 3; /* two a brick along each axis */
+    nodes = touch_smaller(nodes, each);
+    uint64_t bytes = touch_spline_bytes(bricks, nodes), own = 12 * each + 8 * nodes + touch_map_room(nodes);
+    return sizeof(touch_spline_models) + touch_units_room(bricks) + own + bytes + touch_list_room(grid, bricks, 0, bytes);
+}
+
+/* Frames, each coded with up to two references and in the end decoded again; a writer, and models to decode them. */
+static uint64_t touch_lossy_room(const touch_grid *grid, int has_layers, uint64_t bricks) {
+    uint64_t layer = has_layers ? touch_smaller(touch_brick_count(grid), touch_max_layer(bricks)) : 0, longest;
+    uint64_t payload = (bricks + 1) * TOUCH_BRICK_BYTES, units = touch_units_room(bricks), fit = 0, best = 0, fits = 0;
+    if (has_layers) {
+        fit = touch_larger(touch_columns_room(grid, bricks, layer), touch_spline_room(grid, bricks));
+        best = touch_units_room(layer) + touch_columns_bytes(64 + 4 * bricks, bricks);
+        fits = best + fit + 512 * 12 * layer + 8 * bricks;
+    }
+    longest = touch_larger(layer, bricks);
+    uint64_t compared = 512 * (12 + 8) * bricks + 16 * bricks; /* newtons, violations, keys */
+    uint64_t coded = sizeof(struct touch_target) + sizeof(touch_models) + units + payload;
+    uint64_t codes = best + (has_layers ? 2 : 1) * coded + touch_larger(touch_pass_room(grid, bricks, longest, 0), compared);
+    uint64_t checks = sizeof(touch_models) + fit + units + touch_pass_room(grid, bricks, longest, payload);
+    uint64_t fixed = 3 * sizeof(touch_models) + 8 * TOUCH_MAX_BORDERS; /* one of each for a body with exact samples */
+    return fixed + units + touch_larger(touch_larger(fits, codes), checks);
+}
+
+/* Lossless frames: the search for a palette, then frames, each with the one before; in the end they are decoded again. */
+static uint64_t touch_lossless_room(const touch_grid *grid, uint64_t bricks) {
+    uint64_t payload = (bricks + 1) * TOUCH_BRICK_BYTES, frame = (512 * (sizeof(touch_symbols) + 12) + 8) * bricks;
+    uint64_t book = 24576 * sizeof(touch_point) + 12 * 4098, levels = 12 * TOUCH_MAX_LEVELS;
+    uint64_t search = 44 * (512 * bricks + TOUCH_MAX_RANGES + 64), maps = 2 * touch_map_room(bricks);
+    uint64_t codes = 2 * frame + payload + 4 * TOUCH_MAX_LEVELS + touch_list_room(grid, bricks, bricks, 0) + maps;
+    uint64_t checks = 2 * frame + touch_list_room(grid, bricks, bricks, payload) + maps;
+    uint64_t field = (512 * 12 + 48 + 20) * bricks + touch_map_room(2 * bricks + 1);
+    return sizeof(touch_exact_models) + 2 * (book + levels) + touch_larger(touch_larger(search, codes), checks + field);
+}
+
+uint64_t touch_encode_room(const touch_grid *grid, const touch_options *options, uint64_t bricks) {
+    bricks = touch_smaller(bricks, touch_brick_count(grid));
+    uint64_t frames = options->mode == TOUCH_LOSSLESS ? touch_lossless_room(grid, bricks)
+                                                      : touch_lossy_room(grid, options->has_base_layers, bricks);
+    return TOUCH_SLACK + sizeof(struct touch_writer) + frames;
+}
+
+uint64_t touch_segment_room(uint64_t bricks, uint32_t count) {
+    uint64_t outliers = 512 * 24 * bricks, payload = (bricks + 1) * TOUCH_BRICK_BYTES + 4 * TOUCH_MAX_LEVELS;
+    return 256 + count * (64 + touch_columns_bytes(64 + 4 * bricks, bricks) + payload + outliers);
+}
+
 /* -- supports, whole numbers, vibration, poses ------------------------------------------------------------------------ */
+
+/* Bytes of a code at most: of a brick of a support, whose samples take about a bit each; of a number, which takes up to
+   two bits a binary digit. */
+enum { TOUCH_SET_BYTES = 256, TOUCH_NUMBER_BYTES = 32 };
+
+uint64_t touch_part_room(uint64_t bricks, uint64_t numbers, uint64_t frames) {
+    return ((uint64_t)1 << 18) + 1536 * bricks + 2 * TOUCH_NUMBER_BYTES * numbers + 2048 * frames;
+}
 
 static int touch_result(const touch_sink *s, touch_bytes *out, const char **text, const touch_cursor *error) {
     out->bytes = s->bytes, out->size = error->code ? 0 : s->size, *text = error->code ? error->what : "";
@@ -1720,7 +1886,7 @@ int touch_encode_support(const touch_grid *grid, const touch_samples *samples, c
     memset(&s, 0, sizeof s), memset(&other, 0, sizeof other);
     if (before) other = touch_set_of(before, arena);
     if (!tables || !models || !set.is_set || (before && !other.is_set) ||
-        !touch_sink_make(&s, 1216 * samples->bricks + 64, arena))
+        !touch_sink_make(&s, TOUCH_SET_BYTES * samples->bricks + 64, arena))
         touch_fail(&error, TOUCH_MEMORY, "no room for a support");
     else {
         touch_fill_tables(tables), touch_set_fresh(models);
@@ -1741,7 +1907,7 @@ int touch_encode_numbers(const int64_t *numbers, uint64_t count, touch_arena *ar
     memset(&s, 0, sizeof s);
     for (uint64_t i = 0; i < count; i++)
         if (touch_abs(numbers[i]) >= (int64_t)1 << 30) touch_fail(&error, TOUCH_ARGUMENT, "a number beyond 2^30 - 1");
-    if (!tables || !models || !touch_sink_make(&s, 128 * count + 64, arena))
+    if (!tables || !models || !touch_sink_make(&s, TOUCH_NUMBER_BYTES * count + 64, arena))
         touch_fail(&error, TOUCH_MEMORY, "no room for numbers");
     else {
         touch_fill_tables(tables), touch_numbers_fresh(models);
@@ -1766,19 +1932,27 @@ static int64_t touch_amplitude_of(double amplitude_n) {
 }
 
 /* Round the samples of a frame; those below the lowest step, 1 micronewton, go. */
-static int touch_round_vibration(touch_vibrating_source *v, const touch_vibration_samples *frame, touch_arena *arena,
-                                 touch_cursor *error) {
+static int touch_round_vibration(touch_vibrating_source *v, const touch_grid *grid, const touch_vibration_samples *frame,
+                                 touch_arena *arena, touch_cursor *error) {
+    uint64_t last = 0;
     memset(v, 0, sizeof *v);
     v->key = (uint64_t *)touch_take(arena, frame->samples, 8);
     for (int n = 0; n < 2; n++) v->value[n] = (int64_t *)touch_take(arena, frame->samples, 8);
     if (!v->key || !v->value[0] || !v->value[1]) return touch_fail(error, TOUCH_MEMORY, "no room for a vibration");
     for (uint64_t i = 0; i < frame->samples; i++) {
         const int32_t *at = frame->position + 3 * i;
-        int64_t step = touch_amplitude_of(frame->amplitude_n[i]);
-        double hertz = rint((double)frame->frequency_hz[i]);
+        double amplitude = frame->amplitude_n[i], hertz = rint((double)frame->frequency_hz[i]);
+        uint64_t key = touch_key(at[0], at[1], at[2]);
+        if (at[0] < 0 || at[1] < 0 || at[2] < 0 || at[0] >= (int64_t)grid->shape[0] || at[1] >= (int64_t)grid->shape[1] ||
+            at[2] >= (int64_t)grid->shape[2] || (i && key <= last))
+            return touch_fail(error, TOUCH_ARGUMENT, "samples beyond the grid, or that do not ascend");
+        if (!(amplitude > 0 && amplitude <= TOUCH_MAX_NEWTONS && hertz >= 0 && hertz <= 10000))
+            return touch_fail(error, TOUCH_ARGUMENT, "an amplitude that is not positive, or a frequency above 10 kHz");
+        int64_t step = touch_amplitude_of(amplitude);
+        last = key;
         if (step > 159) return touch_fail(error, TOUCH_ARGUMENT, "an amplitude above 0.9 meganewton");
         if (step < 0) continue;
-        v->key[v->samples] = touch_key(at[0], at[1], at[2]);
+        v->key[v->samples] = key;
         v->value[0][v->samples] = step, v->value[1][v->samples++] = hertz > 1 ? (int64_t)hertz : 1;
     }
     return 1;
@@ -1834,11 +2008,12 @@ int touch_encode_vibration(const touch_grid *grid, const touch_vibration_samples
     memset(&s, 0, sizeof s), memset(&none, 0, sizeof none);
     if (!tables || !models || !numbers || !v) touch_fail(&error, TOUCH_MEMORY, "no room for a vibration");
     for (uint32_t i = 0; i < count && !error.code; i++) {
-        if (!touch_round_vibration(v + i, frames + i, arena, &error)) break;
+        if (!touch_round_vibration(v + i, grid, frames + i, arena, &error)) break;
         if (!touch_vibration_set(v + i, arena)) touch_fail(&error, TOUCH_MEMORY, "no room for a vibration");
         bricks += v[i].set.list.count, samples += v[i].samples;
     }
-    if (!error.code && !touch_sink_make(&s, 1216 * bricks + 256 * samples + 16 * (uint64_t)count + 64, arena))
+    uint64_t bytes = TOUCH_SET_BYTES * bricks + 2 * TOUCH_NUMBER_BYTES * samples + 16 * (uint64_t)count + 64;
+    if (!error.code && !touch_sink_make(&s, bytes, arena))
         touch_fail(&error, TOUCH_MEMORY, "no room for a vibration");
     if (error.code) return touch_result(&s, out, text, &error);
     touch_fill_tables(tables), touch_set_fresh(models);
@@ -1891,7 +2066,7 @@ int touch_encode_poses(const int64_t *numbers, uint32_t count, touch_arena *aren
     touch_sink s;
     memset(&s, 0, sizeof s);
     if (!count) touch_fail(&error, TOUCH_ARGUMENT, "no poses");
-    if (!tables || !models || !touch_sink_make(&s, 128 * (7 * (uint64_t)count + 14) + 64, arena))
+    if (!tables || !models || !touch_sink_make(&s, TOUCH_NUMBER_BYTES * (7 * (uint64_t)count + 14) + 64, arena))
         touch_fail(&error, TOUCH_MEMORY, "no room for poses");
     if (error.code) return touch_result(&s, out, text, &error);
     touch_fill_tables(tables);

@@ -14,6 +14,7 @@ from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.support import Bricks
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.medium import ForceField, Grid, PoseTrack
+from touchfield.medium.field import brick_keys
 from touchfield.medium.medium import VibrationFrame
 
 GOLDEN = [name for name in make_golden.FIELDS if name.startswith("touch-")]
@@ -161,6 +162,15 @@ def random_segment(mode: str, seed: int, **options: Any) -> Segment:
     values = MODES[mode](np.random.default_rng(1000 + seed))
     values = {key: value.item() if hasattr(value, "item") else value for key, value in values.items()}
     return Segment(TouchSpec(**values, **options), random_frames(seed))
+
+
+def random_samples(frame: ForceField, rng: np.random.Generator) -> np.ndarray:
+    """Some samples of a frame's bricks: 512 times the number of the brick plus the sample, ascending."""
+    brick, sample = np.nonzero(rng.random((len(frame.bricks), 512)) < 0.02)
+    positions = 8 * frame.bricks[brick] + np.stack(np.unravel_index(sample, (8, 8, 8)), axis=1)
+    is_inside = (positions < frame.grid.shape).all(axis=1)
+    numbers: np.ndarray = 512 * brick_keys(frame.grid, frame.bricks)[brick] + sample
+    return numbers[is_inside]
 
 
 def random_support(seed: int) -> tuple[Grid, list[Bricks]]:

@@ -169,6 +169,11 @@ def c_grid(grid: Grid) -> CGrid:
     return CGrid((ctypes.c_uint32 * 3)(*grid.shape), triple(*grid.spacing_m), triple(*grid.origin_m))
 
 
+def memory(size: int) -> np.ndarray:
+    """Bytes for an arena, never of the small pieces that numpy uses again and a sanitizer still watches."""
+    return np.empty(size + 4096, np.uint8)[:size]
+
+
 def _pointer(array: np.ndarray) -> int | None:
     return array.ctypes.data if array.size else None
 
@@ -237,7 +242,11 @@ class NativeEncoder:
     def __init__(self, library: Path) -> None:
         self.c: Any = ctypes.CDLL(str(library))
         self.c.touch_encode_room.restype = ctypes.c_uint64
-        self.c.touch_encode_room.argtypes = [ctypes.c_void_p, ctypes.c_uint64]
+        self.c.touch_encode_room.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint64]
+        self.c.touch_segment_room.restype = ctypes.c_uint64
+        self.c.touch_segment_room.argtypes = [ctypes.c_uint64, ctypes.c_uint32]
+        self.c.touch_part_room.restype = ctypes.c_uint64
+        self.c.touch_part_room.argtypes = [ctypes.c_uint64] * 3
         self.c.touch_longest_n.restype = ctypes.c_double
         arena, pointer = CArena, ctypes.c_void_p
         self.c.touch_encode_start.argtypes = [pointer, pointer, pointer, ctypes.c_double, arena, arena]
@@ -251,12 +260,13 @@ class NativeEncoder:
         frames: Sequence[ForceField],
         key_frame: ForceField | None = None,
         has_splines: bool = False,
-        out_bytes: int = 1 << 26,
+        work_bytes: int | None = None,
+        out_bytes: int | None = None,
     ) -> bytes:
         """The body of a segment; ValueError with the text of the encoder if it fails."""
         sources, own = [Source(frame, spec) for frame in frames], c_grid(grid)
         key = None if key_frame is None else Source(key_frame, spec)
-        bricks = 2 * max(len(s.bricks) for s in [*sources, *([key] if key else [])])
+        bricks = max(len(s.bricks) for s in [*sources, *([key] if key else [])])
         options, encoder, longest = (
             c_options(spec),
             CEncoder(),
@@ -265,8 +275,8 @@ class NativeEncoder:
         if key:  # the unit of the key frame is kept if possible
             longest = longest if longest > 1.01 * self.longest_n(key) else self.longest_n(key)
         splines = Splines(grid, spec, longest) if has_splines else None
-        room = self.c.touch_encode_room(ctypes.byref(own), bricks)
-        work, out = np.empty(room, np.uint8), np.empty(out_bytes, np.uint8)
+        work = memory(self.room(grid, spec, bricks) if work_bytes is None else work_bytes)
+        out = memory(self.c.touch_segment_room(bricks, len(frames)) if out_bytes is None else out_bytes)
         arenas = (CArena(a.ctypes.data, a.size, 0, 0) for a in (work, out))
 
         def check(code: int) -> None:
@@ -285,6 +295,12 @@ class NativeEncoder:
         segment, all_frames = CSegment(), (CSource * len(sources))(*(s.c for s in sources))
         check(self.c.touch_encode_finish(start[0], all_frames, ctypes.byref(segment)))
         return ctypes.string_at(segment.body, segment.size)
+
+    def room(self, grid: Grid, spec: TouchSpec, bricks: int) -> int:
+        """The bytes of memory that an encoder of frames of so many bricks needs at most."""
+        return int(
+            self.c.touch_encode_room(ctypes.byref(c_grid(grid)), ctypes.byref(c_options(spec)), bricks)
+        )
 
     def longest_n(self, source: Source) -> float:
         """The length of the longest force of a frame."""
@@ -307,8 +323,9 @@ class NativeEncoder:
         """A body with samples of each frame exact."""
         sources, own, encoder = [Source(frame, spec) for frame in frames], c_grid(grid), CEncoder()
         lists = [np.ascontiguousarray(s, np.uint64) for s in samples]
-        room = self.c.touch_encode_room(ctypes.byref(own), 2 * max(len(s.bricks) for s in sources))
-        work, out, segment = np.empty(room, np.uint8), np.empty(1 << 26, np.uint8), CSegment()
+        bricks = max(len(s.bricks) for s in sources)
+        work, segment = memory(self.room(grid, spec, bricks)), CSegment()
+        out = memory(self.c.touch_segment_room(bricks, len(frames)))
         arenas = (CArena(a.ctypes.data, a.size, 0, 0) for a in (work, out))
         data = CBytes(ctypes.cast(ctypes.c_char_p(body), ctypes.c_void_p), len(body))
         code = self.c.touch_encode_with_exact(
@@ -321,10 +338,10 @@ class NativeEncoder:
             raise ValueError(f"{code}: {encoder.error.decode()}")
         return ctypes.string_at(segment.body, segment.size)
 
-    def _part(self, name: str, *arguments: Any) -> bytes:
+    def _part(self, name: str, room: int, *arguments: Any) -> bytes:
         """The bytes of a function that takes an arena, a place for them, and one for the text of an error."""
-        memory, out, text = np.empty(1 << 26, np.uint8), CBytes(), ctypes.c_char_p()
-        arena = CArena(memory.ctypes.data, memory.size, 0, 0)
+        work, out, text = memory(room), CBytes(), ctypes.c_char_p()
+        arena = CArena(work.ctypes.data, work.size, 0, 0)
         last = ctypes.byref(arena), ctypes.byref(out), ctypes.byref(text)
         if getattr(self.c, name)(*arguments, *last):
             raise ValueError(text.value.decode() if text.value else name)
@@ -336,39 +353,39 @@ class NativeEncoder:
             (np.ascontiguousarray(b, np.int32), np.ascontiguousarray(m, np.uint8))
             for b, m in (support, before or support)
         ]
-        own, other = (CSamples(len(b), b.ctypes.data, m.ctypes.data) for b, m in arrays)
-        return self._part(
-            "touch_encode_support",
-            ctypes.byref(c_grid(grid)),
-            ctypes.byref(own),
-            before and ctypes.byref(other),
-        )
+        own, other = (CSamples(len(b), _pointer(b), _pointer(m)) for b, m in arrays)
+        room = self.c.touch_part_room(len(support[0]) + (len(before[0]) if before else 0), 0, 2)
+        arguments = ctypes.byref(c_grid(grid)), ctypes.byref(own), before and ctypes.byref(other)
+        return self._part("touch_encode_support", room, *arguments)
 
     def numbers(self, numbers: np.ndarray) -> bytes:
         """Whole numbers by themselves."""
         values = np.ascontiguousarray(numbers, np.int64)
-        return self._part(
-            "touch_encode_numbers", ctypes.c_void_p(values.ctypes.data), ctypes.c_uint64(len(values))
-        )
+        arguments = ctypes.c_void_p(values.ctypes.data), ctypes.c_uint64(len(values))
+        return self._part("touch_encode_numbers", self.c.touch_part_room(0, len(values), 0), *arguments)
 
     def vibration(self, frames: Sequence[VibrationFrame]) -> bytes:
         """The body of VIBR."""
         frames = list(frames)
+        arrays = [(f.positions, f.amplitudes_n, f.frequencies_hz) for f in frames]
+        return self.vibration_arrays(frames[0].grid, arrays)
+
+    def vibration_arrays(self, grid: Grid, frames: Sequence[tuple[np.ndarray, ...]]) -> bytes:
+        """The body of VIBR of positions, amplitudes and frequencies."""
         sources = (CVibration * len(frames))(
-            *(
-                CVibration(len(f), *(_pointer(a) for a in (f.positions, f.amplitudes_n, f.frequencies_hz)))
-                for f in frames
-            )
+            *(CVibration(len(arrays[0]), *(_pointer(a) for a in arrays)) for arrays in frames)
         )
-        grid = c_grid(frames[0].grid)
-        return self._part("touch_encode_vibration", ctypes.byref(grid), sources, ctypes.c_uint32(len(frames)))
+        bricks = sum(len(np.unique(positions >> 3, axis=0)) for positions, *_ in frames)
+        samples = sum(len(positions) for positions, *_ in frames)
+        room = self.c.touch_part_room(bricks, 2 * samples, len(frames))
+        arguments = ctypes.byref(c_grid(grid)), sources, ctypes.c_uint32(len(frames))
+        return self._part("touch_encode_vibration", room, *arguments)
 
     def poses(self, numbers: np.ndarray) -> bytes:
         """Poses of a body in steps, [n, 7]."""
         values = np.ascontiguousarray(numbers, np.int64)
-        return self._part(
-            "touch_encode_poses", ctypes.c_void_p(values.ctypes.data), ctypes.c_uint32(len(values))
-        )
+        arguments = ctypes.c_void_p(values.ctypes.data), ctypes.c_uint32(len(values))
+        return self._part("touch_encode_poses", self.c.touch_part_room(0, 7 * len(values), 0), *arguments)
 
     def bodies(self, parts: SegmentParts) -> bytes:
         """The body of a segment of objects."""
@@ -383,5 +400,6 @@ class NativeEncoder:
         if parts.max_error:
             voxel = (ctypes.c_uint32 * 3)(*parts.max_error.voxel)
             worst = CSegment(None, 0, parts.max_error.ratio, parts.max_error.frame, voxel)
-        count = ctypes.c_uint32(len(bodies))
-        return self._part("touch_encode_bodies", bodies, count, worst and ctypes.byref(worst))
+        room = 64 + sum(16 + body.poses.size + body.fields.size for body in bodies) + 64
+        arguments = bodies, ctypes.c_uint32(len(bodies)), worst and ctypes.byref(worst)
+        return self._part("touch_encode_bodies", room, *arguments)

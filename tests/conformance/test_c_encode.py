@@ -6,6 +6,8 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from encode_content import (
     golden_segments,
     lossless_segment,
     random_poses,
+    random_samples,
     random_segment,
     random_support,
     random_vibration,
@@ -27,11 +30,12 @@ from touchfield.codec.objects.encoder import ObjectsEncoder, encode_poses, round
 from touchfield.codec.objects.layout import SegmentParts
 from touchfield.codec.support import encode_numbers, encode_support
 from touchfield.codec.touch import base_layer_fit
+from touchfield.codec.touch.base_layer_fit import fit_columns
 from touchfield.codec.touch.encoder import TouchEncoder
+from touchfield.codec.touch.frame_encoder import lattice_for, limits_for
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.vibration import encode_vibration
 from touchfield.medium import ForceField, Grid
-from touchfield.medium.field import brick_keys
 
 HERE = Path(__file__).parent
 WATCHED = ("-g", "-Og", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
@@ -142,14 +146,7 @@ def test_exact_samples(seed: int, native: NativeEncoder) -> None:
     segment = random_segment("mask", seed, guess="off")
     coder, rng = TouchEncoder(segment.grid, segment.spec), np.random.default_rng(seed)
     coded = coder.encode_segment(segment.frames)
-    samples = []
-    for frame in segment.frames:
-        brick, sample = np.nonzero(rng.random((len(frame.bricks), 512)) < 0.02)
-        inside = (
-            8 * frame.bricks[brick] + np.stack(np.unravel_index(sample, (8, 8, 8)), axis=1)
-            < segment.grid.shape
-        ).all(axis=1)
-        samples.append((512 * brick_keys(segment.grid, frame.bricks)[brick] + sample)[inside])
+    samples = [random_samples(frame, rng) for frame in segment.frames]
     body = coder.with_exact_samples(coded, segment.frames, samples).body
     assert native.with_exact_samples(segment.grid, segment.spec, coded.body, segment.frames, samples) == body
 
@@ -185,6 +182,76 @@ def test_forces_that_are_not_finite_are_refused(native: NativeEncoder) -> None:
         bad = ForceField(segment.grid, segment.frames[0].bricks, forces)
         with pytest.raises(ValueError, match="6: a force that is not finite, or above"):
             native.segment(segment.grid, segment.spec, [bad])
+
+
+def test_bricks_that_do_not_ascend_within_the_grid_are_refused(native: NativeEncoder) -> None:
+    segment = lossless_segment(1)
+    frame = next(frame for frame in segment.frames if len(frame.bricks) > 1)
+    for bricks, message in (
+        (frame.bricks[::-1], "bricks that do not ascend"),
+        (frame.bricks + np.int32(1 << 10), "a brick beyond the grid"),
+        (frame.bricks - np.int32(1 << 10), "a brick beyond the grid"),
+    ):
+        bad = SimpleNamespace(
+            grid=frame.grid, bricks=bricks, forces_n=frame.forces_n, to_dense=frame.to_dense
+        )
+        with pytest.raises(ValueError, match=f"6: {message}"):
+            native.segment(segment.grid, TouchSpec(), [bad])
+
+
+def test_vibrations_out_of_range_are_refused(native: NativeEncoder) -> None:
+    grid, places = Grid((9, 9, 9), (0.001,) * 3, (0.0,) * 3), np.array([[0, 0, 8], [8, 8, 8]], np.int32)
+    ones = np.ones(2, np.float32)
+    for positions, amplitude, frequency, message in (
+        (places[::-1], 1, 1, "do not ascend"),
+        (places + np.int32(1), 1, 1, "beyond the grid"),
+        (places - np.int32(1), 1, 1, "beyond the grid"),
+        (places, 0, 1, "not positive"),
+        (places, np.inf, 1, "not positive"),
+        (places, np.nan, 1, "not positive"),
+        (places, 1e6, 1, "above 0.9 meganewton"),
+        (places, 1, np.nan, "above 10 kHz"),
+        (places, 1, 10001, "above 10 kHz"),
+        (places, 1, -1, "above 10 kHz"),
+    ):
+        arrays = np.ascontiguousarray(positions), ones * np.float32(amplitude), ones * np.float32(frequency)
+        with pytest.raises(ValueError, match=message):
+            native.vibration_arrays(grid, [arrays])
+
+
+def noise(grid: Grid, seed: int) -> ForceField:
+    """Forces of any size everywhere, more of them along one axis: no code takes more bytes."""
+    rng = np.random.default_rng(seed)
+    forces = rng.uniform(-0.2, [0.2, 0.2, 1], (*grid.shape, 3))
+    forces *= np.exp(3 * rng.standard_normal((*grid.shape, 1)))
+    return ForceField.from_dense(grid, forces.astype(np.float32))
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"k": 0.001, "f0_n": 0.0}, {"mode": "nmse"}, {"mode": "lossless"}], ids=str
+)
+def test_noise_fits_in_the_memory_that_is_announced(options: dict[str, Any], native: NativeEncoder) -> None:
+    grid = Grid((48, 48, 48), (0.001,) * 3, (0.0,) * 3)
+    frames = [noise(grid, 0), noise(grid, 1)]
+    for guess in ("off",) if options.get("mode") == "lossless" else ("auto", "off"):
+        segment = Segment(TouchSpec(guess=guess, **options), frames)
+        assert native.segment(*segment_arguments(segment), has_splines=True) == expected(segment)
+    spec, room = segment.spec, native.room(grid, segment.spec, 216)
+    assert room < 216 * 51_000 + (12 << 20 if spec.mode == "lossless" else 4 << 20)
+    with pytest.raises(ValueError, match="5: no room"):
+        native.segment(grid, spec, frames, work_bytes=int(0.7 * room))
+
+
+def test_columns_that_reach_far_beyond_a_frame_are_not_taken(native: NativeEncoder) -> None:
+    """One tile has a slow ramp; the force of the others falls inwards, as if from a surface far outside."""
+    grid = Grid((64, 64, 256), (0.001,) * 3, (0.0,) * 3)
+    forces = np.zeros((*grid.shape, 3), np.float32)
+    forces[..., -8:, 2] = -np.linspace(0.95, 0.5, 8)
+    forces[:8, :8, :, 2] = -np.linspace(0.001, 1, 256)
+    segment = Segment(TouchSpec(mode="nmse", step_n=0.01), [ForceField.from_dense(grid, forces)])
+    lattice = lattice_for(segment.spec, 1.0)
+    assert fit_columns(segment.frames[0], lattice, limits_for(segment.spec, lattice)) is None
+    assert_same_bytes(native, segment)
 
 
 def test_too_little_memory_is_reported(native: NativeEncoder) -> None:
