@@ -260,6 +260,7 @@ class NativeEncoder:
         frames: Sequence[ForceField],
         key_frame: ForceField | None = None,
         has_splines: bool = False,
+        longest_n: float | None = None,
         work_bytes: int | None = None,
         out_bytes: int | None = None,
     ) -> bytes:
@@ -267,11 +268,8 @@ class NativeEncoder:
         sources, own = [Source(frame, spec) for frame in frames], c_grid(grid)
         key = None if key_frame is None else Source(key_frame, spec)
         bricks = max(len(s.bricks) for s in [*sources, *([key] if key else [])])
-        options, encoder, longest = (
-            c_options(spec),
-            CEncoder(),
-            max(self.longest_n(source) for source in sources),
-        )
+        options, encoder = c_options(spec), CEncoder()
+        longest = max(self.longest_n(source) for source in sources) if longest_n is None else longest_n
         if key:  # the unit of the key frame is kept if possible
             longest = longest if longest > 1.01 * self.longest_n(key) else self.longest_n(key)
         splines = Splines(grid, spec, longest) if has_splines else None

@@ -17,6 +17,7 @@ from encode_content import (
     Segment,
     golden_segments,
     lossless_segment,
+    random_frames,
     random_poses,
     random_samples,
     random_segment,
@@ -36,6 +37,7 @@ from touchfield.codec.touch.frame_encoder import lattice_for, limits_for
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.vibration import encode_vibration
 from touchfield.medium import ForceField, Grid
+from touchfield.medium.medium import VibrationFrame
 
 HERE = Path(__file__).parent
 WATCHED = ("-g", "-Og", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
@@ -107,6 +109,18 @@ def test_supports(seed: int, native: NativeEncoder) -> None:
         assert native.support(grid, (bricks, mask), before) == encode_support(grid, bricks, mask, before)
 
 
+def test_short_codes_are_padded(native: NativeEncoder) -> None:
+    """A byte stands for 16 bricks at most, or for a frame of a vibration."""
+    grid = Grid((80, 80, 80), (0.001,) * 3, (0.0,) * 3)
+    bricks = np.argwhere(np.ones((10, 10, 10))).astype(np.int32)
+    mask = np.ones((1000, 8, 8, 8), bool)
+    coded = encode_support(grid, bricks, mask, (bricks, mask))
+    assert coded[-1] == 0 and native.support(grid, (bricks, mask), (bricks, mask)) == coded
+    frames = [VibrationFrame.empty(grid)] * 100
+    coded = encode_vibration(frames)
+    assert coded[-1] == 0 and native.vibration(frames) == coded
+
+
 @pytest.mark.parametrize("seed", range(SEEDS))
 def test_whole_numbers(seed: int, native: NativeEncoder) -> None:
     rng = np.random.default_rng(seed)
@@ -124,6 +138,14 @@ def test_vibration(seed: int, native: NativeEncoder) -> None:
     assert native.vibration(frames) == encode_vibration(frames)
     golden = [make_golden.hum(t) for t in range(seed)] or [make_golden.hum(4)]
     assert native.vibration(golden) == encode_vibration(golden)
+
+
+def test_amplitudes_of_a_vibration_from_the_lowest_to_the_highest(native: NativeEncoder) -> None:
+    grid = Grid((1, 1, 2000), (0.001,) * 3, (0.0,) * 3)
+    amplitudes = np.geomspace(1e-7, 9.4e5, 2000).astype(np.float32)
+    places = np.argwhere(np.ones(grid.shape)).astype(np.int32)
+    frame = VibrationFrame(grid, places, amplitudes, np.linspace(0.1, 10000, 2000, dtype=np.float32))
+    assert native.vibration([frame]) == encode_vibration([frame])
 
 
 @pytest.mark.parametrize("seed", range(3 * SEEDS))
@@ -147,6 +169,7 @@ def test_exact_samples(seed: int, native: NativeEncoder) -> None:
     coder, rng = TouchEncoder(segment.grid, segment.spec), np.random.default_rng(seed)
     coded = coder.encode_segment(segment.frames)
     samples = [random_samples(frame, rng) for frame in segment.frames]
+    samples[0] = samples[0][: len(samples[0]) * (seed % 2)]
     body = coder.with_exact_samples(coded, segment.frames, samples).body
     assert native.with_exact_samples(segment.grid, segment.spec, coded.body, segment.frames, samples) == body
 
@@ -168,10 +191,20 @@ def test_key_frame(native: NativeEncoder) -> None:
     coder = TouchEncoder(segment.grid, segment.spec)
     body = coder.encode_segment(segment.frames, key_frame=key_frame).body
     assert native.segment(segment.grid, segment.spec, segment.frames, key_frame) == body
-    for scale in (1.0, 1.0005, 1.01, 2.0):
-        frame = segment.frames[0].scaled(scale)
-        is_static = coder.key_frame(frame, segment.frames[0]) is segment.frames[0]
-        assert native.is_static(segment.spec, frame, segment.frames[0]) == is_static
+
+
+@pytest.mark.parametrize(
+    "options", [{"k": 0.1}, {"k": 0.02, "f0_n": 0.0}, {"f0_n": 100.0}, {"mode": "nmse"}], ids=str
+)
+def test_frames_of_a_static_scene(options: dict[str, Any], native: NativeEncoder) -> None:
+    earlier, spec, found = random_frames(1)[0], TouchSpec(**options), set()
+    coder = TouchEncoder(earlier.grid, spec)
+    for scale in (1.0, 1.0003, 1.0007, 1.0015, 1.003, 1.03, 2.0):
+        frame = earlier.scaled(scale)
+        is_static = coder.key_frame(frame, earlier) is earlier
+        assert native.is_static(spec, frame, earlier) == is_static
+        found.add(is_static)
+    assert found == ({False} if spec.mode == "nmse" else {True, False})
 
 
 def test_forces_that_are_not_finite_are_refused(native: NativeEncoder) -> None:
@@ -180,8 +213,9 @@ def test_forces_that_are_not_finite_are_refused(native: NativeEncoder) -> None:
         forces = segment.frames[0].forces_n.copy()
         forces[0, 0, 0, 0, 1] = value
         bad = ForceField(segment.grid, segment.frames[0].bricks, forces)
-        with pytest.raises(ValueError, match="6: a force that is not finite, or above"):
-            native.segment(segment.grid, segment.spec, [bad])
+        for longest_n in (None, 1.0):  # as it is, and as a caller may state it
+            with pytest.raises(ValueError, match="6: a force that is not finite, or above"):
+                native.segment(segment.grid, segment.spec, [bad], longest_n=longest_n)
 
 
 def test_bricks_that_do_not_ascend_within_the_grid_are_refused(native: NativeEncoder) -> None:
