@@ -1,4 +1,4 @@
-/* touch.h: a decoder of .touch files (format 1) in one file of C99; docs/format tells every byte.
+/* touch.h: a decoder of .touch files (format 1) in C99; docs/format tells every byte. touch_model.h lies beside it.
 
    In one source file:   #define TOUCH_IMPLEMENTATION
                          #include "touch.h"
@@ -116,22 +116,12 @@ void touch_vibration(const touch_frame *frame, double x, double y, double z, dou
 #endif
 #endif
 
-#ifdef TOUCH_IMPLEMENTATION
+#if defined TOUCH_IMPLEMENTATION && !defined TOUCH_IMPLEMENTED
+#define TOUCH_IMPLEMENTED
 
-#include <math.h>
-#include <string.h>
+#include "touch_model.h"
 
-typedef struct { /* bytes read from the first to the last; `code` is the first error, and all reads after it are 0 */
-    const uint8_t *at, *end;
-    int code;
-    const char *what;
-} touch_cursor;
-
-#ifndef TOUCH_GUARD /* bytes behind a piece of an arena that nobody may touch: a fuzzer watches them */
-#define TOUCH_GUARD(at, bytes, guard) ((void)(guard), 0)
-#endif
-
-/* -- small things ---------------------------------------------------------------------------------------------------- */
+/* -- bytes ----------------------------------------------------------------------------------------------------------- */
 
 touch_arena touch_arena_of(void *memory, uint64_t size) {
     touch_arena arena;
@@ -139,37 +129,9 @@ touch_arena touch_arena_of(void *memory, uint64_t size) {
     return arena;
 }
 
-/* A piece of an arena for `count` things, or NULL; behind it may be a guard. */
-static void *touch_piece(touch_arena *arena, uint64_t count, uint64_t each, uint64_t guard) {
-    uint64_t base = (uint64_t)(uintptr_t)arena->base, begin = ((base + arena->used + 15) & ~(uint64_t)15) - base;
-    if (begin > arena->size || (each && count > (arena->size - begin) / each)) return 0;
-    arena->used = begin + count * each;
-    arena->used += TOUCH_GUARD(arena->base + begin, count * each, guard);
-    if (arena->used > arena->peak) arena->peak = arena->used;
-    return arena->base + begin;
-}
-
-static void *touch_take(touch_arena *arena, uint64_t count, uint64_t each) { return touch_piece(arena, count, each, 32); }
-
-static void *touch_take_zero(touch_arena *arena, uint64_t count, uint64_t each) {
-    void *out = touch_take(arena, count, each);
-    if (out) memset(out, 0, (size_t)(count * each));
-    return out;
-}
-
-static int touch_fail(touch_cursor *c, int code, const char *what) {
-    if (!c->code) c->code = code, c->what = what;
-    c->at = c->end;
-    return 0;
-}
-
-static int touch_need(touch_cursor *c, int holds, const char *what) {
-    return holds ? !c->code : touch_fail(c, TOUCH_CORRUPT, what);
-}
-
 static touch_cursor touch_cursor_of(const uint8_t *bytes, uint64_t size) {
     touch_cursor c;
-    c.at = bytes, c.end = bytes + size, c.code = TOUCH_OK, c.what = 0;
+    c.at = bytes, c.end = size ? bytes + size : bytes, c.code = TOUCH_OK, c.what = 0; /* NULL has no end */
     return c;
 }
 
@@ -200,12 +162,6 @@ static double touch_f64(touch_cursor *c) {
     return out;
 }
 
-static float touch_f32_of(uint32_t bits) {
-    float out;
-    memcpy(&out, &bits, 4);
-    return out;
-}
-
 static uint64_t touch_varint(touch_cursor *c, uint64_t least, uint64_t limit) {
     uint64_t value = 0;
     for (int place = 0; place < 8; place++) {
@@ -227,25 +183,6 @@ static touch_cursor touch_chunk(touch_cursor *c) {
     return c->code ? touch_cursor_of(at, 0) : touch_cursor_of(at, n);
 }
 
-static int64_t touch_clip(int64_t n, int64_t least, int64_t most) { return n < least ? least : n > most ? most : n; }
-
-/* n / d rounded down; d is above 0. */
-static int64_t touch_div(int64_t n, int64_t d) { return n / d - (n % d < 0); }
-
-static int touch_bits_of(uint64_t n) {
-    int bits = 0;
-    while (n) n >>= 1, bits++;
-    return bits;
-}
-
-/* The largest number whose square is at most n, below 2^52: the root in floating point is put right. */
-static int64_t touch_root(int64_t n) {
-    int64_t r = (int64_t)sqrt((double)n);
-    while (r * r > n) r--;
-    while ((r + 1) * (r + 1) <= n) r++;
-    return r;
-}
-
 static uint32_t touch_crc(uint32_t crc, const uint8_t *at, uint64_t n) { /* zlib's; a table of 16 fits on the stack */
     uint32_t table[16];
     for (uint32_t i = 0; i < 16; i++) {
@@ -260,10 +197,6 @@ static uint32_t touch_crc(uint32_t crc, const uint8_t *at, uint64_t n) { /* zlib
         crc = crc >> 4 ^ table[crc & 15];
     }
     return ~crc;
-}
-
-static uint64_t touch_brick_count(const touch_grid *g) {
-    return (uint64_t)((g->shape[0] + 7) >> 3) * ((g->shape[1] + 7) >> 3) * ((g->shape[2] + 7) >> 3);
 }
 
 /* -- the container --------------------------------------------------------------------------------------------------- */
@@ -582,1494 +515,94 @@ int touch_open(touch_file *file, const void *bytes, uint64_t size) {
     return c.code;
 }
 
-/* -- bits: the arithmetic code (docs/format/bits.md) ----------------------------------------------------------------- */
+/* -- frames of coder touch (docs/format/touch.md): what is before the code; touch_model.h reads the code ------------- */
 
-enum { TOUCH_REACH = 3071, TOUCH_FRESH = 1 << 21, TOUCH_WEIGHT = 14000 };
-
-typedef struct {
-    int32_t chance, seen;
-} touch_context;
-
-typedef struct { /* the logistic function, its inverse, and how fast a context learns */
-    uint16_t squash[2 * TOUCH_REACH + 1];
-    int16_t stretch[4096];
-    int32_t rate[256];
-} touch_tables;
-
-typedef struct {
-    const uint8_t *data;
-    uint64_t size, place, x, range;
-    const touch_tables *tables;
-} touch_code;
-
-static void touch_fill(touch_tables *t) {
-    uint64_t q = (uint64_t)1 << 31;
-    int n = 0;
-    for (int64_t i = 0; i <= TOUCH_REACH; i++) {
-        uint64_t whole = ((uint64_t)1 << 31) + q, s = (((uint64_t)1 << 47) + (whole >> 1)) / whole;
-        t->squash[TOUCH_REACH + i] = (uint16_t)(s > 65535 ? 65535 : s);
-        t->squash[TOUCH_REACH - i] = (uint16_t)(65536 - s);
-        q = q * 2139111403u >> 31;
-    }
-    for (int64_t i = 0; i < 4096; i++) {
-        while (t->squash[n] < 16 * i + 8) n++;
-        t->stretch[i] = (int16_t)(n - TOUCH_REACH);
-    }
-    for (int64_t i = 0; i <= 2 * TOUCH_REACH; i++) t->squash[i] = (uint16_t)touch_clip(t->squash[i], 4, 65532);
-    for (int64_t i = 0; i < 256; i++) t->rate[i] = (int32_t)((1 << 20) / (2 * i + 3));
-}
-
-static touch_code touch_code_of(const touch_cursor *c, const touch_tables *tables) {
-    touch_code b;
-    b.data = c->at, b.size = touch_left(c), b.place = 6, b.range = (uint64_t)1 << 48, b.x = 0, b.tables = tables;
-    for (int i = 0; i < 6; i++) b.x = b.x << 8 | ((uint64_t)i < b.size ? b.data[i] : 0);
-    return b;
-}
-
-static int touch_narrow(touch_code *b, uint32_t p) {
-    uint64_t bound = (b->range >> 16) * p;
-    int bit = b->x < bound;
-    if (bit) b->range = bound;
-    else b->x -= bound, b->range -= bound;
-    if (b->range < (uint64_t)1 << 32) {
-        uint32_t high = b->place < b->size ? b->data[b->place] : 0;
-        uint32_t low = b->place + 1 < b->size ? b->data[b->place + 1] : 0;
-        b->x = b->x << 16 | high << 8 | low, b->range <<= 16, b->place += 2;
-    }
-    return bit;
-}
-
-static void touch_learn(touch_context *c, int bit, const touch_tables *t) {
-    c->chance += (int32_t)(((int64_t)(bit ? 4194303 - c->chance : -c->chance) * t->rate[c->seen]) >> 19);
-    c->seen += c->seen < 255;
-}
-
-static int touch_bit(touch_code *b, touch_context *c) {
-    int bit = touch_narrow(b, (uint32_t)touch_clip(c->chance >> 6, 4, 65532));
-    touch_learn(c, bit, b->tables);
-    return bit;
-}
-
-static int touch_mix(touch_code *b, touch_context *const *c, int64_t *weights, int count) {
-    const touch_tables *t = b->tables;
-    int64_t sum = 0;
-    int32_t logit[4];
-    for (int n = 0; n < count; n++) logit[n] = t->stretch[c[n]->chance >> 10], sum += logit[n] * weights[n];
-    int32_t p = t->squash[touch_clip(sum >> 16, -TOUCH_REACH, TOUCH_REACH) + TOUCH_REACH];
-    int bit = touch_narrow(b, (uint32_t)p);
-    int64_t miss = (bit ? 65536 : 0) - p;
-    for (int n = 0; n < count; n++) weights[n] += (logit[n] * miss + 8192) >> 14, touch_learn(c[n], bit, t);
-    return bit;
-}
-
-static int touch_mix2(touch_code *b, touch_context *c0, touch_context *c1, int64_t *w) {
-    touch_context *c[2];
-    c[0] = c0, c[1] = c1;
-    return touch_mix(b, c, w, 2);
-}
-
-static int touch_mix3(touch_code *b, touch_context *c0, touch_context *c1, touch_context *c2, int64_t *w) {
-    touch_context *c[3];
-    c[0] = c0, c[1] = c1, c[2] = c2;
-    return touch_mix(b, c, w, 3);
-}
-
-static int64_t touch_even(touch_code *b, int count) {
-    int64_t out = 0;
-    while (count-- > 0) out = out << 1 | touch_narrow(b, 32768);
-    return out;
-}
-
-static int64_t touch_gamma(touch_code *b, int most) { /* above 0 */
-    int digits = 0;
-    while (digits < most && touch_narrow(b, 32768)) digits++;
-    return (int64_t)1 << digits | touch_even(b, digits);
-}
-
-static void touch_check(const touch_code *b, touch_cursor *c) {
-    if (b->place > b->size + 6) touch_fail(c, TOUCH_CUT, "a code that ends too early");
-}
-
-/* A code of `bricks` bricks ends where its bytes do; so many zeros may follow as those are worth. */
-static void touch_close(const touch_code *b, uint64_t bricks, touch_cursor *c) {
-    uint64_t most = b->place;
-    touch_check(b, c);
-    if (bricks > 64 && (bricks - 64 + 15) / 16 > most) most = (bricks - 64 + 15) / 16;
-    touch_need(c, b->size <= most, "bytes behind a code");
-    for (uint64_t i = b->place; i < b->size && !c->code; i++) touch_need(c, !b->data[i], "bytes behind a code");
-}
-
-static void touch_fresh(touch_context *c, uint64_t contexts, int64_t *w, uint64_t weights) {
-    for (uint64_t i = 0; i < contexts; i++) c[i].chance = TOUCH_FRESH, c[i].seen = 0;
-    for (uint64_t i = 0; i < weights; i++) w[i] = TOUCH_WEIGHT;
-}
-
-/* -- maps from keys to places, and order ----------------------------------------------------------------------------- */
-
-typedef struct { /* open addressing; key 0 is none */
-    uint64_t *key;
-    uint32_t *place, mask;
-} touch_map;
-
-static int touch_map_make(touch_map *m, uint64_t count, touch_arena *arena) {
-    uint64_t size = 16;
-    while (size < 2 * count + 2) size *= 2;
-    m->key = (uint64_t *)touch_take_zero(arena, size, 8), m->place = (uint32_t *)touch_take(arena, size, 4);
-    m->mask = (uint32_t)(size - 1);
-    return m->key && m->place;
-}
-
-static uint32_t touch_hash(uint64_t key, uint32_t mask) {
-    return (uint32_t)((key * 0x9E3779B97F4A7C15u) >> 32) & mask;
-}
-
-static void touch_map_put(touch_map *m, uint64_t key, uint32_t place) {
-    uint32_t at = touch_hash(++key, m->mask);
-    while (m->key[at] && m->key[at] != key) at = (at + 1) & m->mask;
-    m->key[at] = key, m->place[at] = place;
-}
-
-static int64_t touch_map_get(const touch_map *m, uint64_t key) { /* -1: none */
-    uint32_t at = touch_hash(++key, m->mask);
-    while (m->key[at] && m->key[at] != key) at = (at + 1) & m->mask;
-    return m->key[at] ? (int64_t)m->place[at] : -1;
-}
-
-static void touch_sift(uint64_t *key, uint32_t *tag, uint64_t at, uint64_t n) {
-    for (;;) {
-        uint64_t child = 2 * at + 1, k;
-        uint32_t t;
-        if (child >= n) return;
-        if (child + 1 < n && key[child + 1] > key[child]) child++;
-        if (key[at] >= key[child]) return;
-        k = key[at], key[at] = key[child], key[child] = k;
-        t = tag[at], tag[at] = tag[child], tag[child] = t;
-        at = child;
-    }
-}
-
-static void touch_sort(uint64_t *key, uint32_t *tag, uint64_t n) { /* ascending, tags with their keys */
-    uint64_t i;
-    for (i = 1; i < n && key[i] >= key[i - 1]; i++) {}
-    if (i >= n) return;
-    for (i = n / 2; i-- > 0;) touch_sift(key, tag, i, n);
-    for (i = n; i-- > 1;) {
-        uint64_t k = key[0];
-        uint32_t t = tag[0];
-        key[0] = key[i], key[i] = k, tag[0] = tag[i], tag[i] = t;
-        touch_sift(key, tag, 0, i);
-    }
-}
-
-/* Places of bricks, nodes or boxes as keys, in raster order; 21 bits an axis, shifted so that -1 and -2 are there. */
-static uint64_t touch_key(int64_t x, int64_t y, int64_t z) {
-    return (uint64_t)(x + 8) << 42 | (uint64_t)(y + 8) << 21 | (uint64_t)(z + 8);
-}
-
-static void touch_place(uint64_t key, int32_t out[3]) {
-    out[0] = (int32_t)(key >> 42) - 8, out[1] = (int32_t)(key >> 21 & 0x1fffff) - 8;
-    out[2] = (int32_t)(key & 0x1fffff) - 8;
-}
-
-/* -- lists of bricks ------------------------------------------------------------------------------------------------- */
-
-enum { TOUCH_LIST_CONTEXTS = 1262, TOUCH_LIST_WEIGHTS = 8 };
-
-typedef struct {
-    uint64_t *key; /* ascending */
-    uint64_t count;
-} touch_list;
-
-/* One level of the boxes: the states of all children, told in raster order (S of bits.md). */
-static int touch_level(touch_code *b, touch_context *c, int64_t *w, const touch_map *known, const touch_map *children,
-                       const uint64_t *key, const uint32_t *parent, uint8_t *state, uint8_t *left, uint8_t *found,
-                       uint64_t count) {
-    static const int8_t step[12][3] = {{-1, 0, 0}, {0, -1, 0}, {0, 0, -1}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1},
-                                       {-1, -1, 0}, {-1, 1, 0}, {-1, 0, -1}, {-1, 0, 1}, {0, -1, -1}, {0, -1, 1}};
-    for (uint64_t i = 0; i < count; i++) {
-        int32_t at[3];
-        int old = touch_map_get(known, key[i]) >= 0;
-        uint32_t faces = 0, edges = 0, changed = 0;
-        touch_place(key[i], at);
-        for (int n = 0; n < 12; n++) {
-            uint64_t beside = touch_key(at[0] + step[n][0], at[1] + step[n][1], at[2] + step[n][2]);
-            int64_t there = touch_map_get(children, beside);
-            uint32_t s = there < 0 ? 0 : state[there];
-            if (n < 6) faces = 3 * faces + (old ? 0 : s);
-            if (n < 3) changed = 2 * changed + (s ^ (there >= 0 && touch_map_get(known, beside) >= 0 ? 1u : 0u));
-            if (n < 3 || n > 5) edges = 2 * edges + s;
-        }
-        left[parent[i]]--;
-        int bit = 1;
-        if (found[parent[i]] || left[parent[i]]) {
-            touch_context *chosen[4];
-            chosen[0] = c + 1 + faces, chosen[1] = c + 730 + edges, chosen[2] = c + 1242 + 8 * old + changed;
-            chosen[3] = c + 1258 + 2 * old + (found[parent[i]] > 0);
-            bit = touch_mix(b, chosen, w + 4 * old, 4);
-        }
-        state[i] = (uint8_t)bit, found[parent[i]] = (uint8_t)(found[parent[i]] + bit);
-    }
-    return 1;
-}
-
-/* The bricks that a code lists, into `arena`; `before` is a list that is known, or empty. */
-static int touch_read_list(touch_code *b, touch_context *c, int64_t *w, const uint32_t shape[3], touch_list before,
-                           touch_list *out, touch_arena *arena, touch_cursor *error) {
-    uint64_t most = 64 + 16 * b->size, count = 0, i, mark;
-    uint32_t longest = 0;
-    for (int n = 0; n < 3; n++) longest = shape[n] > longest ? shape[n] : longest;
-    uint64_t total = (uint64_t)((shape[0] + 7) >> 3) * ((shape[1] + 7) >> 3) * ((shape[2] + 7) >> 3);
-    uint64_t capacity = total < most ? total : most;
-    out->key = (uint64_t *)touch_take(arena, capacity + 1, 8), out->count = 0;
-    if (!out->key) return touch_fail(error, TOUCH_MEMORY, "no room for a list of bricks");
-    if (touch_bit(b, c)) out->key[count++] = touch_key(0, 0, 0);
-    for (int level = touch_bits_of((longest - 1) >> 3) - 1; level >= 0; level--) {
-        uint64_t family = 0, kept = 0, bound = 8 * count;
-        uint64_t *key;
-        uint32_t *parent;
-        uint8_t *state, *left;
-        touch_map known, children;
-        mark = arena->used;
-        key = (uint64_t *)touch_take(arena, bound, 8), parent = (uint32_t *)touch_take(arena, bound, 4);
-        state = (uint8_t *)touch_take(arena, bound, 1), left = (uint8_t *)touch_take_zero(arena, count, 1);
-        uint8_t *found = (uint8_t *)touch_take_zero(arena, count, 1);
-        if (!key || !parent || !state || !left || !found || !touch_map_make(&known, before.count, arena))
-            return touch_fail(error, TOUCH_MEMORY, "no room for a list of bricks");
-        for (i = 0; i < before.count; i++) {
-            int32_t at[3];
-            touch_place(before.key[i], at);
-            touch_map_put(&known, touch_key(at[0] >> level, at[1] >> level, at[2] >> level), 1);
-        }
-        for (i = 0; i < count; i++) {
-            int32_t at[3];
-            touch_place(out->key[i], at);
-            for (int32_t d = 0; d < 8; d++) {
-                int64_t x = 2 * at[0] + (d >> 2), y = 2 * at[1] + (d >> 1 & 1), z = 2 * at[2] + (d & 1);
-                if (x > (int64_t)(shape[0] - 1) >> (level + 3) || y > (int64_t)(shape[1] - 1) >> (level + 3) ||
-                    z > (int64_t)(shape[2] - 1) >> (level + 3))
-                    continue;
-                key[family] = touch_key(x, y, z), parent[family++] = (uint32_t)i, left[i]++;
-            }
-        }
-        touch_sort(key, parent, family);
-        if (!touch_map_make(&children, family, arena)) return touch_fail(error, TOUCH_MEMORY, "no room for boxes");
-        for (i = 0; i < family; i++) state[i] = 2, touch_map_put(&children, key[i], (uint32_t)i);
-        touch_level(b, c, w, &known, &children, key, parent, state, left, found, family);
-        for (i = 0; i < family; i++) kept += state[i] == 1;
-        if (kept > most) return touch_fail(error, TOUCH_CORRUPT, "more bricks than the bytes may list");
-        for (i = count = 0; i < family; i++)
-            if (state[i] == 1) out->key[count++] = key[i];
-        arena->used = mark;
-    }
-    out->count = count;
-    return 1;
-}
-
-/* -- coder touch: a frame (docs/format/touch.md) --------------------------------------------------------------------- */
-
-typedef struct {
-    int32_t v[3];
-} touch_vector;
-
-typedef struct { /* vectors in units, 512 a brick; (0, 0, 0): none there */
-    touch_list list;
-    touch_vector *v;
-} touch_units;
-
-typedef struct { /* a voxel that is decoded, in the scan */
-    int32_t v[3], length, ahead[3];
-    uint8_t along, across;
-} touch_cell;
-
-enum {
-    TOUCH_BRICK = 0, TOUCH_BLOCK = 7, TOUCH_HELD = 31, TOUCH_STILL = TOUCH_HELD + 2 * 16384 + 4096,
-    TOUCH_ZERO = TOUCH_STILL + 512 + 512 + 4096, TOUCH_SIGN = TOUCH_ZERO + 3 * 1088, TOUCH_SIZE = TOUCH_SIGN + 3 * 576,
-    TOUCH_PASS_LIST = TOUCH_SIZE + 3 * 1152, TOUCH_PASS_CONTEXTS = TOUCH_PASS_LIST + TOUCH_LIST_CONTEXTS,
-    TOUCH_W_STILL = 3 * 32, TOUCH_W_ZERO = TOUCH_W_STILL + 3 * 16, TOUCH_W_SIGN = TOUCH_W_ZERO + 9 * 24,
-    TOUCH_W_SIZE = TOUCH_W_SIGN + 9 * 3, TOUCH_W_LIST = TOUCH_W_SIZE + 6 * 48,
-    TOUCH_PASS_WEIGHTS = TOUCH_W_LIST + TOUCH_LIST_WEIGHTS,
-    TOUCH_FEATURES = 13, TOUCH_TOP = (1 << 17) - 1
-};
-
-typedef struct { /* what a frame teaches the next one */
-    touch_context c[TOUCH_PASS_CONTEXTS];
-    int64_t w[TOUCH_PASS_WEIGHTS], blend[16][TOUCH_FEATURES];
-} touch_models;
-
-typedef struct { /* steps of a segment */
-    float unit_n;
-    int64_t floor, rate, cross_floor, cross_rate;
-    int32_t *border; /* 1/256 units, at each sixteenth of a step */
-    int64_t borders;
-} touch_steps;
-
-/* The window of a brick: its voxels and those about them, from -2 to 9 along each axis; cells by their number, or -1. */
-enum { TOUCH_SIDE = 12, TOUCH_WINDOW = 12 * 12 * 12, TOUCH_DX = 144, TOUCH_DY = 12, TOUCH_DZ = 1 };
-
-typedef struct {
-    touch_code b;
-    touch_models *m;
-    const touch_steps *s;
-    touch_cell *cell;
-    const touch_units *reference;
-    uint64_t *is_old; /* bits of its voxels that hold a force, 8 words a brick: its vectors lie far apart */
-    int64_t slope[3];
-    int axis[3], sign[3], stride[3], corner; /* of the scan in the grid; in a brick */
-    int64_t end[3]; /* last sample of the bricks along each axis of the scan */
-    int32_t at[TOUCH_WINDOW], old[TOUCH_WINDOW];
-    int32_t last[3];
-    int is_known, state;
-} touch_pass;
-
-typedef struct { /* what is known of a voxel before its force is told */
-    int here, then, held, kind; /* place in the window; of the reference; of X, Y, Z; which weights blend */
-    const touch_cell *face[3];
-    int32_t old[3], chain[3][3];
-    int has_old, has_chain[3];
-} touch_voxel;
-
-static int64_t touch_step(const touch_steps *s, int64_t length) {
-    int64_t step = (length * s->rate) >> 16;
-    return step > s->floor ? step : s->floor;
-}
-
-static int64_t touch_length(const int32_t v[3]) {
-    int64_t n = touch_root((int64_t)v[0] * v[0] + (int64_t)v[1] * v[1] + (int64_t)v[2] * v[2]);
-    return n ? n : 1;
-}
-
-static int32_t touch_lim(int64_t n) { return (int32_t)touch_clip(n, -TOUCH_TOP, TOUCH_TOP); }
-
-/* The reference's vector, turned into the scan. */
-static void touch_old(const touch_pass *p, int32_t place, int32_t out[3]) {
-    const int32_t *v = p->reference->v[place].v;
-    for (int n = 0; n < 3; n++) out[n] = p->sign[n] * v[p->axis[n]];
-}
-
-static void touch_store(touch_pass *p, int here, int32_t place, const int32_t v[3], int64_t along, int64_t across) {
-    touch_cell *cell = p->cell + place;
-    int64_t a = touch_length(v), inverse = ((int64_t)1 << 28) / a;
-    for (int n = 0; n < 3; n++) {
-        cell->v[n] = v[n];
-        cell->ahead[n] = (int32_t)(a - ((((v[n] * inverse) >> 14) * p->slope[n]) >> 14));
-    }
-    cell->length = (int32_t)a, cell->along = (uint8_t)along, cell->across = (uint8_t)across;
-    p->at[here] = place;
-}
-
-/* Follow the law from a neighbour along an axis. */
-static void touch_chain(const touch_pass *p, const touch_cell *cell, int axis, int32_t out[3]) {
-    int64_t l = cell->ahead[axis], a = cell->length;
-    if (l < a >> 3) l = a >> 3;
-    if (l < p->s->floor >> 1) l = p->s->floor >> 1;
-    if (l < 1) l = 1;
-    int64_t r = (l << 14) / a;
-    if (r > 1 << 17) r = 1 << 17;
-    for (int n = 0; n < 3; n++) out[n] = touch_lim((cell->v[n] * r + 8192) >> 14);
-}
-
-static const int touch_before[3] = {-TOUCH_DX, -TOUCH_DY, -TOUCH_DZ};
-static const int touch_diagonal[3] = {-TOUCH_DX + TOUCH_DY, -TOUCH_DX + TOUCH_DZ, -TOUCH_DY + TOUCH_DZ};
-static const int touch_wide[5] = {-TOUCH_DX - TOUCH_DY, -TOUCH_DX - TOUCH_DZ, -TOUCH_DY - TOUCH_DZ, -2 * TOUCH_DX,
-                                  -2 * TOUCH_DZ};
-
-/* Whether a voxel holds a force; what is known of it is left in `v`. */
-static int touch_support(touch_pass *p, touch_voxel *v, int here) {
-    touch_context *c = p->m->c + TOUCH_HELD;
-    int64_t sum = 0;
-    uint32_t mask = 0, wide = 0, every = 0;
-    int around = 0;
-    v->here = here, v->held = 0, v->then = 0, v->has_old = p->old[here] >= 0;
-    for (int n = 0; n < 3; n++) {
-        int32_t at = p->at[here + touch_before[n]];
-        v->face[n] = at >= 0 ? p->cell + at : 0;
-        if (at >= 0) mask |= 1u << n, v->held++, sum += v->face[n]->ahead[n];
-        if (p->at[here + touch_diagonal[n]] >= 0) mask |= 8u << n;
-    }
-    for (int n = 0; n < 5; n++) wide |= (p->at[here + touch_wide[n]] >= 0 ? 1u : 0u) << n;
-    if (p->is_known) {
-        for (int n = 0; n < 3; n++) {
-            int low = p->old[here + touch_before[n]] >= 0, high = p->old[here - touch_before[n]] >= 0;
-            around += low + high, every |= (uint32_t)low << (2 * n) | (uint32_t)high << (2 * n + 1);
-        }
-        v->then = v->has_old ? 4 + (around >= 5) + (around == 6) : 1 + (around >= 1) + (around >= 3);
-        every |= (uint32_t)v->has_old << 6;
-    }
-    int64_t likely = v->held ? touch_clip(((touch_div(sum, v->held) * 28) >> 16) + 3, 0, 31) : wide;
-    uint32_t then = (uint32_t)v->then;
-    return touch_mix3(&p->b, c + ((uint32_t)likely << 9 | mask << 3 | then), c + 16384 + (wide << 9 | mask << 3 | then),
-                      c + 32768 + (every << 5 | (mask & 7) << 2 | (uint32_t)likely >> 3),
-                      p->m->w + 3 * (8 * v->held + v->then));
-}
-
-/* What the blend may be made of, [13][3], in 1/256 steps: i = 2^32 // step. */
-static void touch_features(const touch_pass *p, const touch_voxel *v, const int64_t base[3], int64_t inverse,
-                           int64_t f[TOUCH_FEATURES][3]) {
-    static const int pair[5][2] = {{-TOUCH_DX, -2 * TOUCH_DX},
-                                   {-TOUCH_DY, -TOUCH_DX - TOUCH_DY},
-                                   {-TOUCH_DZ, -TOUCH_DX - TOUCH_DZ},
-                                   {-TOUCH_DZ, -TOUCH_DY - TOUCH_DZ},
-                                   {-TOUCH_DY, -TOUCH_DY - TOUCH_DZ}};
-    int shared = 0;
-    memset(f, 0, sizeof(int64_t) * 3 * TOUCH_FEATURES);
-    for (int n = 0; n < 6; n++) {
-        int32_t at = p->at[v->here + (n < 3 ? touch_before[n] : touch_diagonal[n - 3])];
-        if (at >= 0)
-            for (int k = 0; k < 3; k++) f[n][k] = p->cell[at].v[k] - base[k];
-    }
-    for (int n = 0; n < 5; n++) {
-        int32_t one = p->at[v->here + pair[n][0]], two = p->at[v->here + pair[n][1]];
-        if (one >= 0 && two >= 0)
-            for (int k = 0; k < 3; k++) f[6 + n][k] = (int64_t)p->cell[one].v[k] - p->cell[two].v[k];
-    }
-    if (v->has_old) {
-        for (int n = 0; n < 3; n++) {
-            int32_t at = p->old[v->here + touch_before[n]], was[3];
-            if (!v->face[n] || at < 0) continue;
-            touch_old(p, at, was), shared++;
-            for (int k = 0; k < 3; k++) f[12][k] += v->face[n]->v[k] - was[k];
-        }
-        for (int k = 0; k < 3; k++) f[11][k] = v->old[k] - base[k], f[12][k] = touch_div(f[12][k], shared ? shared : 1);
-    }
-    for (int n = 0; n < TOUCH_FEATURES; n++)
-        for (int k = 0; k < 3; k++) f[n][k] = touch_clip((f[n][k] * inverse) >> 24, -4095, 4095);
-}
-
-static int touch_class(int64_t n, const int *list) {
-    int c = 0;
-    while (c < 7 && list[c] <= n) c++;
-    return c;
-}
-
-static int touch_distance(int64_t q, int64_t step) {
-    int bits = touch_bits_of((uint64_t)((q << 3) / step));
-    return bits < 7 ? bits : 7;
-}
-
-/* Unit vectors along a vector of that length, and across it, 1/16384. */
-static void touch_axes(const int32_t c[3], int64_t length, int64_t e[3][3]) {
-    int64_t inverse = ((int64_t)1 << 44) / length, size;
-    int32_t h[3];
-    for (int n = 0; n < 3; n++) e[0][n] = (c[n] * inverse + (1 << 29)) >> 30;
-    h[0] = h[1] = h[2] = 0;
-    if ((e[0][2] < 0 ? -e[0][2] : e[0][2]) < 14746) h[0] = (int32_t)-e[0][1], h[1] = (int32_t)e[0][0];
-    else h[1] = (int32_t)-e[0][2], h[2] = (int32_t)e[0][1];
-    size = touch_length(h), inverse = ((int64_t)1 << 44) / size;
-    for (int n = 0; n < 3; n++) e[1][n] = (h[n] * inverse + (1 << 29)) >> 30;
-    for (int n = 0; n < 3; n++) {
-        int i = (n + 1) % 3, j = (n + 2) % 3;
-        e[2][n] = (e[0][i] * e[1][j] - e[0][j] * e[1][i]) >> 14;
-    }
-}
-
-/* The length of a force whose residual along it is r, by the warped lattice. */
-static int64_t touch_warped(const touch_steps *s, int64_t length, int64_t r) {
-    int64_t b = (length < (1 << 18) - 1 ? length : (1 << 18) - 1) << 8, low = 0, high = s->borders, size, top;
-    while (high - low > 1) {
-        int64_t middle = (low + high) / 2;
-        if (s->border[middle] <= b) low = middle;
-        else high = middle;
-    }
-    int64_t level = 16 * low + ((b - s->border[low]) << 4) / (s->border[low + 1] - s->border[low]) + 256 * r;
-    size = level < 0 ? -level : level, top = 16 * (s->borders - 1) - 1;
-    if (size > top) size = top;
-    int64_t n = size >> 4;
-    size = (s->border[n] + (((s->border[n + 1] - s->border[n]) * (size & 15)) >> 4) + 128) >> 8;
-    return level < 0 ? -size : size;
-}
-
-typedef struct { /* what the components of a residual know */
-    int group[3], apart, held, followed;
-    int64_t step;
-    uint32_t side[2];
-} touch_about;
-
-/* Component k of a residual: whether it is 0, its sign, its size. y: how far what is expected lies from the blend. */
-static int64_t touch_component(touch_pass *p, int k, const touch_about *a, int64_t y, int is_certain) {
-    touch_context *c = p->m->c;
-    int64_t *w = p->m->w, size = 1;
-    uint32_t g = (uint32_t)a->group[k], t = (uint32_t)touch_distance(y < 0 ? -y : y, a->step), q = (uint32_t)a->apart;
-    if (!is_certain) {
-        touch_context *zero = c + TOUCH_ZERO + 1088 * k;
-        if (!touch_mix3(&p->b, zero + ((g > 3 ? 256u : 0u) | a->side[0]), zero + 512 + ((g > 3 ? 256u : 0u) | a->side[1]),
-                        zero + 1024 + (t << 3 | q), w + TOUCH_W_ZERO + 3 * (8 * k + a->group[k])))
-            return 0;
-    }
-    c += TOUCH_SIGN + 576 * k;
-    int negative = touch_mix3(&p->b, c + a->side[0], c + 256 + a->side[1],
-                          c + 512 + (t << 3 | (y < 0 ? 4u : 0u) | (uint32_t)a->held), w + TOUCH_W_SIGN + 9 * k);
-    c = p->m->c + TOUCH_SIZE + 1152 * k;
-    while (size <= 14) {
-        uint32_t n = (uint32_t)size - 1;
-        if (!touch_mix2(&p->b, c + (g << 4 | n), c + 128 + (t << 7 | q << 4 | n), w + TOUCH_W_SIZE + 2 * (16 * k + (int)n)))
-            break;
-        size++;
-    }
-    if (size > 14) size = 14 + touch_gamma(&p->b, 17);
-    return negative ? -size : size;
-}
-
-/* The force of a voxel, by what is expected and the blend; the sizes of its residual. */
-static void touch_residual(touch_pass *p, const touch_voxel *v, const int32_t expected[3], const int32_t blend[3],
-                           int followed, int32_t out[3], int64_t size[2]) {
-    static const int groups[7] = {1, 2, 4, 7, 11, 16, 24}, sides[7] = {1, 2, 3, 5, 8, 12, 20};
-    int64_t along = 0, across = 0, length = touch_length(expected), e[3][3], r[3];
-    int32_t other[3], centre[3], way[3];
-    uint32_t quiet = 0;
-    touch_about a;
-    int far = 7, m = v->held;
-    for (int n = 0; n < 3; n++) {
-        uint32_t own = 0;
-        if (v->face[n]) {
-            along += v->face[n]->along, across += v->face[n]->across;
-            own = 1u + v->face[n]->along + v->face[n]->across;
-        }
-        quiet = quiet << 2 | (own < 3 ? own : 3);
-        other[n] = expected[n] - blend[n];
-    }
-    a.group[0] = m ? touch_class(4 * along / m, groups) : 7;
-    a.group[1] = a.group[2] = m ? touch_class(2 * across / m, groups) : 7;
-    uint32_t both = m ? (uint32_t)touch_class(3 * (along + across) / m, groups) : 7;
-    a.step = touch_step(p->s, length), a.held = m, a.followed = followed;
-    a.apart = touch_distance(touch_length(other), a.step);
-    if (v->has_old && followed != 2) {
-        for (int n = 0; n < 3; n++) way[n] = v->old[n] - expected[n];
-        far = touch_distance(touch_length(way), a.step);
-    }
-    uint32_t loud = (uint32_t)(length >> 12 < 15 ? length >> 12 : 15);
-    {
-        touch_context *c = p->m->c + TOUCH_STILL;
-        uint32_t q = (uint32_t)a.apart;
-        if (touch_mix3(&p->b, c + (quiet << 3 | q), c + 512 + (q << 6 | loud << 2 | (uint32_t)m),
-                       c + 1024 + ((uint32_t)far << 9 | (uint32_t)v->then << 6 | q << 3 | both),
-                       p->m->w + TOUCH_W_STILL + 3 * (2 * (int)both + (far < 7)))) {
-            memcpy(out, expected, 12), size[0] = size[1] = 0;
-            return;
-        }
-    }
-    memcpy(centre, blend, 12);
-    if (!centre[0] && !centre[1] && !centre[2]) centre[2] = 1;
-    length = touch_length(centre), a.step = touch_step(p->s, length);
-    touch_axes(centre, length, e);
-    for (int k = 0; k < 3; k++) {
-        int64_t y = (other[0] * e[k][0] + other[1] * e[k][1] + other[2] * e[k][2]) >> 14;
-        uint32_t told[4];
-        for (int n = 0; n < 4; n++) {
-            const int32_t *o = n < 3 ? v->chain[n] : v->old;
-            told[n] = 15;
-            if (n < 3 ? v->has_chain[n] : v->has_old) {
-                int64_t off = 0;
-                for (int i = 0; i < 3; i++) off += (int64_t)(o[i] - centre[i]) * e[k][i];
-                off = touch_div(off >> 12, a.step);
-                told[n] = (uint32_t)(off < 0 ? 7 - touch_class(-off, sides) : 7 + touch_class(off, sides));
-            }
-        }
-        a.side[0] = told[0] << 4 | told[1], a.side[1] = told[2] << 4 | told[3];
-        r[k] = touch_component(p, k, &a, y, k == 2 && !followed && !r[0] && !r[1]);
-    }
-    int64_t warped = touch_warped(p->s, length, r[0]);
-    int64_t d = ((warped < 0 ? -warped : warped) * p->s->cross_rate) >> 16;
-    if (d < p->s->cross_floor) d = p->s->cross_floor;
-    for (int n = 0; n < 3; n++)
-        out[n] = touch_lim((warped * e[0][n] + r[1] * d * e[1][n] + r[2] * d * e[2][n] + 8192) >> 14);
-    size[0] = r[0] < 0 ? -r[0] : r[0], size[1] = (r[1] < 0 ? -r[1] : r[1]) + (r[2] < 0 ? -r[2] : r[2]);
-    if (size[0] > 15) size[0] = 15;
-    if (size[1] > 31) size[1] = 31;
-}
-
-/* A voxel that holds a force: expect, read, store, learn. */
-static void touch_voxel_force(touch_pass *p, touch_voxel *v, int32_t place, int is_trusted) {
-    int64_t base[3], f[TOUCH_FEATURES][3], step = 1, sum[3], size[2];
-    int32_t blend[3], expected[3], out[3];
-    int followed = 0;
-    if (v->has_old) touch_old(p, p->old[v->here], v->old);
-    for (int n = 0; n < 3; n++) {
-        v->has_chain[n] = v->face[n] != 0;
-        if (v->face[n]) touch_chain(p, v->face[n], n, v->chain[n]);
-    }
-    if (!v->held) {
-        for (int k = 0; k < 3; k++) base[k] = v->has_old ? v->old[k] : p->last[k];
-    } else {
-        int64_t total = 0, likely = 0;
-        base[0] = base[1] = base[2] = 0;
-        for (int n = 0; n < 3; n++) {
-            const touch_cell *cell = v->face[n];
-            if (!cell) continue;
-            total += cell->length, likely += cell->ahead[n] > cell->length >> 3 ? cell->ahead[n] : cell->length >> 3;
-            for (int k = 0; k < 3; k++) base[k] += cell->v[k];
-        }
-        int64_t scale = (likely << 16) / (total * v->held);
-        if (scale > 1 << 17) scale = 1 << 17;
-        for (int k = 0; k < 3; k++) base[k] = (base[k] * scale + 32768) >> 16;
-        step = touch_step(p->s, likely / v->held);
-    }
-    int64_t inverse = ((int64_t)1 << 32) / step;
-    int64_t *w = p->m->blend[(v->face[0] ? 1 : 0) | (v->face[1] ? 2 : 0) | (v->face[2] ? 4 : 0) | (v->has_old ? 8 : 0)];
-    sum[0] = sum[1] = sum[2] = 0;
-    if (v->held) {
-        touch_features(p, v, base, inverse, f);
-        for (int n = 0; n < TOUCH_FEATURES; n++)
-            for (int k = 0; k < 3; k++) sum[k] += w[n] * f[n][k];
-    }
-    for (int k = 0; k < 3; k++) blend[k] = touch_lim(base[k] + (((sum[k] >> 16) * step) >> 8));
-    memcpy(expected, blend, 12);
-    if (is_trusted && v->has_old) {
-        int32_t was = p->old[v->here - TOUCH_DX];
-        followed = 2;
-        if (v->face[0] && was >= 0) { /* more than a step off beside it: it is not followed */
-            int64_t off = 0, own = touch_step(p->s, v->face[0]->length);
-            int32_t old[3];
-            touch_old(p, was, old);
-            for (int k = 0; k < 3; k++) off += (int64_t)(v->face[0]->v[k] - old[k]) * (v->face[0]->v[k] - old[k]);
-            if (off > own * own) followed = 0;
-        }
-        if (followed) memcpy(expected, v->old, 12);
-    }
-    for (int n = 0; n < 3 && !followed; n++)
-        if (v->has_chain[n]) memcpy(expected, v->chain[n], 12), followed = 1;
-    touch_residual(p, v, expected, blend, followed, out, size);
-    touch_store(p, v->here, place, out, size[0], size[1]);
-    memcpy(p->last, out, 12);
-    if (v->held) {
-        int64_t energy = 32768, gain[3];
-        for (int n = 0; n < TOUCH_FEATURES; n++)
-            for (int k = 0; k < 3; k++) energy += f[n][k] * f[n][k];
-        for (int k = 0; k < 3; k++)
-            gain[k] = touch_div(touch_clip(((out[k] - blend[k]) * inverse) >> 24, -1023, 1023) * (1 << 27), energy);
-        for (int k = 0; k < 3; k++)
-            for (int n = 0; n < TOUCH_FEATURES; n++)
-                w[n] = touch_clip(w[n] + ((f[n][k] * gain[k]) >> 14), -(1 << 20), 1 << 20);
-    }
-}
-
-/* The place in a brick, in the grid's order, of a sample of the scan. */
-static int touch_of_grid(const touch_pass *p, int x, int y, int z) {
-    return p->corner + p->stride[0] * x + p->stride[1] * y + p->stride[2] * z;
-}
-
-/* Fill the window of a brick of the scan: cells by their numbers, and the reference's by theirs. */
-static void touch_look(touch_pass *p, const int32_t brick[3], const touch_map *cells, const touch_map *olds) {
-    for (int n = 0; n < TOUCH_WINDOW; n++) p->at[n] = p->old[n] = -1;
-    for (int dx = -1; dx <= 1; dx++)
-        for (int dy = -1; dy <= 1; dy++)
-            for (int dz = -1; dz <= 1; dz++) {
-                uint64_t key = touch_key(brick[0] + dx, brick[1] + dy, brick[2] + dz);
-                int is_past = dx < 0 || (!dx && (dy < 0 || (!dy && dz < 0)));
-                int64_t cell = is_past ? touch_map_get(cells, key) : -1, old = olds ? touch_map_get(olds, key) : -1;
-                int low[3], high[3], d[3];
-                if (cell < 0 && old < 0) continue;
-                d[0] = dx, d[1] = dy, d[2] = dz;
-                for (int n = 0; n < 3; n++) low[n] = d[n] < 0 ? 6 : 0, high[n] = d[n] > 0 ? 2 : 8;
-                for (int x = low[0]; x < high[0]; x++)
-                    for (int y = low[1]; y < high[1]; y++)
-                        for (int z = low[2]; z < high[2]; z++) {
-                            int here = (8 * dx + x + 2) * 144 + (8 * dy + y + 2) * 12 + 8 * dz + z + 2;
-                            int32_t own = (int32_t)(512 * cell + 64 * x + 8 * y + z);
-                            if (cell >= 0 && p->cell[own].length) p->at[here] = own;
-                            if (old < 0) continue;
-                            int of_grid = touch_of_grid(p, x, y, z);
-                            if (p->is_old[8 * old + (of_grid >> 6)] >> (of_grid & 63) & 1)
-                                p->old[here] = (int32_t)(512 * old + of_grid);
-                        }
-            }
-}
-
-static int touch_here(int x, int y, int z) { return (x + 2) * 144 + (y + 2) * 12 + z + 2; }
-
-/* A brick: whether it is as the reference has it; its blocks; its voxels. `size`: samples within the grid. */
-static void touch_brick(touch_pass *p, int64_t slot, const int low[3], const int high[3]) {
-    touch_context *c = p->m->c;
-    int state = 0, block[8];
-    int32_t first = (int32_t)(512 * slot);
-    if (p->is_known) {
-        state = touch_bit(&p->b, c + TOUCH_BRICK + p->state) ? 2 : touch_bit(&p->b, c + TOUCH_BRICK + 4 + p->state);
-        p->state = state;
-    }
-    if (state == 2) {
-        for (int x = low[0]; x < high[0]; x++)
-            for (int y = low[1]; y < high[1]; y++)
-                for (int z = low[2]; z < high[2]; z++) {
-                    int here = touch_here(x, y, z);
-                    int32_t v[3];
-                    if (p->old[here] < 0) continue;
-                    touch_old(p, p->old[here], v);
-                    touch_store(p, here, first + 64 * x + 8 * y + z, v, 0, 0);
-                }
-        return;
-    }
-    for (int n = 0; n < 8; n++) {
-        int side = 0, base[3], was = 0, then = 0;
-        base[0] = n >> 2 ? 4 : 0, base[1] = n & 2 ? 4 : 0, base[2] = n & 1 ? 4 : 0;
-        for (int axis = 0; axis < 3; axis++) {
-            int any = 0, bit = 4 >> axis;
-            if (n & bit) any = block[n - bit];
-            else
-                for (int i = 0; i < 16 && !any; i++) {
-                    int at[3], u = (axis + 1) % 3, w = (axis + 2) % 3;
-                    at[axis] = -1, at[u] = base[u] + (i >> 2), at[w] = base[w] + (i & 3);
-                    any = p->at[touch_here(at[0], at[1], at[2])] >= 0;
-                }
-            side = side << 1 | any;
-        }
-        if (p->is_known) {
-            for (int i = 0; i < 16 && !was; i++)
-                for (int j = 0; j < 4 && !was; j++)
-                    was = p->old[touch_here(base[0] + (i >> 2), base[1] + (i & 3), base[2] + j)] >= 0;
-            then = 1 + was;
-        }
-        block[n] = touch_bit(&p->b, c + TOUCH_BLOCK + 8 * then + side);
-    }
-    for (int x = low[0]; x < high[0]; x++)
-        for (int y = low[1]; y < high[1]; y++)
-            for (int z = low[2]; z < high[2]; z++) {
-                touch_voxel v;
-                int here = touch_here(x, y, z);
-                if (!block[(x >> 2) * 4 + (y >> 2) * 2 + (z >> 2)]) continue;
-                if (touch_support(p, &v, here)) touch_voxel_force(p, &v, first + 64 * x + 8 * y + z, state == 1);
-            }
-}
-
-/* A frame by what both sides know before it: `reference` in, `out` in units; the cells are taken from the arena. */
+/* A frame, given the reference: its list and vectors. */
 static int touch_read_frame(touch_cursor c, const touch_grid *grid, const touch_steps *steps, const touch_tables *tables,
                             touch_models *models, const touch_units *reference, touch_units *out, touch_arena *arena,
                             touch_cursor *error) {
-    uint64_t course = touch_u(&c, 1), *key;
-    uint32_t *tag;
-    touch_map cells, olds;
+    uint64_t order = touch_u(&c, 1);
+    touch_coder coder;
     touch_pass *p;
-    int k = 1;
-    touch_need(&c, course < 32 && (course & 3) < 3, "a course that there is not");
+    touch_need(&c, order < 32 && (order & 3) < 3, "a scan order that there is not");
     p = (touch_pass *)touch_take(arena, 1, sizeof *p);
     if (!p) return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
     for (int n = 0; n < 3; n++) p->slope[n] = (int64_t)touch_varint(&c, 0, 1u << 17);
     if (c.code) return touch_fail(error, c.code, c.what);
-    p->axis[0] = (int)(course & 3), p->corner = 0;
-    for (int n = 0; n < 3; n++)
-        if (n != p->axis[0]) p->axis[k++] = n;
-    for (int n = 0; n < 3; n++) {
-        p->sign[n] = course >> (2 + n) & 1 ? -1 : 1;
-        p->end[n] = (int64_t)((grid->shape[p->axis[n]] + 7) >> 3) - 1;
-        p->stride[n] = p->sign[n] * (64 >> 3 * p->axis[n]), p->corner += p->sign[n] < 0 ? 7 * (64 >> 3 * p->axis[n]) : 0;
-    }
-    p->b = touch_code_of(&c, tables), p->m = models, p->s = steps, p->reference = reference, p->state = 0;
-    p->last[0] = p->last[1] = p->last[2] = 0;
-    if (!touch_read_list(&p->b, models->c + TOUCH_PASS_LIST, models->w + TOUCH_W_LIST, grid->shape, reference->list,
-                         &out->list, arena, error))
-        return 0;
-    touch_check(&p->b, error);
+    coder = touch_reading(&c, tables);
+    p->coder = &coder, p->models = models, p->steps = steps, p->reference = reference, p->target = 0;
+    p->scan = touch_scan_of((int)order, grid);
+    if (!touch_code_list(&coder, &models->list, grid->shape, reference->list, &out->list, arena, error)) return 0;
+    touch_check(&coder, error);
     if (error->code) return 0;
     out->v = (touch_vector *)touch_take_zero(arena, 512 * out->list.count, sizeof *out->v);
+    if (!out->v) return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
     uint64_t mark = arena->used;
-    p->cell = (touch_cell *)touch_take_zero(arena, 512 * out->list.count, sizeof *p->cell);
-    key = (uint64_t *)touch_take(arena, out->list.count, 8), tag = (uint32_t *)touch_take(arena, out->list.count, 4);
-    p->is_old = (uint64_t *)touch_take_zero(arena, 8 * reference->list.count, 8);
-    if (!out->v || !p->cell || !key || !tag || !p->is_old || !touch_map_make(&cells, out->list.count, arena) ||
-        !touch_map_make(&olds, reference->list.count, arena))
-        return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
-    for (uint64_t i = 0; i < out->list.count; i++) { /* the scan's order */
-        int32_t at[3], to[3];
-        touch_place(out->list.key[i], at);
-        for (int n = 0; n < 3; n++) to[n] = p->sign[n] < 0 ? (int32_t)p->end[n] - at[p->axis[n]] : at[p->axis[n]];
-        key[i] = touch_key(to[0], to[1], to[2]), tag[i] = (uint32_t)i, touch_map_put(&cells, key[i], (uint32_t)i);
-    }
-    for (uint64_t i = 0; i < 512 * reference->list.count; i++) {
-        const int32_t *v = reference->v[i].v;
-        p->is_old[i >> 6] |= (uint64_t)(v[0] || v[1] || v[2]) << (i & 63);
-    }
-    for (uint64_t i = 0; i < reference->list.count; i++) {
-        int32_t at[3], to[3];
-        touch_place(reference->list.key[i], at);
-        for (int n = 0; n < 3; n++) to[n] = p->sign[n] < 0 ? (int32_t)p->end[n] - at[p->axis[n]] : at[p->axis[n]];
-        touch_map_put(&olds, touch_key(to[0], to[1], to[2]), (uint32_t)i);
-    }
-    touch_sort(key, tag, out->list.count);
-    for (uint64_t i = 0; i < out->list.count; i++) {
-        int32_t at[3];
-        int low[3], high[3];
-        touch_place(key[i], at);
-        for (int n = 0; n < 3; n++) { /* within the grid, in the scan */
-            int64_t samples = grid->shape[p->axis[n]], all = 8 * (p->end[n] + 1);
-            int64_t first = p->sign[n] < 0 ? all - samples : 0, last = p->sign[n] < 0 ? all : samples;
-            low[n] = (int)touch_clip(first - 8 * at[n], 0, 8), high[n] = (int)touch_clip(last - 8 * at[n], 0, 8);
-        }
-        p->is_known = touch_map_get(&olds, key[i]) >= 0;
-        touch_look(p, at, &cells, &olds);
-        touch_brick(p, tag[i], low, high);
-        for (int x = low[0]; x < high[0]; x++)
-            for (int y = low[1]; y < high[1]; y++)
-                for (int z = low[2]; z < high[2]; z++) {
-                    const touch_cell *cell = p->cell + 512 * (uint64_t)tag[i] + (uint64_t)(64 * x + 8 * y + z);
-                    if (!cell->length) continue;
-                    touch_vector *v = out->v + 512 * (uint64_t)tag[i] + touch_of_grid(p, x, y, z);
-                    for (int n = 0; n < 3; n++) v->v[p->axis[n]] = p->sign[n] * cell->v[n];
-                }
-        touch_check(&p->b, error);
-        if (error->code) return 0;
-    }
-    touch_close(&p->b, out->list.count, error);
+    if (!touch_code_bricks(p, grid, out, arena, error)) return 0;
+    touch_close(&coder, out->list.count, error);
     arena->used = mark;
     return !error->code;
 }
 
-/* -- guesses of coder touch (docs/format/touch-guess.md) ------------------------------------------------------------- */
-
-static void touch_brick_samples(const touch_grid *g, const int32_t brick[3], int high[3]) {
-    for (int n = 0; n < 3; n++) high[n] = (int)touch_clip((int64_t)g->shape[n] - 8 * (int64_t)brick[n], 0, 8);
-}
-
-static int64_t touch_node_residual(touch_code *b, touch_context *c) {
-    int length = 0, negative;
-    int64_t size;
-    while (length < 24 && touch_bit(b, c + length)) length++;
-    if (!length) return 0;
-    negative = touch_narrow(b, 32768), size = (int64_t)1 << (length - 1) | touch_even(b, length - 1);
-    return negative ? -size : size;
-}
-
-/* Values of all nodes, in raster order. */
-static void touch_tell_nodes(touch_code *b, touch_context *c, const uint64_t *key, int32_t *value, int32_t *size,
-                             uint64_t count, int64_t step, touch_map *map) {
-    for (uint64_t i = 0; i < count; i++) {
-        int32_t at[3];
-        int64_t one[3], two[3], sum = 0, g = 0;
-        int said = 0;
-        touch_place(key[i], at);
-        for (int n = 0; n < 3; n++) { /* before it along an axis, and along the two others together */
-            one[n] = touch_map_get(map, touch_key(at[0] - (n == 0), at[1] - (n == 1), at[2] - (n == 2)));
-            two[n] = touch_map_get(map, touch_key(at[0] - (n != 0), at[1] - (n != 1), at[2] - (n != 2)));
-            if (one[n] >= 0) g += size[one[n]];
-        }
-        for (int n = 0; n < 3; n++) {
-            int64_t p = one[(n + 1) % 3], q = one[(n + 2) % 3];
-            if (p >= 0 && q >= 0 && two[n] >= 0) sum += (int64_t)value[p] + value[q] - value[two[n]], said++;
-        }
-        if (!said)
-            for (int n = 0; n < 3; n++)
-                if (one[n] >= 0) sum += value[one[n]], said++;
-        if (said) sum = touch_div(2 * sum + said, 2 * said);
-        g = touch_bits_of((uint64_t)g);
-        int64_t r = touch_node_residual(b, c + 24 * (g < 9 ? g : 9));
-        size[i] = (int32_t)(r < 0 ? -r : r);
-        value[i] = (int32_t)touch_clip(sum + r * step, -(1 << 23), 1 << 23);
-        touch_map_put(map, key[i], (uint32_t)i); /* only nodes that are told are there */
-    }
-}
-
-/* The potential at the corners about the samples of a brick: sums of weighted nodes along x, then y, then z. */
-static void touch_corners(const touch_map *map, const int32_t *value, const int32_t brick[3], const int e[3],
-                          int64_t v[9][9][9]) {
-    int64_t node[5][5][5], weight[3][9][4];
-    int count[3], first[3];
-    for (int n = 0; n < 3; n++) {
-        int64_t h = (int64_t)1 << e[n];
-        first[n] = (8 * brick[n] >> e[n]) - 1, count[n] = ((8 * brick[n] + 7) >> e[n]) + 3 - first[n];
-        for (int k = 0; k < 9; k++) {
-            int64_t cell = (k < 7 ? k : 7) >> e[n], p = ((8 * brick[n]) & (h - 1)) + k - cell * h, q = h - p;
-            weight[n][k][0] = q * q * q, weight[n][k][3] = p * p * p;
-            weight[n][k][1] = 4 * h * h * h - 6 * h * p * p + 3 * p * p * p;
-            weight[n][k][2] = 4 * h * h * h - 6 * h * q * q + 3 * q * q * q;
-        }
-    }
-    for (int i = 0; i < count[0]; i++)
-        for (int j = 0; j < count[1]; j++)
-            for (int m = 0; m < count[2]; m++)
-                node[i][j][m] = value[touch_map_get(map, touch_key(first[0] + i, first[1] + j, first[2] + m))];
-    for (int n = 0; n < 9; n++) {
-        int64_t x[5][5], y[5];
-        int cell = (n < 7 ? n : 7) >> e[0], half = 3 * e[0];
-        for (int j = 0; j < count[1]; j++)
-            for (int m = 0; m < count[2]; m++) {
-                x[j][m] = ((int64_t)1 << half) >> 1;
-                for (int a = 0; a < 4; a++) x[j][m] += weight[0][n][a] * node[cell + a][j][m];
-                x[j][m] >>= half;
-            }
-        for (int i = 0; i < 9; i++) {
-            int along = (i < 7 ? i : 7) >> e[1];
-            for (int m = 0; m < count[2]; m++) {
-                y[m] = ((int64_t)1 << (3 * e[1])) >> 1;
-                for (int a = 0; a < 4; a++) y[m] += weight[1][i][a] * x[along + a][m];
-                y[m] >>= 3 * e[1];
-            }
-            for (int k = 0; k < 9; k++) {
-                int64_t sum = ((int64_t)1 << (3 * e[2])) >> 1;
-                for (int a = 0; a < 4; a++) sum += weight[2][k][a] * y[((k < 7 ? k : 7) >> e[2]) + a];
-                v[n][i][k] = sum >> (3 * e[2]);
-            }
-        }
-    }
-}
-
-static void touch_spline_brick(int64_t v[9][9][9], const int64_t scale[3], const int high[3], touch_vector *out) {
-    for (int x = 0; x < high[0]; x++)
-        for (int y = 0; y < high[1]; y++)
-            for (int z = 0; z < high[2]; z++) {
-                int64_t g[3], f = 0, m = 0;
-                g[0] = g[1] = g[2] = 0;
-                for (int n = 0; n < 8; n++) {
-                    int64_t one = v[x + (n >> 2)][y + (n >> 1 & 1)][z + (n & 1)];
-                    f += one, g[0] += n & 4 ? one : -one, g[1] += n & 2 ? one : -one, g[2] += n & 1 ? one : -one;
-                }
-                f = touch_clip(touch_div(f + 864, 1728), 0, 65536);
-                for (int n = 0; n < 3; n++) {
-                    g[n] = touch_clip((g[n] * scale[n]) >> 20, -(1 << 20), 1 << 20);
-                    m += g[n] * g[n];
-                }
-                m = touch_root(m);
-                if (m < 16384) m = 16384;
-                for (int n = 0; n < 3; n++)
-                    out[64 * x + 8 * y + z].v[n] = (int32_t)touch_div(m - 2 * f * g[n], 2 * m);
-            }
-}
-
-static int touch_spline(touch_cursor c, const touch_grid *grid, const touch_tables *tables, touch_units *out,
-                        touch_arena *arena, touch_cursor *error) {
-    int e[3];
-    int64_t scale[3], v[9][9][9];
-    uint64_t count = 0, kept = 0;
-    int32_t *value, *size;
-    touch_context *contexts;
-    int64_t weights[TOUCH_LIST_WEIGHTS];
-    touch_code b;
-    touch_map map;
+static int touch_read_spline(touch_cursor c, const touch_grid *grid, const touch_tables *tables, touch_units *out,
+                             touch_arena *arena, touch_cursor *error) {
+    touch_spline_head head;
+    touch_spline_models *models;
+    touch_coder coder;
+    touch_nodes nodes;
     touch_list none;
-    for (int n = 0; n < 3; n++) e[n] = (int)touch_varint(&c, 2, 6);
-    int64_t step = (int64_t)touch_varint(&c, 1, 1u << 20);
-    for (int n = 0; n < 3; n++) scale[n] = (int64_t)touch_varint(&c, 1, 1u << 20);
+    for (int n = 0; n < 3; n++) head.shift[n] = (int)touch_varint(&c, 2, 6);
+    head.step = (int64_t)touch_varint(&c, 1, 1u << 20);
+    for (int n = 0; n < 3; n++) head.scale[n] = (int64_t)touch_varint(&c, 1, 1u << 20);
     if (c.code) return touch_fail(error, c.code, c.what);
-    none.key = 0, none.count = 0, b = touch_code_of(&c, tables);
-    contexts = (touch_context *)touch_take(arena, TOUCH_LIST_CONTEXTS + 240, sizeof *contexts);
-    if (!contexts) return touch_fail(error, TOUCH_MEMORY, "no room for a guess");
-    touch_fresh(contexts, TOUCH_LIST_CONTEXTS + 240, weights, TOUCH_LIST_WEIGHTS);
-    if (!touch_read_list(&b, contexts, weights, grid->shape, none, &out->list, arena, error)) return 0;
-    touch_check(&b, error);
-    if (!touch_need(error, out->list.count > 0, "a guess without bricks")) return 0;
+    none.key = 0, none.count = 0, coder = touch_reading(&c, tables);
+    models = (touch_spline_models *)touch_take(arena, 1, sizeof *models);
+    if (!models) return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
+    TOUCH_FRESH(models->list.context, models->list.weight);
+    touch_fresh(models->node.length[0], sizeof models->node / sizeof(touch_context), 0, 0);
+    if (!touch_code_list(&coder, &models->list, grid->shape, none, &out->list, arena, error)) return 0;
+    touch_check(&coder, error);
+    if (!touch_need(error, out->list.count > 0, "a base layer without bricks")) return 0;
     out->v = (touch_vector *)touch_take_zero(arena, 512 * out->list.count, sizeof *out->v);
     uint64_t mark = arena->used;
-    uint64_t *key = (uint64_t *)touch_take(arena, 125 * out->list.count, 8);
-    uint32_t *tag = (uint32_t *)touch_take_zero(arena, 125 * out->list.count, 4);
-    if (!out->v || !key || !tag) return touch_fail(error, TOUCH_MEMORY, "no room for a guess");
-    for (uint64_t i = 0; i < out->list.count; i++) {
-        int32_t at[3], low[3], high[3];
-        touch_place(out->list.key[i], at);
-        for (int n = 0; n < 3; n++) low[n] = (8 * at[n] >> e[n]) - 1, high[n] = ((8 * at[n] + 7) >> e[n]) + 2;
-        for (int32_t x = low[0]; x <= high[0]; x++)
-            for (int32_t y = low[1]; y <= high[1]; y++)
-                for (int32_t z = low[2]; z <= high[2]; z++) key[count++] = touch_key(x, y, z);
-    }
-    touch_sort(key, tag, count);
-    for (uint64_t i = 0; i < count; i++)
-        if (!i || key[i] != key[i - 1]) key[kept++] = key[i];
-    value = (int32_t *)touch_take(arena, kept, 4), size = (int32_t *)touch_take(arena, kept, 4);
-    if (!value || !size || !touch_map_make(&map, kept, arena))
-        return touch_fail(error, TOUCH_MEMORY, "no room for a guess");
-    touch_tell_nodes(&b, contexts + TOUCH_LIST_CONTEXTS, key, value, size, kept, step, &map);
-    touch_check(&b, error);
+    if (!out->v || !touch_nodes_of(&nodes, head.shift, out->list, arena))
+        return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
+    touch_code_nodes(&coder, models, &nodes, head.step);
+    touch_check(&coder, error);
     if (error->code) return 0;
-    for (uint64_t i = 0; i < out->list.count; i++) {
-        int32_t at[3];
-        int high[3];
-        touch_place(out->list.key[i], at), touch_brick_samples(grid, at, high);
-        touch_corners(&map, value, at, e, v);
-        touch_spline_brick(v, scale, high, out->v + 512 * i);
-    }
+    touch_fill_spline(&head, &nodes, grid, out);
     arena->used = mark;
     return 1;
 }
 
-typedef struct {
-    int32_t told[4], u[3], residual[4]; /* X, Y, Z, A; the direction of X, Y; what was told of each */
-} touch_surface;
-
-typedef struct {
-    int count;
-    touch_surface s[2];
-} touch_column;
-
-typedef struct {
-    touch_code b;
-    touch_context *c;
-    int64_t *w, top, ramp, ratio[2], xy_step, z_step, a_step;
-} touch_columns_head;
-
-enum { TOUCH_COLUMN_NODES = 22 * 14 };
-
-static int touch_column_bit(touch_columns_head *h, int v, int f, int s) {
-    return touch_mix2(&h->b, h->c + 52 * v + f, h->c + 52 * v + 36 + s, h->w + 2 * v);
-}
-
-static int64_t touch_column_number(touch_columns_head *h, int v, int f, int s) {
-    int64_t n = 1;
-    if (!touch_column_bit(h, v, f, s)) return 0;
-    int negative = touch_column_bit(h, v + 1, f, s);
-    while (n <= 20 && touch_column_bit(h, v + 1 + (int)n, f, s)) n++;
-    if (n > 20) n = 20 + touch_gamma(&h->b, 24);
-    return negative ? -n : n;
-}
-
-static int64_t touch_rise(const touch_columns_head *h, const int32_t u[3], int axis) {
-    return touch_clip(touch_div(u[axis] * h->ratio[axis], u[2]), -4096, 4096);
-}
-
-static int64_t touch_middle(int64_t a, int64_t b, int64_t c) {
-    int64_t low = a < b ? a : b, high = a < b ? b : a;
-    return c < low ? low : c > high ? high : c;
-}
-
-/* X, Y, Z, A of surface S that its sides make likely; how many sides there are. */
-static int touch_surface_expected(const touch_columns_head *h, const touch_column *const near[4], const touch_column *own,
-                                  int slot, int mode, int count, int64_t e[4], const touch_surface *side[2]) {
-    int k = slot || mode == 3, sides = 0, has_w, has_n;
-    const touch_surface *w = near[0] && near[0]->count > k ? near[0]->s + k : 0;
-    const touch_surface *no = near[1] && near[1]->count > k ? near[1]->s + k : 0;
-    const touch_surface *co = near[2] && near[2]->count > k ? near[2]->s + k : 0;
-    if (!slot && mode) {
-        if (mode == 1 || (mode == 3 && w)) no = 0;
-        else w = 0;
-    }
-    side[0] = w, side[1] = no, has_w = w != 0, has_n = no != 0, sides = has_w + has_n;
-    if (sides) {
-        for (int n = 0; n < 4; n++) e[n] = touch_div((has_w ? w->told[n] : 0) + (int64_t)(has_n ? no->told[n] : 0), sides);
-        if (has_w && has_n && co)
-            for (int n = 0; n < 2; n++)
-                e[n] = (e[n] + touch_middle(w->told[n], no->told[n], (int64_t)w->told[n] + no->told[n] - co->told[n])) >> 1;
-    } else if (slot) {
-        e[0] = own->s[0].told[0], e[1] = own->s[0].told[1], e[2] = own->s[0].told[2] + 1536, e[3] = 0;
-    } else if (near[3] && near[3]->count) {
-        for (int n = 0; n < 4; n++) e[n] = near[3]->s[0].told[n];
-    } else e[0] = e[1] = e[2] = 0, e[3] = h->top;
-    if (slot) e[3] = h->top - own->s[0].told[3] > h->top >> 4 ? h->top - own->s[0].told[3] : h->top >> 4;
-    else if (count == 2) e[3] = h->top >> 1;
-    return sides;
-}
-
-static void touch_read_column(touch_columns_head *h, const touch_column *const near[4], touch_column *own) {
-    int here = 0, twos = 0, mode = 0, some = 0;
-    for (int n = 0; n < 4; n++) {
-        int c = near[n] ? near[n]->count : 0;
-        here |= c > 0 ? 8 >> n : 0, twos |= c > 1 ? 8 >> n : 0, some += c > 0;
-    }
-    own->count = 0;
-    if (!touch_column_bit(h, 0, here, twos)) return;
-    int torn = twos >> 2 > 0;
-    if (here >> 2 == 3) {
-        int64_t d = (int64_t)near[0]->s[0].told[2] - near[1]->s[0].told[2];
-        torn |= d > 768 || d < -768;
-    }
-    int count = 1 + touch_column_bit(h, 1, 2 * twos + torn, here);
-    if (torn) {
-        mode = touch_column_bit(h, 22, twos >> 2, count);
-        mode = 2 * mode + touch_column_bit(h, 23 + mode, twos >> 2, count);
-    }
-    for (int slot = 0; slot < count; slot++) {
-        touch_surface *s = own->s + slot;
-        const touch_surface *side[2];
-        int64_t e[4], r[4];
-        int sides = touch_surface_expected(h, near, own, slot, mode, count, e, side);
-        for (int q = 0; q < 4; q++) {
-            int64_t last = q ? (r[q - 1] < 0 ? -r[q - 1] : r[q - 1]) : 0, beside[2];
-            if (q == 2 && (r[0] < 0 ? -r[0] : r[0]) > last) last = r[0] < 0 ? -r[0] : r[0];
-            for (int n = 0; n < 2; n++) {
-                beside[n] = 5;
-                if (near[n] && near[n]->count > slot) {
-                    int64_t size = near[n]->s[slot].residual[q];
-                    beside[n] = size < 0 ? -size : size;
-                    if (beside[n] > 4) beside[n] = 4;
-                }
-            }
-            r[q] = touch_column_number(h, 22 * (2 + 4 * (count - 1 + slot) + q), (int)(6 * beside[0] + beside[1]),
-                                       (int)(4 * (last < 3 ? last : 3)) + (some < 3 ? some : 3));
-            s->residual[q] = (int32_t)r[q];
-        }
-        for (int n = 0; n < 2; n++) s->told[n] = (int32_t)touch_clip(e[n] + r[n] * h->xy_step, -16384, 16384);
-        int64_t m = ((int64_t)1 << 43) / ((1 << 28) + (int64_t)s->told[0] * s->told[0] + (int64_t)s->told[1] * s->told[1]);
-        s->u[0] = (int32_t)((s->told[0] * m) >> 14), s->u[1] = (int32_t)((s->told[1] * m) >> 14);
-        s->u[2] = (int32_t)(m - 16384 > 820 ? m - 16384 : 820);
-        if (sides) {
-            int64_t sum = 0;
-            for (int n = 0; n < 2; n++) /* W is beside along b, N along a */
-                if (side[n])
-                    sum += side[n]->told[2] + ((touch_rise(h, side[n]->u, 1 - n) + touch_rise(h, s->u, 1 - n)) >> 1);
-            e[2] = touch_div(sum, sides);
-        }
-        s->told[2] = (int32_t)touch_clip(e[2] + r[2] * h->z_step, -(1 << 24), 1 << 24);
-        int64_t a = ((e[3] > h->top >> 4 ? e[3] : h->top >> 4) * h->a_step) >> 16;
-        s->told[3] = (int32_t)touch_clip(e[3] + r[3] * (a > 1 ? a : 1), 1, TOUCH_TOP);
-        own->count = slot + 1;
-    }
-}
-
-/* The forces of a column, laid into the bricks that the guess has. */
-static void touch_lay_column(const touch_columns_head *h, const touch_column *own, const int32_t place[3], int axis,
-                             int inverted, int64_t depth, const touch_map *map, touch_units *out) {
-    int across[2], k = 0;
-    for (int n = 0; n < 3; n++)
-        if (n != axis) across[k++] = n;
-    for (int64_t t = 0; t < depth; t++) {
-        int64_t sum[3], at[3];
-        at[0] = place[0], at[1] = place[1], at[2] = place[2], at[axis] = inverted ? depth - 1 - t : t;
-        int64_t slot = touch_map_get(map, touch_key(at[0] >> 3, at[1] >> 3, at[2] >> 3));
-        if (slot < 0) continue;
-        sum[0] = sum[1] = sum[2] = 0;
-        for (int s = 0; s < own->count; s++) {
-            const touch_surface *f = own->s + s;
-            int64_t steep = (h->ramp * f->u[2]) >> 14;
-            int64_t share = touch_clip(((256 * t - f->told[2]) * (steep > 16 ? steep : 16)) >> 8, 0, 65536);
-            for (int n = 0; n < 3; n++) sum[n] += share * (((int64_t)f->told[3] * f->u[n] + 8192) >> 14);
-        }
-        touch_vector *v = out->v + 512 * slot + 64 * (at[0] & 7) + 8 * (at[1] & 7) + (at[2] & 7);
-        for (int n = 0; n < 3; n++) sum[n] = touch_lim((sum[n] + 32768) >> 16);
-        v->v[across[0]] = (int32_t)sum[0], v->v[across[1]] = (int32_t)sum[1];
-        v->v[axis] = (int32_t)(inverted ? sum[2] : -sum[2]);
-    }
-}
-
-static int touch_columns(touch_cursor c, const touch_grid *grid, const touch_tables *tables, touch_units *out,
-                         touch_arena *arena, touch_cursor *error) {
+static int touch_read_columns(touch_cursor c, const touch_grid *grid, const touch_tables *tables, touch_units *out,
+                              touch_arena *arena, touch_cursor *error) {
     static const int limit[7] = {17, 20, 20, 20, 14, 12, 16};
-    uint64_t first = touch_varint(&c, 0, 6), count = 0, box[2][2], tiles[2], number[7];
-    int axis = (int)(first >> 1), inverted = (int)(first & 1), across[2], k = 0;
-    int64_t depth = grid->shape[axis];
-    touch_columns_head h;
-    touch_column *column;
-    touch_map map;
-    for (int n = 0; n < 3; n++)
-        if (n != axis) across[k++] = n;
-    for (int n = 0; n < 2; n++) tiles[n] = (grid->shape[across[n]] + 7) >> 3;
+    uint64_t first = touch_varint(&c, 0, 6), box[2][2], tiles[2], number[7];
+    touch_columns h;
+    memset(&h, 0, sizeof h), h.view = touch_view_of(grid, (int)(first >> 1), (int)(first & 1));
+    for (int n = 0; n < 2; n++) tiles[n] = (grid->shape[h.view.across[n]] + 7) >> 3;
     for (int n = 0; n < 2; n++) box[n][0] = touch_varint(&c, 0, tiles[n]);
     for (int n = 0; n < 2; n++) box[n][1] = touch_varint(&c, 0, tiles[n]) + 1;
     for (int n = 0; n < 7; n++) number[n] = touch_varint(&c, 0, (uint64_t)1 << limit[n]);
     for (int n = 0; n < 2; n++) touch_need(&c, c.code || box[n][0] + box[n][1] <= tiles[n], "a box beyond the grid");
-    touch_need(&c, depth <= 1 << 14, "columns of too many samples");
+    touch_need(&c, h.view.depth <= 1 << 14, "columns of too many samples");
     if (c.code) return touch_fail(error, c.code, c.what);
     h.top = (int64_t)number[0], h.ramp = (int64_t)number[1], h.ratio[0] = (int64_t)number[2];
-    h.ratio[1] = (int64_t)number[3], h.xy_step = (int64_t)number[4], h.z_step = (int64_t)number[5];
-    h.a_step = (int64_t)number[6], h.b = touch_code_of(&c, tables);
-    if (box[0][1] * box[1][1] > 64 + h.b.size) return touch_fail(error, TOUCH_CUT, "a box of many tiles");
-    /* the list is as long as the bytes may tell; what is found beyond it is cut short */
-    uint64_t wide = 64 + 16 * h.b.size;
-    if (wide > touch_brick_count(grid)) wide = touch_brick_count(grid);
-    out->list.key = (uint64_t *)touch_take(arena, wide + 1, 8), out->list.count = 0;
-    uint64_t columns = 8 * box[1][1];
-    column = (touch_column *)touch_take_zero(arena, 8 * box[0][1] * columns, sizeof *column);
-    h.c = (touch_context *)touch_take(arena, 52 * TOUCH_COLUMN_NODES, sizeof *h.c);
-    h.w = (int64_t *)touch_take(arena, 2 * TOUCH_COLUMN_NODES, 8);
-    int64_t *start = (int64_t *)touch_take(arena, box[0][1] * box[1][1], 8);
-    if (!out->list.key || !column || !h.c || !h.w || !start) return touch_fail(error, TOUCH_MEMORY, "no room for a guess");
-    touch_fresh(h.c, 52 * TOUCH_COLUMN_NODES, h.w, 2 * TOUCH_COLUMN_NODES);
-    for (uint64_t i = 0; i < box[0][1] * box[1][1]; i++) start[i] = depth;
-    for (int64_t a = 0; a < (int64_t)(8 * box[0][1]); a++) {
-        for (int64_t b = 0; b < (int64_t)columns; b++) {
-            const touch_column *near[4];
-            touch_column *own = column + a * (int64_t)columns + b;
-            int64_t *least = start + (a >> 3) * (int64_t)box[1][1] + (b >> 3);
-            if ((int64_t)(8 * box[0][0]) + a >= grid->shape[across[0]]) continue;
-            if ((int64_t)(8 * box[1][0]) + b >= grid->shape[across[1]]) continue;
-            near[0] = b ? own - 1 : 0, near[1] = a ? own - columns : 0, near[2] = a && b ? own - columns - 1 : 0;
-            near[3] = a && b + 1 < (int64_t)columns ? own - columns + 1 : 0;
-            touch_read_column(&h, near, own);
-            for (int n = 0; n < own->count; n++)
-                if ((own->s[n].told[2] >> 8) + 1 < *least) *least = (own->s[n].told[2] >> 8) + 1;
-        }
-        touch_check(&h.b, error);
-        if (error->code) return 0;
-    }
-    for (uint64_t i = 0; i < box[0][1] * box[1][1]; i++)
-        for (int64_t a = 0; start[i] < depth && a < (depth + 7) >> 3; a++)
-            if (inverted ? 8 * a < depth - start[i] : 8 * a + 8 > start[i]) {
-                int64_t at[3];
-                at[axis] = a, at[across[0]] = (int64_t)(box[0][0] + i / box[1][1]);
-                at[across[1]] = (int64_t)(box[1][0] + i % box[1][1]);
-                if (count == wide) return touch_fail(error, TOUCH_CUT, "bricks of a guess");
-                out->list.key[count++] = touch_key(at[0], at[1], at[2]);
-            }
-    out->list.count = count;
-    uint32_t *tag = (uint32_t *)touch_take_zero(arena, count, 4);
-    if (!tag || !touch_map_make(&map, count, arena)) return touch_fail(error, TOUCH_MEMORY, "no room for a guess");
-    touch_sort(out->list.key, tag, count);
-    for (uint64_t i = 0; i < count; i++) touch_map_put(&map, out->list.key[i], (uint32_t)i);
-    out->v = (touch_vector *)touch_take_zero(arena, 512 * count, sizeof *out->v);
-    if (!out->v) return touch_fail(error, TOUCH_MEMORY, "no room for a guess");
-    for (int64_t a = 0; a < (int64_t)(8 * box[0][1]); a++)
-        for (int64_t b = 0; b < (int64_t)columns; b++) {
-            int32_t place[3];
-            const touch_column *own = column + a * (int64_t)columns + b;
-            place[axis] = 0, place[across[0]] = (int32_t)(8 * box[0][0]) + (int32_t)a;
-            place[across[1]] = (int32_t)(8 * box[1][0]) + (int32_t)b;
-            if (own->count) touch_lay_column(&h, own, place, axis, inverted, depth, &map, out);
-        }
-    return 1; /* what was taken behind the list goes with the frame */
+    h.ratio[1] = (int64_t)number[3], h.coder = touch_reading(&c, tables);
+    for (int n = 0; n < 3; n++) h.step[n] = (int64_t)number[4 + n];
+    for (int n = 0; n < 2; n++) h.view.tile[n] = (int64_t)box[n][0], h.view.tiles[n] = (int64_t)box[n][1];
+    if (box[0][1] * box[1][1] > 64 + h.coder.size) return touch_fail(error, TOUCH_CUT, "a box of many tiles");
+    if (!touch_columns_make(&h, arena)) return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
+    if (!touch_code_columns(&h, error)) return 0;
+    return touch_fill_columns(&h, 64 + 16 * h.coder.size, out, arena, error); /* what it took goes with the frame */
 }
 
-/* -- the exact mode of coder touch (docs/format/touch-exact.md) ------------------------------------------------------ */
-
-enum { TOUCH_EXACT_TABLE = 1 << 18, TOUCH_EXACT_SETS = 111 };
-
-typedef struct {
-    uint32_t s[3]; /* level and vertex, or components in the order of floats */
-    uint8_t is_held;
-} touch_symbols;
-
-typedef struct { /* a frame, to the bit */
-    touch_list list;
-    touch_symbols *own;
-    float *force;
-    int book;
-    const uint8_t *levels;
-    uint32_t level_count, vertex_count;
-    const float *vertices;
-} touch_exact;
-
-typedef struct {
-    touch_context list[TOUCH_LIST_CONTEXTS], c[TOUCH_EXACT_TABLE];
-    int64_t list_w[TOUCH_LIST_WEIGHTS], w[TOUCH_EXACT_SETS][4];
-} touch_exact_models;
-
-typedef struct {
-    int64_t p[3];
-} touch_point;
-
-static int touch_point_less(const touch_point *a, const touch_point *b) {
-    for (int n = 0; n < 3; n++)
-        if (a->p[n] != b->p[n]) return a->p[n] < b->p[n];
-    return 0;
-}
-
-static void touch_point_sift(touch_point *p, uint64_t at, uint64_t n) {
-    for (;;) {
-        uint64_t child = 2 * at + 1;
-        touch_point other;
-        if (child >= n) return;
-        if (child + 1 < n && touch_point_less(p + child, p + child + 1)) child++;
-        if (!touch_point_less(p + at, p + child)) return;
-        other = p[at], p[at] = p[child], p[child] = other;
-        at = child;
-    }
-}
-
-static void touch_unit(double v[3]) {
-    double size = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
-    v[0] /= size, v[1] /= size, v[2] /= size;
-}
-
-static void touch_add_point(touch_point *p, uint64_t *count, const double v[3]) {
-    for (int n = 0; n < 3; n++) p[*count].p[n] = (int64_t)floor(v[n] * 1099511627776.0 + 0.5);
-    (*count)++;
-}
-
-static void touch_split(touch_point *p, uint64_t *count, const double t[3][3], int times) {
-    double middle[3][3], part[3][3];
-    if (!times) {
-        for (int n = 0; n < 3; n++) touch_add_point(p, count, t[n]);
-        return;
-    }
-    for (int n = 0; n < 3; n++) {
-        for (int k = 0; k < 3; k++) middle[n][k] = t[n][k] + t[(n + 1) % 3][k];
-        touch_unit(middle[n]);
-    }
-    for (int n = 0; n < 3; n++) {
-        memcpy(part[0], t[n], 24), memcpy(part[1], middle[n], 24), memcpy(part[2], middle[(n + 2) % 3], 24);
-        touch_split(p, count, (const double(*)[3])part, times - 1);
-    }
-    touch_split(p, count, (const double(*)[3])middle, times - 1);
-}
-
-/* The vertices of codebook B (docs/format/paper.md): 1 to 20 ico1 to ico20, 21 to 25 octa1 to octa5. */
-static const float *touch_codebook(int book, uint32_t *vertices, touch_arena *arena) {
-    uint64_t count = 0, kept = 0;
-    touch_point *p = (touch_point *)touch_take(arena, 24576, sizeof *p);
-    float *out = (float *)touch_take(arena, 3 * 4098, 4);
-    if (!p || !out) return 0;
-    if (book > 20) {
-        for (int n = 0; n < 8; n++) {
-            double t[3][3] = {{0}};
-            t[0][0] = n & 4 ? -1 : 1, t[1][1] = n & 2 ? -1 : 1, t[2][2] = n & 1 ? -1 : 1;
-            touch_split(p, &count, (const double(*)[3])t, book - 20);
-        }
-    } else {
-        double corner[12][3], weight[21], golden = (1 + sqrt(5.0)) / 2;
-        for (int n = 0; n < 12; n++) {
-            int turn = n / 4;
-            corner[n][turn] = 0, corner[n][(turn + 1) % 3] = n & 2 ? -1 : 1;
-            corner[n][(turn + 2) % 3] = n & 1 ? -golden : golden;
-            touch_unit(corner[n]);
-        }
-        for (int n = 0; n <= book; n++) weight[n] = sin(atan(2.0) * n / book);
-        for (int i0 = 0; i0 < 12; i0++)
-            for (int i1 = i0 + 1; i1 < 12; i1++)
-                for (int i2 = i1 + 1; i2 < 12; i2++) {
-                    const double *A = corner[i0], *B = corner[i1], *C = corner[i2];
-                    if (A[0] * B[0] + A[1] * B[1] + A[2] * B[2] < 0.4 || A[0] * C[0] + A[1] * C[1] + A[2] * C[2] < 0.4 ||
-                        B[0] * C[0] + B[1] * C[1] + B[2] * C[2] < 0.4)
-                        continue;
-                    for (int a = 0; a <= book; a++)
-                        for (int b = 0; a + b <= book; b++) {
-                            double v[3];
-                            for (int n = 0; n < 3; n++)
-                                v[n] = weight[a] * A[n] + weight[b] * B[n] + weight[book - a - b] * C[n];
-                            touch_unit(v);
-                            touch_add_point(p, &count, v);
-                        }
-                }
-    }
-    for (uint64_t i = count / 2; i-- > 0;) touch_point_sift(p, i, count);
-    for (uint64_t i = count; i-- > 1;) {
-        touch_point other = p[0];
-        p[0] = p[i], p[i] = other;
-        touch_point_sift(p, 0, i);
-    }
-    for (uint64_t i = 0; i < count; i++)
-        if (!i || touch_point_less(p + kept - 1, p + i)) {
-            p[kept] = p[i];
-            for (int n = 0; n < 3; n++) out[3 * kept + (uint64_t)n] = (float)((double)p[i].p[n] / 1099511627776.0);
-            kept++;
-        }
-    *vertices = (uint32_t)kept;
-    return out;
-}
-
-static uint32_t touch_mixed(uint32_t h, int64_t value) {
-    int64_t t = (int64_t)(((int64_t)h ^ value) & 4194303) * 0x2f0b4c47 + value;
-    return (uint32_t)((t ^ (t >> 19)) & 4194303);
-}
-
-static touch_context *touch_exact_at(touch_exact_models *m, uint32_t h, int64_t a, int64_t b, int64_t c, int count) {
-    h = touch_mixed(h, a);
-    if (count > 1) h = touch_mixed(h, b);
-    if (count > 2) h = touch_mixed(h, c);
-    return m->c + (h & (TOUCH_EXACT_TABLE - 1));
-}
-
-static touch_context *touch_exact_about(touch_exact_models *m, uint32_t kind, int64_t guess, int64_t node, int left) {
-    int64_t ahead = touch_clip(node - (guess >> (left + 1)), -2, 2);
-    return touch_exact_at(m, kind, ((ahead + 2) * 8 + (((guess * 4) >> left) & 7)) * 32 + left, 0, 0, 1);
-}
-
-/* The symbol of plane p: t, z, y, x, zy are those of rows 1 to 5, -1 where there is none. */
-static int64_t touch_exact_symbol(touch_code *b, touch_exact_models *m, int p, uint64_t size, const int64_t row[5],
-                                  int64_t last) {
-    int64_t t = row[0], z = row[1], y = row[2], x = row[3], zy = row[4], node = 0;
-    int width = touch_bits_of(size - 1);
-    int64_t guess = z >= 0 ? z : y >= 0 ? y : x >= 0 ? x : t >= 0 ? t : 0;
-    if (z >= 0 && y >= 0 && zy >= 0) guess = touch_clip(z + y - zy, 0, (int64_t)size - 1);
-    int64_t late = t >= 0 ? t : guess;
-    for (int left = width - 1; left >= 0; left--) {
-        touch_context *c[4];
-        int64_t n = 32 * node + left;
-        c[0] = touch_exact_about(m, 32u + (uint32_t)p, guess, node, left);
-        c[1] = touch_exact_about(m, 36u + (uint32_t)p, late, node, left);
-        c[2] = touch_exact_at(m, 40u + (uint32_t)p, z, n, 0, 2);
-        c[3] = touch_exact_at(m, 44u + (uint32_t)p, last, x, n, 3);
-        node = 2 * node + touch_mix(b, c, m->w[32 * p + width - 1 - left], 4);
-    }
-    return node;
-}
-
-static int touch_is_same(const touch_symbols *a, const touch_symbols *b, int planes) {
-    if (a->is_held != b->is_held) return 0;
-    for (int n = 0; n < planes && a->is_held; n++)
-        if (a->s[n] != b->s[n]) return 0;
-    return 1;
-}
-
-/* A sample by the rows 1 to 14 (here from 0). */
-static touch_symbols touch_exact_sample(touch_code *b, touch_exact_models *m, const touch_symbols row[14], int planes,
-                                        const uint64_t size[3], touch_cursor *error) {
-    static const int order[5] = {14, 1, 2, 3, 4};
-    touch_symbols out = row[13];
-    uint32_t same[15], c;
-    for (int n = 0; n < 5; n++) {
-        c = (uint32_t)order[n], same[c] = 0;
-        for (int k = 0; k < 14; k++) same[c] |= (uint32_t)touch_is_same(row + k, row + c - 1, planes) << k;
-    }
-    for (int n = 0; n < 5; n++) {
-        touch_context *first, *second;
-        c = (uint32_t)order[n];
-        if (c != 14 && (!row[c - 1].is_held || same[c] & ((1u << (c - 1)) - 1))) continue;
-        first = touch_exact_at(m, c, same[c], 0, 0, 1), second = touch_exact_at(m, 16 + c, same[c] & 31, same[2], 0, 2);
-        if (touch_mix2(b, first, second, m->w[96 + c])) return row[c - 1];
-    }
-    out.is_held = 1;
-    for (int p = 0; p < planes; p++) {
-        int64_t about[5];
-        for (int k = 0; k < 5; k++) about[k] = row[k].is_held ? (int64_t)row[k].s[p] : -1;
-        int64_t symbol = touch_exact_symbol(b, m, p, size[p], about, p ? (int64_t)out.s[p - 1] : 0);
-        touch_need(error, symbol < (int64_t)size[p], "a symbol that there is not");
-        out.s[p] = (uint32_t)symbol;
-        if (error->code) return out;
-    }
-    return out;
-}
-
-static uint32_t touch_f32_bits(float f) {
-    uint32_t bits;
-    memcpy(&bits, &f, 4);
-    return bits;
-}
-
-static const int8_t touch_beside[12][3] = {{0, 0, -1}, {0, -1, 0}, {-1, 0, 0}, {0, -1, -1}, {-1, 0, -1}, {-1, -1, 0},
-                                           {0, -1, 1}, {-1, 1, 0}, {-1, 0, 1}, {0, 0, -2}, {0, -2, 0}, {-2, 0, 0}};
-
-/* The samples of a brick; whether there is any. */
-static int touch_exact_brick(touch_code *b, touch_exact_models *m, const touch_grid *grid, const touch_exact *before,
-                             const touch_map *known, const touch_map *map, touch_exact *out, uint64_t slot,
-                             const uint64_t size[3], touch_cursor *error) {
-    int planes = out->book ? 2 : 3, high[3], k, any = 0;
-    int32_t at[3];
-    touch_place(out->list.key[slot], at), touch_brick_samples(grid, at, high);
-    int64_t late = before ? touch_map_get(known, out->list.key[slot]) : -1;
-    for (int x = 0; x < high[0]; x++)
-        for (int y = 0; y < high[1]; y++)
-            for (int z = 0; z < high[2]; z++) {
-                touch_symbols row[14], *own = out->own + 512 * slot + (uint64_t)(64 * x + 8 * y + z);
-                float *force = out->force + 3 * (own - out->own);
-                memset(row, 0, sizeof row);
-                if (late >= 0) {
-                    uint64_t place = 512 * (uint64_t)late + (uint64_t)(64 * x + 8 * y + z);
-                    row[0] = before->own[place];
-                    if (before->book != out->book && row[0].is_held)
-                        for (int n = 0; n < 3; n++) {
-                            uint32_t bits = touch_f32_bits(before->force[3 * place + (uint64_t)n]);
-                            row[0].s[n] = bits >> 31 ? 0xffffffffu - bits : bits + 0x80000000u;
-                        }
-                }
-                for (int n = 0; n < 12; n++) {
-                    int64_t to[3];
-                    to[0] = 8 * at[0] + x + touch_beside[n][0], to[1] = 8 * at[1] + y + touch_beside[n][1];
-                    to[2] = 8 * at[2] + z + touch_beside[n][2];
-                    int64_t there = (to[0] >> 3) == at[0] && (to[1] >> 3) == at[1] && (to[2] >> 3) == at[2]
-                                ? (int64_t)slot
-                                : touch_map_get(map, touch_key(to[0] >> 3, to[1] >> 3, to[2] >> 3));
-                    if (there >= 0)
-                        row[1 + n] = out->own[512 * there + 64 * (to[0] & 7) + 8 * (to[1] & 7) + (to[2] & 7)];
-                }
-                *own = touch_exact_sample(b, m, row, planes, size, error);
-                if (error->code) return 0;
-                if (!own->is_held) continue;
-                any = 1, k = 0;
-                for (int n = 0; n < 3; n++) {
-                    uint32_t bits;
-                    if (out->book) {
-                        const uint8_t *l = out->levels + 4 * (uint64_t)own->s[0];
-                        float level = touch_f32_of((uint32_t)l[0] | (uint32_t)l[1] << 8 | (uint32_t)l[2] << 16 |
-                                                   (uint32_t)l[3] << 24);
-                        force[n] = level * out->vertices[3 * (uint64_t)own->s[1] + (uint64_t)n];
-                    } else {
-                        bits = own->s[n] >> 31 ? own->s[n] - 0x80000000u : 0xffffffffu - own->s[n];
-                        force[n] = touch_f32_of(bits);
-                    }
-                    bits = touch_f32_bits(force[n]);
-                    k |= bits != 0;
-                    touch_need(error, (bits >> 23 & 255) != 255, "a force that is not finite");
-                }
-                touch_need(error, k, "a force of zero");
-            }
-    return any;
-}
-
+/* An exact frame (docs/format/touch-exact.md), given the one before. */
 static int touch_read_exact(touch_cursor c, const touch_grid *grid, const touch_tables *tables, touch_exact_models *m,
                             const touch_exact *before, touch_exact *out, touch_arena *arena, touch_cursor *error) {
-    uint64_t size[3];
-    touch_map known, map;
+    touch_exact_pass pass;
+    const touch_point *points;
     touch_list none;
     none.key = 0, none.count = 0;
     if (before) *out = *before;
@@ -2085,122 +618,21 @@ static int touch_read_exact(touch_cursor c, const touch_grid *grid, const touch_
             touch_need(&c, (out->levels[4 * i + 3] & 0x7f) != 0x7f || !(out->levels[4 * i + 2] & 0x80),
                        "a level that is not finite");
         if (!c.code) {
-            out->vertices = touch_codebook(out->book, &out->vertex_count, arena);
+            out->vertices = touch_codebook(out->book, &out->vertex_count, &points, arena);
             if (!out->vertices) return touch_fail(error, TOUCH_MEMORY, "no room for a codebook");
         }
     }
     if (c.code) return touch_fail(error, c.code, c.what);
-    size[0] = out->book ? out->level_count : (uint64_t)1 << 32, size[2] = (uint64_t)1 << 32;
-    size[1] = out->book ? out->vertex_count : (uint64_t)1 << 32;
-    touch_code b = touch_code_of(&c, tables);
-    if (!touch_read_list(&b, m->list, m->list_w, grid->shape, before ? before->list : none, &out->list, arena, error))
-        return 0;
-    if (4 * out->list.count > 64 + 16 * b.size) return touch_fail(error, TOUCH_CUT, "bricks without bytes");
+    touch_coder coder = touch_reading(&c, tables);
+    pass.coder = &coder, pass.models = m, pass.grid = grid, pass.before = before;
+    if (!touch_code_list(&coder, &m->list, grid->shape, before ? before->list : none, &out->list, arena, error)) return 0;
+    if (4 * out->list.count > 64 + 16 * coder.size) return touch_fail(error, TOUCH_CUT, "bricks without bytes");
     out->own = (touch_symbols *)touch_take_zero(arena, 512 * out->list.count, sizeof *out->own);
     out->force = (float *)touch_take_zero(arena, 3 * 512 * out->list.count, 4);
-    if (!out->own || !out->force || !touch_map_make(&map, out->list.count, arena) ||
-        !touch_map_make(&known, before ? before->list.count : 0, arena))
-        return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
-    for (uint64_t i = 0; before && i < before->list.count; i++) touch_map_put(&known, before->list.key[i], (uint32_t)i);
-    for (uint64_t i = 0; i < out->list.count; i++) {
-        touch_map_put(&map, out->list.key[i], (uint32_t)i);
-        if (!touch_exact_brick(&b, m, grid, before, &known, &map, out, i, size, error) && !error->code)
-            touch_fail(error, TOUCH_CORRUPT, "a brick without a force");
-        if (error->code) return 0;
-    }
-    touch_close(&b, 4 * out->list.count, error);
+    if (!out->own || !out->force) return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
+    if (!touch_code_samples(&pass, out, arena, error)) return 0;
+    touch_close(&coder, 4 * out->list.count, error);
     return !error->code;
-}
-
-/* -- supports, whole numbers (docs/format/bits.md), vibration (vibration.md) ----------------------------------------- */
-
-enum { TOUCH_SUPPORT_CONTEXTS = TOUCH_LIST_CONTEXTS + 5120, TOUCH_NUMBER_CONTEXTS = 8736, TOUCH_NUMBER_WEIGHTS = 96 };
-
-typedef struct { /* samples of bricks that are set, a byte each */
-    touch_list list;
-    uint8_t *is_set;
-} touch_set;
-
-typedef struct {
-    touch_context c[TOUCH_SUPPORT_CONTEXTS];
-    int64_t w[TOUCH_LIST_WEIGHTS + 16];
-} touch_set_models;
-
-static int touch_is_set(const touch_set *s, const touch_map *map, int64_t x, int64_t y, int64_t z) {
-    int64_t slot = touch_map_get(map, touch_key(x >> 3, y >> 3, z >> 3));
-    return slot >= 0 && s->is_set[512 * slot + 64 * (x & 7) + 8 * (y & 7) + (z & 7)];
-}
-
-static int touch_read_set(touch_code *b, touch_set_models *m, const touch_grid *grid, const touch_set *before,
-                          touch_set *out, touch_arena *arena, touch_cursor *error) {
-    static const int8_t near[12][3] = {{-1, 0, 0}, {0, -1, 0}, {0, 0, -1}, {-1, 0, 1}, {0, -1, -1}, {0, -1, 1},
-                                       {-1, -1, 0}, {-2, 0, 0}, {0, -2, 0}, {-1, 1, 0}, {-1, 1, 1}, {0, 0, -2}};
-    static const int8_t late[7][3] = {{0, 0, 0}, {0, 0, -1}, {0, 0, 1}, {0, -1, 0}, {0, 1, 0}, {-1, 0, 0}, {1, 0, 0}};
-    touch_map map, old;
-    if (!touch_read_list(b, m->c, m->w, grid->shape, before->list, &out->list, arena, error)) return 0;
-    out->is_set = (uint8_t *)touch_take_zero(arena, 512 * out->list.count, 1);
-    if (!out->is_set || !touch_map_make(&map, out->list.count, arena) || !touch_map_make(&old, before->list.count, arena))
-        return touch_fail(error, TOUCH_MEMORY, "no room for a support");
-    for (uint64_t i = 0; i < before->list.count; i++) touch_map_put(&old, before->list.key[i], (uint32_t)i);
-    for (uint64_t i = 0; i < out->list.count; i++) {
-        int32_t at[3];
-        int high[3], n, any = 0;
-        touch_place(out->list.key[i], at), touch_brick_samples(grid, at, high);
-        touch_map_put(&map, out->list.key[i], (uint32_t)i);
-        for (int x = 0; x < high[0]; x++)
-            for (int y = 0; y < high[1]; y++)
-                for (int z = 0; z < high[2]; z++) {
-                    int64_t X = 8 * (int64_t)at[0] + x, Y = 8 * (int64_t)at[1] + y, Z = 8 * (int64_t)at[2] + z;
-                    uint32_t beside = 0, was = 0;
-                    touch_context *c = m->c + TOUCH_LIST_CONTEXTS;
-                    for (n = 0; n < 12; n++)
-                        beside |= (uint32_t)touch_is_set(out, &map, X + near[n][0], Y + near[n][1], Z + near[n][2]) << n;
-                    for (n = 0; n < 7 && before->list.count; n++)
-                        was |= (uint32_t)touch_is_set(before, &old, X + late[n][0], Y + late[n][1], Z + late[n][2]) << n;
-                    n = touch_mix2(b, c + beside, c + 4096 + (8 * was + (beside & 7)),
-                                   m->w + TOUCH_LIST_WEIGHTS + 2 * (beside & 7));
-                    out->is_set[512 * i + (uint64_t)(64 * x + 8 * y + z)] = (uint8_t)n, any |= n;
-                }
-        touch_check(b, error);
-        if (!touch_need(error, any, "a brick without samples")) return 0;
-    }
-    return 1;
-}
-
-typedef struct { /* a list of whole numbers while it is told */
-    touch_context c[TOUCH_NUMBER_CONTEXTS];
-    int64_t w[TOUCH_NUMBER_WEIGHTS], r[3];
-} touch_numbers;
-
-static void touch_numbers_fresh(touch_numbers *t) {
-    touch_fresh(t->c, TOUCH_NUMBER_CONTEXTS, t->w, TOUCH_NUMBER_WEIGHTS);
-    t->r[0] = t->r[1] = t->r[2] = 0;
-}
-
-static int64_t touch_digits(int64_t r, int most) { /* with the sign, about `most` */
-    int d = touch_bits_of((uint64_t)(r < 0 ? -r : r));
-    d = d < most ? d : most;
-    return r < 0 ? most - d : most + d;
-}
-
-static int64_t touch_number(touch_code *b, touch_numbers *t) {
-    int64_t near = 0, size = 7 * touch_digits(t->r[0], 10) + touch_digits(t->r[1], 3), v = 0;
-    for (int n = 0; n < 3; n++) near = 5 * near + touch_clip(t->r[n], -2, 2) + 2;
-#define TOUCH_BIT(j) touch_mix3(b, t->c + (j), t->c + 32 + 32 * near + (j), t->c + 4032 + 32 * size + (j), t->w + 3 * (j))
-    if (TOUCH_BIT(0)) {
-        int negative = TOUCH_BIT(1), l = 1;
-        while (TOUCH_BIT(1 + (l < 14 ? l : 14)) && l < 62) l++;
-        v = 1;
-        if (l > 1) {
-            int low = 16 + (l < 15 ? l : 15);
-            v = (int64_t)(2 | TOUCH_BIT(low)) << (l - 2);
-            v += touch_even(b, l - 2);
-        }
-        v = negative ? -v : v;
-    }
-#undef TOUCH_BIT
-    t->r[2] = t->r[1], t->r[1] = t->r[0], t->r[0] = v;
-    return v;
 }
 
 /* -- fields that are asked at points --------------------------------------------------------------------------------- */
@@ -2232,7 +664,7 @@ static touch_field *touch_field_make(const touch_grid *grid, uint64_t bricks, ui
 static void touch_field_put(const touch_field *f, uint32_t *table, uint64_t key, uint32_t slot) {
     int32_t p[3];
     uint32_t number, at;
-    touch_place(key, p);
+    touch_position(key, p);
     number = touch_brick_number(&f->grid, p[0], p[1], p[2]) + 1, at = touch_hash(number, f->mask);
     while (table[2 * at]) at = (at + 1) & f->mask;
     table[2 * at] = number, table[2 * at + 1] = slot;
@@ -2437,16 +869,6 @@ static int touch_check_parameters(touch_bytes b, int *is_exact, touch_cursor *er
     return !error->code;
 }
 
-static void touch_models_fresh(touch_models *m) {
-    touch_fresh(m->c, TOUCH_PASS_CONTEXTS, m->w, TOUCH_PASS_WEIGHTS);
-    memset(m->blend, 0, sizeof m->blend);
-}
-
-static void touch_exact_fresh(touch_exact_models *m) {
-    touch_fresh(m->list, TOUCH_LIST_CONTEXTS, m->list_w, TOUCH_LIST_WEIGHTS);
-    touch_fresh(m->c, TOUCH_EXACT_TABLE, &m->w[0][0], 4 * TOUCH_EXACT_SETS);
-}
-
 /* The head of a segment's body; models and borders are taken from the arena. */
 static int touch_begin_fields(touch_fields *f, touch_cursor *c, uint32_t frames, touch_arena *arena, touch_cursor *error) {
     uint64_t flags = touch_u(c, 1);
@@ -2454,26 +876,13 @@ static int touch_begin_fields(touch_fields *f, touch_cursor *c, uint32_t frames,
     touch_need(c, flags <= 1, "flags that there are not");
     memset(&f->units, 0, sizeof f->units), f->has_exact = 0;
     if (!f->is_exact) {
-        int64_t border = 0;
         s->unit_n = touch_f32_of((uint32_t)touch_u(c, 4));
         touch_need(c, s->unit_n >= 1.17549435e-38f && s->unit_n <= 2.02824096e31f, "the unit");
         s->floor = (int64_t)touch_varint(c, 1, 1u << 16), s->rate = (int64_t)touch_varint(c, 0, 1u << 17);
         s->cross_floor = (int64_t)touch_varint(c, 1, 1u << 16), s->cross_rate = (int64_t)touch_varint(c, 0, 1u << 17);
         touch_need(c, s->floor >= 21 || s->rate >= 64, "a floor and a rate that are too fine");
         if (c->code) return touch_fail(error, c->code, c->what);
-        for (int n = 0; n < 2; n++) { /* counted, then written */
-            int64_t i = 1;
-            if (n) s->border = (int32_t *)touch_take(arena, (uint64_t)s->borders, 4);
-            if (n && !s->border) return touch_fail(error, TOUCH_MEMORY, "no room for a lattice of lengths");
-            if (n) s->border[0] = 0;
-            for (border = 0; border <= 1 << 26; i++) {
-                int64_t step = (border * s->rate) >> 16;
-                step = (step > 256 * s->floor ? step : 256 * s->floor) >> 4;
-                border += step > 1 ? step : 1;
-                if (n) s->border[i] = (int32_t)border;
-            }
-            s->borders = i;
-        }
+        if (!touch_step_table(s, arena)) return touch_fail(error, TOUCH_MEMORY, "no room for a table of steps");
         f->models = (touch_models *)touch_take(arena, 1, sizeof *f->models);
         if (!f->models) return touch_fail(error, TOUCH_MEMORY, "no room for models");
         touch_models_fresh(f->models);
@@ -2523,7 +932,11 @@ static const touch_field *touch_make_field(const touch_fields *f, touch_cursor a
     float *forces, force[3];
     int64_t last = -1;
     int32_t place[3];
-    if (!touch_map_make(&map, list->count + touch_left(&apart) / 2, scratch)) {
+    uint64_t bricks = 1, before = 0; /* of the exceptions; it may be that of number 0 */
+    while (c.at < c.end && touch_read_exception(&c, &f->grid, &brick, &last, place, force))
+        bricks += brick != before, before = brick;
+    c = apart, brick = 0, last = -1;
+    if (!touch_map_make(&map, list->count + bricks, scratch)) {
         touch_fail(error, TOUCH_MEMORY, "no room for a field");
         return 0;
     }
@@ -2547,7 +960,7 @@ static const touch_field *touch_make_field(const touch_fields *f, touch_cursor a
         return 0;
     }
     for (uint64_t i = 0; i <= map.mask; i++)
-        if (map.key[i]) touch_field_put(field, table, map.key[i] - 1, map.place[i]);
+        if (map.key[i]) touch_field_put(field, table, map.key[i] - 1, map.index[i]);
     for (uint64_t i = 0; i < 512 * list->count; i++)
         for (int n = 0; n < 3; n++)
             forces[3 * i + (uint64_t)n] = f->is_exact ? f->exact.force[3 * i + (uint64_t)n]
@@ -2608,8 +1021,8 @@ static const touch_field *touch_next_field(touch_fields *f, touch_cursor *c, con
         if (!(how & 1)) touch_models_fresh(f->models), memset(&reference, 0, sizeof reference);
         if (how & 2) {
             uint64_t kind = touch_u(&guess, 1);
-            if (!touch_need(error, kind <= 1, "a guess of a kind that there is not")) return 0;
-            if (!(kind ? touch_columns : touch_spline)(guess, &f->grid, tables, &reference, arena, error)) return 0;
+            if (!touch_need(error, kind <= 1, "a base layer of a kind that there is not")) return 0;
+            if (!(kind ? touch_read_columns : touch_read_spline)(guess, &f->grid, tables, &reference, arena, error)) return 0;
         }
         if (!touch_read_frame(payload, &f->grid, &f->steps, tables, f->models, &reference, &next, arena, error)) return 0;
         f->units = next;
@@ -2624,18 +1037,18 @@ static const touch_field *touch_next_field(touch_fields *f, touch_cursor *c, con
 /* Poses of a body in a segment: seven whole numbers a frame. */
 static int touch_read_poses(touch_cursor c, const touch_tables *tables, const touch_body *body, uint32_t frames,
                             int64_t *out, touch_numbers *told, touch_cursor *error) {
-    touch_code b = touch_code_of(&c, tables);
+    touch_coder b = touch_reading(&c, tables);
     int64_t head[14];
     touch_numbers_fresh(told);
-    for (int n = 0; n < 14; n++) head[n] = touch_number(&b, told);
+    for (int n = 0; n < 14; n++) head[n] = touch_code_number(&b, told, 0);
     for (int n = 0; n < 7; n++)
         if (!touch_need(error, head[n] >= 0 && head[n] <= 3, "a predictor that there is not")) return 0;
     for (int n = 0; n < 7; n++) {
         for (uint32_t i = 0; i < frames; i++) out[7 * i + (uint32_t)n] = 0;
         if (head[n]) touch_numbers_fresh(told);
         for (uint32_t i = 1; i < frames && head[n]; i++) {
-            out[7 * i + (uint32_t)n] = touch_number(&b, told);
-            if (b.place > b.size + 6) return touch_fail(error, TOUCH_CUT, "poses that end too early");
+            out[7 * i + (uint32_t)n] = touch_code_number(&b, told, 0);
+            if (b.position > b.size + 6) return touch_fail(error, TOUCH_CUT, "poses that end too early");
         }
         for (int k = 0; k < head[n]; k++)
             for (uint32_t i = 1; i < frames; i++)
@@ -2715,7 +1128,7 @@ static int touch_read_vibration(touch_decoder *d, touch_cursor c, touch_cursor *
     touch_state *s = d->state;
     uint32_t count = s->segment.count;
     uint64_t told = 0;
-    touch_code b = touch_code_of(&c, &s->tables);
+    touch_coder b = touch_reading(&c, &s->tables);
     touch_set_models *m;
     touch_numbers *numbers;
     touch_set none;
@@ -2724,10 +1137,10 @@ static int touch_read_vibration(touch_decoder *d, touch_cursor c, touch_cursor *
     m = (touch_set_models *)touch_take(&d->arena, 1, sizeof *m);
     numbers = (touch_numbers *)touch_take(&d->arena, 1, sizeof *numbers);
     if (!s->vibrating || !m || !numbers) return touch_fail(error, TOUCH_MEMORY, "no room for a vibration");
-    touch_fresh(m->c, TOUCH_SUPPORT_CONTEXTS, m->w, TOUCH_LIST_WEIGHTS + 16);
+    touch_set_fresh(m);
     for (uint32_t i = 0; i < count; i++) {
         touch_vibrating *v = s->vibrating + i;
-        if (!touch_read_set(&b, m, &d->file->grid, i ? &v[-1].set : &none, &v->set, &d->arena, error)) return 0;
+        if (!touch_code_set(&b, m, &d->file->grid, i ? &v[-1].set : &none, &v->set, &d->arena, error)) return 0;
         told += 16 + v->set.list.count;
         if (told > 64 + 16 * b.size) return touch_fail(error, TOUCH_CUT, "more frames or bricks than the bytes may tell");
         for (uint64_t k = 0; k < 512 * v->set.list.count; k++) v->samples += v->set.is_set[k];
@@ -2739,8 +1152,8 @@ static int touch_read_vibration(touch_decoder *d, touch_cursor c, touch_cursor *
             v->value[n] = (int64_t *)touch_take(&d->arena, v->samples, 8);
             if (!v->value[n]) return touch_fail(error, TOUCH_MEMORY, "no room for a vibration");
             for (uint64_t k = 0; k < v->samples; k++) {
-                v->value[n][k] = touch_number(&b, numbers);
-                if (b.place > b.size + 6) return touch_fail(error, TOUCH_CUT, "a vibration that ends too early");
+                v->value[n][k] = touch_code_number(&b, numbers, 0);
+                if (b.position > b.size + 6) return touch_fail(error, TOUCH_CUT, "a vibration that ends too early");
             }
         }
     }
@@ -2753,7 +1166,7 @@ static uint64_t touch_raster(const touch_set *set, uint64_t *key, uint32_t *tag)
     uint64_t count = 0;
     for (uint64_t i = 0; i < set->list.count; i++) {
         int32_t at[3];
-        touch_place(set->list.key[i], at);
+        touch_position(set->list.key[i], at);
         for (uint64_t k = 0; k < 512; k++)
             if (set->is_set[512 * i + k]) {
                 key[count] = touch_key(8 * at[0] + (int64_t)(k >> 6), 8 * at[1] + (int64_t)(k >> 3 & 7),
@@ -2914,7 +1327,7 @@ int touch_start(touch_decoder *decoder, const touch_file *file, touch_arena aren
         touch_fail(&error, TOUCH_MEMORY, "no room for a decoder");
         return touch_told(decoder, &error);
     }
-    touch_fill(&s->tables);
+    touch_fill_tables(&s->tables);
     s->fields.grid = file->grid;
     if (touch_is(file->coder, "objects")) touch_start_bodies(decoder, &error);
     else touch_check_parameters(file->parameters, &s->fields.is_exact, &error);

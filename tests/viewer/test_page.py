@@ -35,6 +35,7 @@ def sources() -> list[str]:
     """The sources named by build.mjs."""
     names = [
         "../c/touch.h",
+        "../c/touch_model.h",
         "build.mjs",
         "build_wasm.sh",
         "package-lock.json",

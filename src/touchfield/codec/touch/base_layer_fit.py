@@ -70,6 +70,8 @@ def fit_columns(frame: ForceField, lattice: Lattice, limits: Limits) -> tuple[by
             forces = _column_samples(view, frame, row // BRICK, 1 / lattice.unit_n)
         write_row(bits, columns, row, count, Fits(forces[row % BRICK], mask, ramp, *workspace))
     layer = base_layer.column_forces(view, columns)
+    if len(layer.bricks) > 2 * len(frame.bricks) + 64:  # it extends far beyond the frame
+        return None
     a, b, tiles_a, tiles_b = view.box
     head_numbers = (2 * view.axis + view.is_inverted, a, b, tiles_a - 1, tiles_b - 1, *heads.tolist())
     code = finish(bits).ljust(base_layer.min_size(view, len(layer.bricks)), b"\0")

@@ -1,0 +1,2048 @@
+/* touch_model.h: what a reader and a writer of coder `touch` have in common. touch.h and touch_encode.h include it.
+
+   Both walk through a frame in the same order with the same models, so that the probability of each bit is the same on
+   both sides. Each part of the format is therefore one function for both directions: a writer passes the bit that it
+   has decided on, a reader passes anything, and both go on with the bit that is returned. Choices that only a writer
+   makes (TOUCH_CHOOSE) are functions of touch_encode.h; where that is not compiled they are nothing.
+
+   The sections follow docs/format: bits.md (arithmetic code, list of bricks, supports, whole numbers), touch.md (voxel
+   pass), touch-base-layer.md and touch-exact.md. Whole numbers decide everything that both sides must agree on.
+   Shifts of negative numbers are to be arithmetic, as with every compiler there is. */
+#ifndef TOUCH_MODEL_H
+#define TOUCH_MODEL_H
+
+#include "touch.h"
+
+#include <math.h>
+#include <string.h>
+
+#ifdef TOUCH_WRITES /* set by touch_encode.h: coders of both directions */
+#define TOUCH_IS_WRITING(coder) ((coder)->out != 0)
+#define TOUCH_CHOOSE(coder, choice) (TOUCH_IS_WRITING(coder) ? (choice) : 0)
+#define TOUCH_ACCOUNT(coder, kind) \
+    do { \
+        if (TOUCH_IS_WRITING(coder)) touch_account(coder, kind); \
+    } while (0)
+#else
+#define TOUCH_IS_WRITING(coder) ((void)(coder), 0)
+#define TOUCH_CHOOSE(coder, choice) 0
+#define TOUCH_ACCOUNT(coder, kind) ((void)(coder))
+#endif
+
+#ifndef TOUCH_GUARD /* bytes behind a piece of an arena that nobody may touch: a fuzzer watches them */
+#define TOUCH_GUARD(at, bytes, guard) ((void)(guard), 0)
+#endif
+
+/* -- memory, errors, whole numbers ----------------------------------------------------------------------------------- */
+
+typedef struct { /* bytes read from the first to the last; `code` is the first error, and all reads after it are 0 */
+    const uint8_t *at, *end;
+    int code;
+    const char *what;
+} touch_cursor;
+
+/* A piece of an arena for `count` things of `each` bytes, or NULL; behind it may be a guard. */
+static void *touch_piece(touch_arena *arena, uint64_t count, uint64_t each, uint64_t guard) {
+    uint64_t base = (uint64_t)(uintptr_t)arena->base, start = ((base + arena->used + 15) & ~(uint64_t)15) - base;
+    if (start > arena->size || (each && count > (arena->size - start) / each)) return 0;
+    arena->used = start + count * each;
+    arena->used += TOUCH_GUARD(arena->base + start, count * each, guard);
+    if (arena->used > arena->peak) arena->peak = arena->used;
+    return arena->base + start;
+}
+
+static void *touch_take(touch_arena *arena, uint64_t count, uint64_t each) { return touch_piece(arena, count, each, 32); }
+
+static void *touch_take_zero(touch_arena *arena, uint64_t count, uint64_t each) {
+    void *out = touch_take(arena, count, each);
+    if (out) memset(out, 0, (size_t)(count * each));
+    return out;
+}
+
+static int touch_fail(touch_cursor *c, int code, const char *what) {
+    if (!c->code) c->code = code, c->what = what;
+    c->at = c->end;
+    return 0;
+}
+
+static int touch_need(touch_cursor *c, int holds, const char *what) {
+    return holds ? !c->code : touch_fail(c, TOUCH_CORRUPT, what);
+}
+
+static int64_t touch_clip(int64_t n, int64_t min, int64_t max) { return n < min ? min : n > max ? max : n; }
+
+static int64_t touch_max(int64_t a, int64_t b) { return a > b ? a : b; }
+
+static int64_t touch_min(int64_t a, int64_t b) { return a < b ? a : b; }
+
+static int64_t touch_abs(int64_t n) { return n < 0 ? -n : n; }
+
+/* n / d rounded down; d is above 0. */
+static int64_t touch_div(int64_t n, int64_t d) { return n / d - (n % d < 0); }
+
+static int touch_bit_length(uint64_t n) {
+    int bits = 0;
+    while (n) n >>= 1, bits++;
+    return bits;
+}
+
+/* The largest number whose square is at most n, below 2^52: the root in floating point is put right. */
+static int64_t touch_isqrt(int64_t n) {
+    int64_t r = (int64_t)sqrt((double)n);
+    while (r * r > n) r--;
+    while ((r + 1) * (r + 1) <= n) r++;
+    return r;
+}
+
+static uint32_t touch_f32_bits(float f) {
+    uint32_t bits;
+    memcpy(&bits, &f, 4);
+    return bits;
+}
+
+static float touch_f32_of(uint32_t bits) {
+    float out;
+    memcpy(&out, &bits, 4);
+    return out;
+}
+
+static uint64_t touch_brick_count(const touch_grid *g) {
+    return (uint64_t)((g->shape[0] + 7) >> 3) * ((g->shape[1] + 7) >> 3) * ((g->shape[2] + 7) >> 3);
+}
+
+/* Samples of a brick that lie within the grid, along each axis. */
+static void touch_brick_samples(const touch_grid *g, const int32_t brick[3], int high[3]) {
+    for (int n = 0; n < 3; n++) high[n] = (int)touch_clip((int64_t)g->shape[n] - 8 * (int64_t)brick[n], 0, 8);
+}
+
+/* -- bits: the arithmetic code (docs/format/bits.md) ----------------------------------------------------------------- */
+
+enum { TOUCH_MAX_LOGIT = 3071, TOUCH_INITIAL_PROBABILITY = 1 << 21, TOUCH_INITIAL_WEIGHT = 14000 };
+
+typedef struct { /* of a 1, in 1/2^22, and how many bits it has learnt from, up to 255 */
+    int32_t probability, count;
+} touch_context;
+
+typedef struct { /* the logistic function, its inverse, and how fast a context learns by its count */
+    uint16_t squash[2 * TOUCH_MAX_LOGIT + 1];
+    int16_t stretch[4096];
+    int32_t rate[256];
+} touch_tables;
+
+typedef struct { /* bits that a writer has spent, by purpose: support, amplitude, direction; an estimate for people */
+    double bits[3], total;
+} touch_spent;
+
+typedef struct { /* a range coder of 48 bits, in either direction */
+    const uint8_t *data; /* that is read */
+    uint8_t *out;        /* that is written; NULL: this coder reads */
+    uint64_t size;       /* bytes of either */
+    uint64_t position;   /* bytes read or written; above `size` + 6 they ended too early, above `size` `out` is full */
+    uint64_t low, range; /* the interval; a reader's `low` is how far the code lies above its low end */
+    const touch_tables *tables;
+    touch_spent *spent;
+} touch_coder;
+
+static void touch_fill_tables(touch_tables *t) {
+    uint64_t power = (uint64_t)1 << 31; /* 2^31 e^-x */
+    int n = 0;
+    for (int64_t i = 0; i <= TOUCH_MAX_LOGIT; i++) {
+        uint64_t whole = ((uint64_t)1 << 31) + power, s = (((uint64_t)1 << 47) + (whole >> 1)) / whole;
+        t->squash[TOUCH_MAX_LOGIT + i] = (uint16_t)(s > 65535 ? 65535 : s);
+        t->squash[TOUCH_MAX_LOGIT - i] = (uint16_t)(65536 - s);
+        power = power * 2139111403u >> 31;
+    }
+    for (int64_t i = 0; i < 4096; i++) {
+        while (t->squash[n] < 16 * i + 8) n++;
+        t->stretch[i] = (int16_t)(n - TOUCH_MAX_LOGIT);
+    }
+    for (int64_t i = 0; i <= 2 * TOUCH_MAX_LOGIT; i++) t->squash[i] = (uint16_t)touch_clip(t->squash[i], 4, 65532);
+    for (int64_t i = 0; i < 256; i++) t->rate[i] = (int32_t)((1 << 20) / (2 * i + 3));
+}
+
+static touch_coder touch_reading(const touch_cursor *c, const touch_tables *tables) {
+    touch_coder b;
+    memset(&b, 0, sizeof b);
+    b.data = c->at, b.size = (uint64_t)(c->end - c->at), b.position = 6, b.range = (uint64_t)1 << 48, b.tables = tables;
+    for (int i = 0; i < 6; i++) b.low = b.low << 8 | ((uint64_t)i < b.size ? b.data[i] : 0);
+    return b;
+}
+
+#ifdef TOUCH_WRITES
+static void touch_account(touch_coder *b, int kind);
+static void touch_shift_out(touch_coder *b);
+#endif
+
+/* Move one word of 16 bits into the interval (reading) or out of it (writing). */
+static void touch_shift(touch_coder *b) {
+#ifdef TOUCH_WRITES
+    if (TOUCH_IS_WRITING(b)) {
+        touch_shift_out(b);
+        return;
+    }
+#endif
+    uint32_t high = b->position < b->size ? b->data[b->position] : 0;
+    uint32_t low = b->position + 1 < b->size ? b->data[b->position + 1] : 0;
+    b->low = b->low << 16 | high << 8 | low, b->range <<= 16, b->position += 2;
+}
+
+/* Code one bit that is 1 with probability p, in 1/65536. */
+static int touch_narrow(touch_coder *b, uint32_t p, int bit) {
+    uint64_t bound = (b->range >> 16) * p;
+    if (!TOUCH_IS_WRITING(b)) bit = b->low < bound;
+    if (bit) b->range = bound;
+    else b->range -= bound, b->low = TOUCH_IS_WRITING(b) ? b->low + bound : b->low - bound;
+    if (b->range < (uint64_t)1 << 32) touch_shift(b);
+    return bit;
+}
+
+/* A context moves towards the bit: fast while it is new, then slowly. */
+static void touch_learn(touch_context *c, int bit, const touch_tables *t) {
+    c->probability += (int32_t)(((int64_t)(bit ? 4194303 - c->probability : -c->probability) * t->rate[c->count]) >> 19);
+    c->count += c->count < 255;
+}
+
+/* A bit by one context. */
+static int touch_code(touch_coder *b, touch_context *c, int bit) {
+    bit = touch_narrow(b, (uint32_t)touch_clip(c->probability >> 6, 4, 65532), bit);
+    touch_learn(c, bit, b->tables);
+    return bit;
+}
+
+/* A bit by several contexts: their opinions are added on the logistic scale, each with a weight that learns which of
+   them is right more often. */
+static int touch_mix(touch_coder *b, touch_context *const *c, int64_t *weights, int count, int bit) {
+    const touch_tables *t = b->tables;
+    int64_t sum = 0;
+    int32_t logit[4];
+    for (int n = 0; n < count; n++) logit[n] = t->stretch[c[n]->probability >> 10], sum += logit[n] * weights[n];
+    int32_t p = t->squash[touch_clip(sum >> 16, -TOUCH_MAX_LOGIT, TOUCH_MAX_LOGIT) + TOUCH_MAX_LOGIT];
+    bit = touch_narrow(b, (uint32_t)p, bit);
+    int64_t error = (bit ? 65536 : 0) - p;
+    for (int n = 0; n < count; n++) weights[n] += (logit[n] * error + 8192) >> 14, touch_learn(c[n], bit, t);
+    return bit;
+}
+
+static int touch_mix2(touch_coder *b, touch_context *c0, touch_context *c1, int64_t *w, int bit) {
+    touch_context *c[2];
+    c[0] = c0, c[1] = c1;
+    return touch_mix(b, c, w, 2, bit);
+}
+
+static int touch_mix3(touch_coder *b, touch_context *c0, touch_context *c1, touch_context *c2, int64_t *w, int bit) {
+    touch_context *c[3];
+    c[0] = c0, c[1] = c1, c[2] = c2;
+    return touch_mix(b, c, w, 3, bit);
+}
+
+/* The lowest `count` bits of a number, equally probable, the highest first. */
+static int64_t touch_even(touch_coder *b, int count, int64_t value) {
+    int64_t out = 0;
+    while (count-- > 0) out = out << 1 | touch_narrow(b, 32768, (int)(value >> count & 1));
+    return out;
+}
+
+/* A number from 1 to below 2^(max_digits + 1) in Elias' gamma code: its digits, then those after the first. */
+static int64_t touch_gamma(touch_coder *b, int max_digits, int64_t value) {
+    int digits = 0;
+    while (digits < max_digits && touch_narrow(b, 32768, value >> (digits + 1) > 0)) digits++;
+    return (int64_t)1 << digits | touch_even(b, digits, value);
+}
+
+/* Reading: an error if the bytes end before the code. */
+static void touch_check(const touch_coder *b, touch_cursor *c) {
+    if (b->position > b->size + 6) touch_fail(c, TOUCH_CUT, "a code that ends too early");
+}
+
+/* Bytes that a code of so many bricks has at least: a short code cannot ask for much memory. */
+static uint64_t touch_min_bytes(uint64_t bricks) { return bricks > 64 ? (bricks - 64 + 15) / 16 : 0; }
+
+/* Reading: a code of `bricks` bricks ends where its bytes do; zeros may follow up to `touch_min_bytes`. */
+static void touch_close(const touch_coder *b, uint64_t bricks, touch_cursor *c) {
+    uint64_t max = b->position;
+    touch_check(b, c);
+    if (touch_min_bytes(bricks) > max) max = touch_min_bytes(bricks);
+    touch_need(c, b->size <= max, "bytes behind a code");
+    for (uint64_t i = b->position; i < b->size && !c->code; i++) touch_need(c, !b->data[i], "bytes behind a code");
+}
+
+static void touch_fresh(touch_context *c, uint64_t contexts, int64_t *w, uint64_t weights) {
+    for (uint64_t i = 0; i < contexts; i++) c[i].probability = TOUCH_INITIAL_PROBABILITY, c[i].count = 0;
+    for (uint64_t i = 0; i < weights; i++) w[i] = TOUCH_INITIAL_WEIGHT;
+}
+
+/* A structure whose members are all contexts (or all weights), as one array. */
+#define TOUCH_FRESH(contexts, weights) \
+    touch_fresh((touch_context *)(void *)&(contexts), sizeof(contexts) / sizeof(touch_context), \
+                (int64_t *)(void *)&(weights), sizeof(weights) / sizeof(int64_t))
+
+/* -- maps from keys to indices, and order ---------------------------------------------------------------------------- */
+
+typedef struct { /* open addressing; key 0 is none */
+    uint64_t *key;
+    uint32_t *index, mask;
+} touch_map;
+
+static int touch_map_make(touch_map *m, uint64_t count, touch_arena *arena) {
+    uint64_t size = 16;
+    while (size < 2 * count + 2) size *= 2;
+    m->key = (uint64_t *)touch_take_zero(arena, size, 8), m->index = (uint32_t *)touch_take(arena, size, 4);
+    m->mask = (uint32_t)(size - 1);
+    return m->key && m->index;
+}
+
+static uint32_t touch_hash(uint64_t key, uint32_t mask) {
+    return (uint32_t)((key * 0x9E3779B97F4A7C15u) >> 32) & mask;
+}
+
+static void touch_map_put(touch_map *m, uint64_t key, uint32_t index) {
+    uint32_t at = touch_hash(++key, m->mask);
+    while (m->key[at] && m->key[at] != key) at = (at + 1) & m->mask;
+    m->key[at] = key, m->index[at] = index;
+}
+
+static int64_t touch_map_get(const touch_map *m, uint64_t key) { /* -1: none */
+    uint32_t at = touch_hash(++key, m->mask);
+    while (m->key[at] && m->key[at] != key) at = (at + 1) & m->mask;
+    return m->key[at] ? (int64_t)m->index[at] : -1;
+}
+
+static void touch_sift(uint64_t *key, uint32_t *tag, uint64_t at, uint64_t n) {
+    for (;;) {
+        uint64_t child = 2 * at + 1, k;
+        uint32_t t;
+        if (child >= n) return;
+        if (child + 1 < n && key[child + 1] > key[child]) child++;
+        if (key[at] >= key[child]) return;
+        k = key[at], key[at] = key[child], key[child] = k;
+        t = tag[at], tag[at] = tag[child], tag[child] = t;
+        at = child;
+    }
+}
+
+static void touch_sort(uint64_t *key, uint32_t *tag, uint64_t n) { /* ascending, tags with their keys */
+    uint64_t i;
+    for (i = 1; i < n && key[i] >= key[i - 1]; i++) {}
+    if (i >= n) return;
+    for (i = n / 2; i-- > 0;) touch_sift(key, tag, i, n);
+    for (i = n; i-- > 1;) {
+        uint64_t k = key[0];
+        uint32_t t = tag[0];
+        key[0] = key[i], key[i] = k, tag[0] = tag[i], tag[i] = t;
+        touch_sift(key, tag, 0, i);
+    }
+}
+
+/* Positions of bricks, nodes or boxes as keys, in raster order; 21 bits an axis, shifted so that -1 and -2 are there. */
+static uint64_t touch_key(int64_t x, int64_t y, int64_t z) {
+    return (uint64_t)(x + 8) << 42 | (uint64_t)(y + 8) << 21 | (uint64_t)(z + 8);
+}
+
+static void touch_position(uint64_t key, int32_t out[3]) {
+    out[0] = (int32_t)(key >> 42) - 8, out[1] = (int32_t)(key >> 21 & 0x1fffff) - 8;
+    out[2] = (int32_t)(key & 0x1fffff) - 8;
+}
+
+/* -- lists of bricks: an octree, coded level by level ---------------------------------------------------------------- */
+
+typedef struct {
+    uint64_t *key; /* ascending */
+    uint64_t count;
+} touch_list;
+
+typedef struct {
+    struct {
+        touch_context any;          /* whether the list has a brick at all */
+        touch_context faces[729];   /* a surface goes on: states of the boxes across the six faces, 0, 1, or 2 not coded */
+        touch_context edges[512];   /* the same of the boxes coded before, across faces and edges */
+        touch_context changed[16];  /* motion: where boxes before differ from the list known before */
+        touch_context found[4];     /* a parent has a child with bricks: the last chances are more likely */
+    } context;
+    struct {
+        int64_t known[2][4]; /* by whether the list known before has bricks here */
+    } weight;
+} touch_list_models;
+
+typedef struct { /* boxes of one size whose parents contain bricks */
+    uint64_t *key, count;
+    uint32_t *parent;
+    uint8_t *state;             /* of each box: 2 not coded yet, then whether it contains bricks */
+    uint8_t *remaining, *found; /* of each parent: children that are not coded yet, and those with bricks */
+    touch_map index, known, target;
+} touch_level;
+
+/* Which boxes of a level contain bricks, in raster order. The last child of a parent without any other is not coded. */
+static void touch_code_level(touch_coder *b, touch_list_models *m, const touch_level *l) {
+    static const int8_t side[12][3] = {{-1, 0, 0}, {0, -1, 0}, {0, 0, -1}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1},
+                                       {-1, -1, 0}, {-1, 1, 0}, {-1, 0, -1}, {-1, 0, 1}, {0, -1, -1}, {0, -1, 1}};
+    for (uint64_t i = 0; i < l->count; i++) {
+        int32_t at[3];
+        int known = touch_map_get(&l->known, l->key[i]) >= 0, bit = 1;
+        uint32_t faces = 0, edges = 0, changed = 0, parent = l->parent[i];
+        touch_position(l->key[i], at);
+        for (int n = 0; n < 12; n++) {
+            uint64_t key = touch_key(at[0] + side[n][0], at[1] + side[n][1], at[2] + side[n][2]);
+            int64_t box = touch_map_get(&l->index, key);
+            uint32_t state = box < 0 ? 0 : l->state[box];
+            if (n < 6) faces = 3 * faces + (known ? 0 : state);
+            if (n < 3) changed = 2 * changed + (state ^ (box >= 0 && touch_map_get(&l->known, key) >= 0 ? 1u : 0u));
+            if (n < 3 || n > 5) edges = 2 * edges + state;
+        }
+        l->remaining[parent]--;
+        if (l->found[parent] || l->remaining[parent]) {
+            touch_context *c[4];
+            c[0] = m->context.faces + faces, c[1] = m->context.edges + edges;
+            c[2] = m->context.changed + 8 * known + changed, c[3] = m->context.found + 2 * known + (l->found[parent] > 0);
+            bit = touch_mix(b, c, m->weight.known[known], 4, TOUCH_CHOOSE(b, touch_map_get(&l->target, l->key[i]) >= 0));
+        }
+        l->state[i] = (uint8_t)bit, l->found[parent] = (uint8_t)(l->found[parent] + bit);
+    }
+}
+
+/* Boxes of 2^level bricks on a side that contain a brick of a list. */
+static int touch_boxes_of(touch_map *boxes, touch_list list, int level, touch_arena *arena) {
+    if (!touch_map_make(boxes, list.count, arena)) return 0;
+    for (uint64_t i = 0; i < list.count; i++) {
+        int32_t at[3];
+        touch_position(list.key[i], at);
+        touch_map_put(boxes, touch_key(at[0] >> level, at[1] >> level, at[2] >> level), 1);
+    }
+    return 1;
+}
+
+/* The children within the grid of `count` boxes, ascending; of a writer also which of them its list needs. */
+static int touch_level_make(touch_level *l, const uint64_t *box, uint64_t count, const uint32_t shape[3], int level,
+                            touch_list before, touch_list target, touch_arena *arena) {
+    memset(l, 0, sizeof *l);
+    l->key = (uint64_t *)touch_take(arena, 8 * count, 8), l->parent = (uint32_t *)touch_take(arena, 8 * count, 4);
+    l->state = (uint8_t *)touch_take(arena, 8 * count, 1), l->remaining = (uint8_t *)touch_take_zero(arena, count, 1);
+    l->found = (uint8_t *)touch_take_zero(arena, count, 1);
+    if (!l->key || !l->parent || !l->state || !l->remaining || !l->found) return 0;
+    if (!touch_boxes_of(&l->known, before, level, arena)) return 0;
+    if (target.count && !touch_boxes_of(&l->target, target, level, arena)) return 0;
+    for (uint64_t i = 0; i < count; i++) {
+        int32_t at[3];
+        touch_position(box[i], at);
+        for (int32_t d = 0; d < 8; d++) {
+            int64_t x = 2 * at[0] + (d >> 2), y = 2 * at[1] + (d >> 1 & 1), z = 2 * at[2] + (d & 1);
+            if (x > (int64_t)(shape[0] - 1) >> (level + 3) || y > (int64_t)(shape[1] - 1) >> (level + 3) ||
+                z > (int64_t)(shape[2] - 1) >> (level + 3))
+                continue;
+            l->key[l->count] = touch_key(x, y, z), l->parent[l->count++] = (uint32_t)i, l->remaining[i]++;
+        }
+    }
+    touch_sort(l->key, l->parent, l->count);
+    if (!touch_map_make(&l->index, l->count, arena)) return 0;
+    for (uint64_t i = 0; i < l->count; i++) l->state[i] = 2, touch_map_put(&l->index, l->key[i], (uint32_t)i);
+    return 1;
+}
+
+/* A list of bricks, into `arena` if it is read; `before` is a list that is known, or empty. */
+static int touch_code_list(touch_coder *b, touch_list_models *m, const uint32_t shape[3], touch_list before,
+                           touch_list *list, touch_arena *arena, touch_cursor *error) {
+    uint64_t total = (uint64_t)((shape[0] + 7) >> 3) * ((shape[1] + 7) >> 3) * ((shape[2] + 7) >> 3), count = 0;
+    uint64_t max = TOUCH_IS_WRITING(b) ? list->count : 64 + 16 * b->size, *key;
+    uint32_t longest = 0;
+    touch_list target;
+    target.key = 0, target.count = 0;
+    if (TOUCH_IS_WRITING(b)) target = *list;
+    for (int n = 0; n < 3; n++) longest = shape[n] > longest ? shape[n] : longest;
+    key = (uint64_t *)touch_take(arena, (total < max ? total : max) + 1, 8);
+    if (!key) return touch_fail(error, TOUCH_MEMORY, "no room for a list of bricks");
+    if (touch_code(b, &m->context.any, target.count > 0)) key[count++] = touch_key(0, 0, 0);
+    for (int level = touch_bit_length((longest - 1) >> 3) - 1; level >= 0; level--) {
+        uint64_t mark = arena->used, occupied = 0;
+        touch_level l;
+        if (!touch_level_make(&l, key, count, shape, level, before, target, arena))
+            return touch_fail(error, TOUCH_MEMORY, "no room for a list of bricks");
+        touch_code_level(b, m, &l);
+        for (uint64_t i = 0; i < l.count; i++) occupied += l.state[i] == 1;
+        if (occupied > max) return touch_fail(error, TOUCH_CORRUPT, "more bricks than the bytes may list");
+        count = 0;
+        for (uint64_t i = 0; i < l.count; i++)
+            if (l.state[i] == 1) key[count++] = l.key[i];
+        arena->used = mark;
+    }
+    if (!TOUCH_IS_WRITING(b)) list->key = key, list->count = count;
+    return 1;
+}
+
+/* -- the voxel pass (docs/format/touch.md) --------------------------------------------------------------------------- */
+
+typedef struct {
+    int32_t v[3];
+} touch_vector;
+
+typedef struct { /* vectors in units, 512 a brick, in the order of the grid; (0, 0, 0): none there */
+    touch_list list;
+    touch_vector *v;
+} touch_units;
+
+typedef struct { /* a decoded voxel that has a force, in the order of the scan */
+    int32_t vector[3], length;
+    int32_t next_length[3];          /* length that the force law predicts one sample further along each axis */
+    uint8_t along_size, across_size; /* of its residual: how well it was predicted */
+} touch_cell;
+
+enum { TOUCH_CODE = 0, TOUCH_FOLLOW = 1, TOUCH_COPY = 2 };         /* state of a brick that the reference lists */
+enum { TOUCH_NONE = 0, TOUCH_NEIGHBOUR = 1, TOUCH_REFERENCE = 2 }; /* source of a prediction */
+enum { TOUCH_FEATURES = 13, TOUCH_LIMIT = (1 << 17) - 1 /* no component of a vector is beyond it */ };
+
+typedef struct { /* of one component of a residual */
+    touch_context zero_near[2][256];  /* where the extrapolations along axes 0 and 1 lie; whether residuals are large */
+    touch_context zero_far[2][256];   /* the same of the extrapolation along axis 2 and of the reference */
+    touch_context zero_offset[64];    /* how far the skipped prediction lies: it was refused, so the force is elsewhere */
+    touch_context sign_near[256], sign_far[256], sign_offset[64]; /* the same; on which side the prediction lies */
+    touch_context size_group[8][16];  /* sizes of the residuals around, by the steps so far */
+    touch_context size_offset[64][16]; /* how far the prediction lies, by the steps so far */
+} touch_component_contexts;
+
+typedef struct { /* what a frame teaches the next one */
+    struct {
+        touch_context copy[4], follow[3];  /* brick states, by that of the brick before: bricks at rest follow each other */
+        touch_context block[3][8];         /* blocks of 4 x 4 x 4 voxels: supports are connected */
+        touch_context support_near[32][64][8]; /* predicted length: a force that fades out ends; neighbours; reference */
+        touch_context support_wide[32][64][8]; /* the shape of the support two samples around */
+        touch_context support_reference[128][8][4]; /* the shape of the reference's support around */
+        touch_context skip_activity[64][8]; /* where neighbours needed no residual, this one does not, either */
+        touch_context skip_offset[8][16][4]; /* whether both predictions agree; long forces are smoother */
+        touch_context skip_reference[8][8][8][8]; /* how well a reference agrees that is not followed */
+        touch_component_contexts component[3];
+    } context;
+    struct {
+        int64_t support[4][8][3]; /* by the number of neighbours, and what the reference says */
+        int64_t skip[8][2][3];    /* by the sizes of residuals around, and whether there is another reference */
+        int64_t zero[3][8][3], sign[3][3], size[3][16][2];
+    } weight;
+    touch_list_models list;
+    int64_t adaptive[16][TOUCH_FEATURES]; /* weights of the adaptive prediction, 1/65536; they start from 0 */
+} touch_models;
+
+static void touch_models_fresh(touch_models *m) {
+    TOUCH_FRESH(m->context, m->weight);
+    TOUCH_FRESH(m->list.context, m->list.weight);
+    memset(m->adaptive, 0, sizeof m->adaptive);
+}
+
+typedef struct { /* step sizes by amplitude, the same in a segment (Weber: larger forces hide larger errors) */
+    float unit_n;
+    int64_t floor, rate, cross_floor, cross_rate;
+    int32_t *border; /* lengths in 1/256 units, one for each sixteenth of a step */
+    int64_t borders;
+} touch_steps;
+
+/* Set the table of borders. */
+static int touch_step_table(touch_steps *s, touch_arena *arena) {
+    for (int written = 0; written < 2; written++) { /* counted, then written */
+        int64_t count = 1;
+        if (written) s->border = (int32_t *)touch_take(arena, (uint64_t)s->borders, 4);
+        if (written && !s->border) return 0;
+        if (written) s->border[0] = 0;
+        for (int64_t border = 0; border <= 1 << 26; count++) {
+            int64_t step = touch_max((border * s->rate) >> 16, 256 * s->floor) >> 4;
+            border += step > 1 ? step : 1;
+            if (written) s->border[count] = (int32_t)border;
+        }
+        s->borders = count;
+    }
+    return 1;
+}
+
+static int64_t touch_step(const touch_steps *s, int64_t length) { return touch_max((length * s->rate) >> 16, s->floor); }
+
+/* A length in 1/256 steps from 0: sixteenths by the table, straight between them. */
+static int64_t touch_level_of(const touch_steps *s, int64_t length) {
+    int64_t scaled = touch_min(length, (1 << 18) - 1) << 8, low = 0, high = s->borders - 1;
+    while (high - low > 1) {
+        int64_t middle = (low + high) / 2;
+        if (s->border[middle] <= scaled) low = middle;
+        else high = middle;
+    }
+    return 16 * low + ((scaled - s->border[low]) << 4) / (s->border[low + 1] - s->border[low]);
+}
+
+/* The inverse; a level below 0 is a force the other way. */
+static int64_t touch_length_of(const touch_steps *s, int64_t level) {
+    int64_t size = touch_min(touch_abs(level), 16 * (s->borders - 1) - 1), n = size >> 4;
+    size = (s->border[n] + (((s->border[n + 1] - s->border[n]) * (size & 15)) >> 4) + 128) >> 8;
+    return level < 0 ? -size : size;
+}
+
+typedef struct { /* order of a pass: which axis of the grid each axis of the scan is, the slowest first, and which way */
+    int axis[3], sign[3];
+    int stride[3], corner; /* from a sample of the scan to the index of that sample in a brick of the grid */
+    int64_t last[3];       /* last brick along each axis of the scan */
+} touch_scan;
+
+static touch_scan touch_scan_of(int order, const touch_grid *grid) {
+    touch_scan s;
+    int k = 1;
+    s.axis[0] = order & 3, s.corner = 0;
+    for (int n = 0; n < 3; n++)
+        if (n != s.axis[0]) s.axis[k++] = n;
+    for (int n = 0; n < 3; n++) {
+        int stride = 64 >> 3 * s.axis[n];
+        s.sign[n] = order >> (2 + n) & 1 ? -1 : 1, s.last[n] = (int64_t)((grid->shape[s.axis[n]] + 7) >> 3) - 1;
+        s.stride[n] = s.sign[n] * stride, s.corner += s.sign[n] < 0 ? 7 * stride : 0;
+    }
+    return s;
+}
+
+/* The key in the scan of a brick of the grid. */
+static uint64_t touch_scan_key(const touch_scan *s, uint64_t key) {
+    int32_t at[3], to[3];
+    touch_position(key, at);
+    for (int n = 0; n < 3; n++) to[n] = s->sign[n] < 0 ? (int32_t)s->last[n] - at[s->axis[n]] : at[s->axis[n]];
+    return touch_key(to[0], to[1], to[2]);
+}
+
+/* The index in a brick of the grid of a sample of the scan. */
+static int touch_grid_sample(const touch_scan *s, int x, int y, int z) {
+    return s->corner + s->stride[0] * x + s->stride[1] * y + s->stride[2] * z;
+}
+
+/* The samples of a brick of the scan that lie within the grid: from low to below high along each axis. */
+static void touch_scan_inside(const touch_scan *s, const touch_grid *grid, const int32_t brick[3], int low[3], int high[3]) {
+    for (int n = 0; n < 3; n++) {
+        int64_t samples = grid->shape[s->axis[n]], all = 8 * (s->last[n] + 1);
+        int64_t first = s->sign[n] < 0 ? all - samples : 0, stop = s->sign[n] < 0 ? all : samples;
+        low[n] = (int)touch_clip(first - 8 * brick[n], 0, 8), high[n] = (int)touch_clip(stop - 8 * brick[n], 0, 8);
+    }
+}
+
+/* The window of a brick: its voxels and those around it, from -2 to 9 along each axis, so that all that predicts a voxel
+   lies at fixed distances, also across the brick's faces. */
+enum { TOUCH_WINDOW = 12 * 12 * 12, TOUCH_DEEP = 144, TOUCH_UP = 12, TOUCH_LEFT = 1 };
+
+struct touch_target; /* the forces that a writer codes, and its error bound (touch_encode.h) */
+
+typedef struct { /* a pass over a frame */
+    touch_coder *coder;
+    touch_models *models;
+    const touch_steps *steps;
+    touch_scan scan;
+    int64_t slope[3]; /* loss of force along each axis from sample to sample, for `next_length` */
+    const touch_units *reference;
+    uint64_t *has_reference; /* bits of its voxels with a force, 8 words a brick: its vectors lie far from each other */
+    touch_cell *cell;        /* 512 of each brick; of length 0: not supported */
+    int32_t cell_at[TOUCH_WINDOW], reference_at[TOUCH_WINDOW]; /* indices into `cell` and `reference`; -1: none */
+    int32_t last_vector[3];
+    int is_listed, last_state; /* whether the reference lists the brick; the state of the last brick that it lists */
+    struct touch_target *target;
+} touch_pass;
+
+static const int touch_before[3] = {-TOUCH_DEEP, -TOUCH_UP, -TOUCH_LEFT};
+static const int touch_diagonal[3] = {-TOUCH_DEEP + TOUCH_UP, -TOUCH_DEEP + TOUCH_LEFT, -TOUCH_UP + TOUCH_LEFT};
+static const int touch_wide[5] = {-TOUCH_DEEP - TOUCH_UP, -TOUCH_DEEP - TOUCH_LEFT, -TOUCH_UP - TOUCH_LEFT,
+                                  -2 * TOUCH_DEEP, -2 * TOUCH_LEFT};
+
+typedef struct { /* a voxel: what is known of it before its force, its predictions, and its residual */
+    int here;                       /* its index in the window */
+    const touch_cell *neighbour[3]; /* deep, up, left; NULL: not supported */
+    int neighbour_count, has_reference, reference_class;
+    int32_t reference[3];
+    int32_t extrapolation[3][3]; /* one neighbour continued by the force law, along axes 0, 1, 2 */
+    int32_t adaptive[3];         /* mean of the neighbours with a learnt correction */
+    int32_t prediction[3];       /* the force if the residual is skipped */
+    int followed;                /* where the prediction is from */
+    int64_t feature[TOUCH_FEATURES][3], *weight, inverse_step; /* of the adaptive prediction; [3] is a component */
+    int group[3], total_class, offset_class; /* sizes of residuals around; distance between the predictions */
+    int32_t offset[3];                       /* prediction minus adaptive prediction */
+    int32_t centre[3];                       /* what the residual is relative to, and its axes, 1/16384 */
+    int64_t basis[3][3], centre_step, centre_level;
+    uint32_t sides_near[3], sides_far[3]; /* on which side of the centre other predictions lie, along each axis */
+    int64_t residual[3];                  /* in steps: along the centre, and two across it */
+    int32_t vector[3];
+} touch_voxel;
+
+static int64_t touch_length(const int32_t v[3]) {
+    int64_t n = touch_isqrt((int64_t)v[0] * v[0] + (int64_t)v[1] * v[1] + (int64_t)v[2] * v[2]);
+    return n ? n : 1;
+}
+
+static int32_t touch_limit(int64_t n) { return (int32_t)touch_clip(n, -TOUCH_LIMIT, TOUCH_LIMIT); }
+
+/* A vector of the reference, permuted to the scan. */
+static void touch_reference_at(const touch_pass *p, int32_t index, int32_t out[3]) {
+    const int32_t *v = p->reference->v[index].v;
+    for (int n = 0; n < 3; n++) out[n] = p->scan.sign[n] * v[p->scan.axis[n]];
+}
+
+/* Store a cell. Along the force a penalty field loses `slope` of its length from sample to sample. */
+static void touch_store(touch_pass *p, int here, int32_t index, const int32_t v[3], int64_t along_size,
+                        int64_t across_size) {
+    touch_cell *cell = p->cell + index;
+    int64_t length = touch_length(v), inverse = ((int64_t)1 << 28) / length;
+    for (int n = 0; n < 3; n++) {
+        cell->vector[n] = v[n];
+        cell->next_length[n] = (int32_t)(length - ((((v[n] * inverse) >> 14) * p->slope[n]) >> 14));
+    }
+    cell->length = (int32_t)length, cell->along_size = (uint8_t)along_size, cell->across_size = (uint8_t)across_size;
+    p->cell_at[here] = index;
+}
+
+/* Support: does the voxel have a force? Gathers what is known of the voxel, too. Three opinions are mixed: the force
+   law (a force that fades out towards here ends here), the shape of the support around, and the reference. */
+static int touch_code_support(touch_pass *p, touch_voxel *v, int here, int bit) {
+    touch_models *m = p->models;
+    int64_t next_sum = 0;
+    uint32_t mask = 0, wide = 0, reference_mask = 0;
+    int faces = 0;
+    v->here = here, v->neighbour_count = 0, v->reference_class = 0, v->has_reference = p->reference_at[here] >= 0;
+    for (int n = 0; n < 3; n++) {
+        int32_t at = p->cell_at[here + touch_before[n]];
+        v->neighbour[n] = at >= 0 ? p->cell + at : 0;
+        if (at >= 0) mask |= 1u << n, v->neighbour_count++, next_sum += v->neighbour[n]->next_length[n];
+        if (p->cell_at[here + touch_diagonal[n]] >= 0) mask |= 8u << n;
+    }
+    for (int n = 0; n < 5; n++) wide |= (p->cell_at[here + touch_wide[n]] >= 0 ? 1u : 0u) << n;
+    if (p->is_listed) {
+        for (int n = 0; n < 3; n++) {
+            int before = p->reference_at[here + touch_before[n]] >= 0, after = p->reference_at[here - touch_before[n]] >= 0;
+            faces += before + after, reference_mask |= (uint32_t)before << (2 * n) | (uint32_t)after << (2 * n + 1);
+        }
+        v->reference_class = v->has_reference ? 4 + (faces >= 5) + (faces == 6) : 1 + (faces >= 1) + (faces >= 3);
+        reference_mask |= (uint32_t)v->has_reference << 6;
+    }
+    int64_t length_class = wide;
+    if (v->neighbour_count)
+        length_class = touch_clip(((touch_div(next_sum, v->neighbour_count) * 28) >> 16) + 3, 0, 31);
+    return touch_mix3(p->coder, &m->context.support_near[length_class][mask][v->reference_class],
+                      &m->context.support_wide[wide][mask][v->reference_class],
+                      &m->context.support_reference[reference_mask][mask & 7][length_class >> 3],
+                      m->weight.support[v->neighbour_count][v->reference_class], bit);
+}
+
+/* Extrapolation: along the force a penalty field changes its length by the law, but not its direction. A neighbour's
+   error is inherited, so that a relative error stays within a relative bound for long. */
+static void touch_extrapolate(const touch_pass *p, const touch_cell *cell, int axis, int32_t out[3]) {
+    int64_t length = touch_max(touch_max(cell->next_length[axis], cell->length >> 3), touch_max(p->steps->floor >> 1, 1));
+    int64_t ratio = touch_min((length << 14) / cell->length, 1 << 17);
+    for (int n = 0; n < 3; n++) out[n] = touch_limit((cell->vector[n] * ratio + 8192) >> 14);
+}
+
+/* The mean of the neighbours, as long as the force law predicts; returns the step there. */
+static int64_t touch_mean(const touch_pass *p, const touch_voxel *v, int64_t mean[3]) {
+    int64_t length_sum = 0, next_sum = 0;
+    mean[0] = mean[1] = mean[2] = 0;
+    for (int n = 0; n < 3; n++) {
+        const touch_cell *cell = v->neighbour[n];
+        if (!cell) continue;
+        length_sum += cell->length, next_sum += touch_max(cell->next_length[n], cell->length >> 3);
+        for (int k = 0; k < 3; k++) mean[k] += cell->vector[k];
+    }
+    int64_t scale = touch_min((next_sum << 16) / (length_sum * v->neighbour_count), 1 << 17);
+    for (int k = 0; k < 3; k++) mean[k] = (mean[k] * scale + 32768) >> 16;
+    return touch_step(p->steps, next_sum / v->neighbour_count);
+}
+
+/* Features: what the mean may have to be corrected by, in 1/256 steps. 0 to 5: neighbours minus the mean, so that a
+   weight prefers one of them; 6 to 10: slopes between cells before, which continue to here; 11: the reference minus the
+   mean; 12: how the neighbours differ from their references, which this voxel is likely to do, too. */
+static void touch_features(const touch_pass *p, touch_voxel *v, const int64_t mean[3]) {
+    static const int pair[5][2] = {{-TOUCH_DEEP, -2 * TOUCH_DEEP},
+                                   {-TOUCH_UP, -TOUCH_DEEP - TOUCH_UP},
+                                   {-TOUCH_LEFT, -TOUCH_DEEP - TOUCH_LEFT},
+                                   {-TOUCH_LEFT, -TOUCH_UP - TOUCH_LEFT},
+                                   {-TOUCH_UP, -TOUCH_UP - TOUCH_LEFT}};
+    int64_t(*f)[3] = v->feature;
+    int shared = 0;
+    memset(f, 0, sizeof v->feature);
+    for (int n = 0; n < 6; n++) {
+        int32_t at = p->cell_at[v->here + (n < 3 ? touch_before[n] : touch_diagonal[n - 3])];
+        if (at >= 0)
+            for (int k = 0; k < 3; k++) f[n][k] = p->cell[at].vector[k] - mean[k];
+    }
+    for (int n = 0; n < 5; n++) {
+        int32_t to = p->cell_at[v->here + pair[n][0]], from = p->cell_at[v->here + pair[n][1]];
+        if (to >= 0 && from >= 0)
+            for (int k = 0; k < 3; k++) f[6 + n][k] = (int64_t)p->cell[to].vector[k] - p->cell[from].vector[k];
+    }
+    if (v->has_reference) {
+        for (int n = 0; n < 3; n++) {
+            int32_t at = p->reference_at[v->here + touch_before[n]], own[3];
+            if (!v->neighbour[n] || at < 0) continue;
+            touch_reference_at(p, at, own), shared++;
+            for (int k = 0; k < 3; k++) f[12][k] += v->neighbour[n]->vector[k] - own[k];
+        }
+        for (int k = 0; k < 3; k++)
+            f[11][k] = v->reference[k] - mean[k], f[12][k] = touch_div(f[12][k], shared ? shared : 1);
+    }
+    for (int n = 0; n < TOUCH_FEATURES; n++)
+        for (int k = 0; k < 3; k++) f[n][k] = touch_clip((f[n][k] * v->inverse_step) >> 24, -4095, 4095);
+}
+
+/* Adaptive prediction: the mean of the neighbours and a sum of features, with weights that learn (LMS) and differ by
+   which neighbours there are. It averages noise away; where nothing is near it is the reference, or the last vector. */
+static void touch_predict_adaptively(touch_pass *p, touch_voxel *v) {
+    int64_t mean[3], sum[3] = {0, 0, 0}, step = 1;
+    if (!v->neighbour_count) {
+        for (int k = 0; k < 3; k++) v->adaptive[k] = touch_limit(v->has_reference ? v->reference[k] : p->last_vector[k]);
+        return;
+    }
+    step = touch_mean(p, v, mean), v->inverse_step = ((int64_t)1 << 32) / step;
+    v->weight = p->models->adaptive[(v->neighbour[0] ? 1 : 0) | (v->neighbour[1] ? 2 : 0) | (v->neighbour[2] ? 4 : 0) |
+                                    (v->has_reference ? 8 : 0)];
+    touch_features(p, v, mean);
+    for (int n = 0; n < TOUCH_FEATURES; n++)
+        for (int k = 0; k < 3; k++) sum[k] += v->weight[n] * v->feature[n][k];
+    for (int k = 0; k < 3; k++) v->adaptive[k] = touch_limit(mean[k] + (((sum[k] >> 16) * step) >> 8));
+}
+
+/* Whether the reference is more than a step off at the deep neighbour: then it is off here, too. */
+static int touch_is_reference_off(const touch_pass *p, const touch_voxel *v) {
+    int32_t at = p->reference_at[v->here - TOUCH_DEEP], own[3];
+    int64_t square = 0, step;
+    if (!v->neighbour[0] || at < 0) return 0;
+    step = touch_step(p->steps, v->neighbour[0]->length), touch_reference_at(p, at, own);
+    for (int k = 0; k < 3; k++)
+        square += (int64_t)(v->neighbour[0]->vector[k] - own[k]) * (v->neighbour[0]->vector[k] - own[k]);
+    return square > step * step;
+}
+
+/* All predictions of a voxel. The one that a skip stands for is the reference in a brick that follows it; else the first
+   extrapolation; else the adaptive one. */
+static void touch_predict(touch_pass *p, touch_voxel *v, int state) {
+    if (v->has_reference) touch_reference_at(p, p->reference_at[v->here], v->reference);
+    for (int n = 0; n < 3; n++)
+        if (v->neighbour[n]) touch_extrapolate(p, v->neighbour[n], n, v->extrapolation[n]);
+    touch_predict_adaptively(p, v);
+    v->followed = TOUCH_NONE;
+    memcpy(v->prediction, v->adaptive, sizeof v->prediction);
+    if (state == TOUCH_FOLLOW && v->has_reference && !touch_is_reference_off(p, v)) {
+        v->followed = TOUCH_REFERENCE;
+        memcpy(v->prediction, v->reference, sizeof v->prediction);
+        return;
+    }
+    for (int n = 0; n < 3 && !v->followed; n++)
+        if (v->neighbour[n]) {
+            v->followed = TOUCH_NEIGHBOUR;
+            memcpy(v->prediction, v->extrapolation[n], sizeof v->prediction);
+        }
+}
+
+/* The weights of the adaptive prediction move towards what would have predicted the vector (normalised LMS). */
+static void touch_learn_weights(touch_voxel *v) {
+    int64_t energy = 32768, gain[3];
+    if (!v->neighbour_count) return;
+    for (int n = 0; n < TOUCH_FEATURES; n++)
+        for (int k = 0; k < 3; k++) energy += v->feature[n][k] * v->feature[n][k];
+    for (int k = 0; k < 3; k++) {
+        int64_t error = touch_clip(((v->vector[k] - v->adaptive[k]) * v->inverse_step) >> 24, -1023, 1023);
+        gain[k] = touch_div(error * (1 << 27), energy);
+    }
+    for (int k = 0; k < 3; k++)
+        for (int n = 0; n < TOUCH_FEATURES; n++)
+            v->weight[n] = touch_clip(v->weight[n] + ((v->feature[n][k] * gain[k]) >> 14), -(1 << 20), 1 << 20);
+}
+
+/* The number of limits, of seven, that a number reaches. */
+static int touch_class(int64_t n, const int *limits) {
+    int c = 0;
+    while (c < 7 && limits[c] <= n) c++;
+    return c;
+}
+
+/* Class of a distance in steps: 0 below an eighth, then twice as far each, 7 from 8 steps on. */
+static int touch_distance_class(int64_t distance, int64_t step) {
+    int bits = touch_bit_length((uint64_t)((distance << 3) / step));
+    return bits < 7 ? bits : 7;
+}
+
+/* Skip: is the prediction good enough? Mixed from how neighbours were predicted, whether both predictions agree, and how
+   well a reference agrees that is not followed. */
+static int touch_code_skip(touch_pass *p, touch_voxel *v, int bit) {
+    static const int limits[7] = {1, 2, 4, 7, 11, 16, 24};
+    touch_models *m = p->models;
+    int64_t along = 0, across = 0, length = touch_length(v->prediction), step = touch_step(p->steps, length);
+    uint32_t activity = 0, amplitude = (uint32_t)touch_min(length >> 12, 15);
+    int count = v->neighbour_count, distance = 7;
+    for (int n = 0; n < 3; n++) {
+        uint32_t own = 0;
+        if (v->neighbour[n]) {
+            along += v->neighbour[n]->along_size, across += v->neighbour[n]->across_size;
+            own = 1u + v->neighbour[n]->along_size + v->neighbour[n]->across_size;
+        }
+        activity = activity << 2 | (own < 3 ? own : 3);
+        v->offset[n] = v->prediction[n] - v->adaptive[n];
+    }
+    v->group[0] = count ? touch_class(4 * along / count, limits) : 7;
+    v->group[1] = v->group[2] = count ? touch_class(2 * across / count, limits) : 7;
+    v->total_class = count ? touch_class(3 * (along + across) / count, limits) : 7;
+    v->offset_class = touch_distance_class(touch_length(v->offset), step);
+    if (v->has_reference && v->followed != TOUCH_REFERENCE) {
+        int32_t off[3];
+        for (int n = 0; n < 3; n++) off[n] = v->reference[n] - v->prediction[n];
+        distance = touch_distance_class(touch_length(off), step);
+    }
+    return touch_mix3(p->coder, &m->context.skip_activity[activity][v->offset_class],
+                      &m->context.skip_offset[v->offset_class][amplitude][count],
+                      &m->context.skip_reference[distance][v->reference_class][v->offset_class][v->total_class],
+                      m->weight.skip[v->total_class][distance < 7], bit);
+}
+
+/* Unit vectors along a vector of that length, and across it, 1/16384. */
+static void touch_basis(const int32_t centre[3], int64_t length, int64_t e[3][3]) {
+    int64_t inverse = ((int64_t)1 << 44) / length;
+    int32_t h[3] = {0, 0, 0};
+    for (int n = 0; n < 3; n++) e[0][n] = (centre[n] * inverse + (1 << 29)) >> 30;
+    if (touch_abs(e[0][2]) < 14746) h[0] = (int32_t)-e[0][1], h[1] = (int32_t)e[0][0];
+    else h[1] = (int32_t)-e[0][2], h[2] = (int32_t)e[0][1];
+    inverse = ((int64_t)1 << 44) / touch_length(h);
+    for (int n = 0; n < 3; n++) e[1][n] = (h[n] * inverse + (1 << 29)) >> 30;
+    for (int n = 0; n < 3; n++) {
+        int i = (n + 1) % 3, j = (n + 2) % 3;
+        e[2][n] = (e[0][i] * e[1][j] - e[0][j] * e[1][i]) >> 14;
+    }
+}
+
+/* Centre and axes of the residual. It is relative to the adaptive prediction, in steps along and across it: errors of
+   both kinds have different limits. Where other predictions lie tells where the force may be. */
+static void touch_aim(const touch_pass *p, touch_voxel *v) {
+    static const int limits[7] = {1, 2, 3, 5, 8, 12, 20};
+    memcpy(v->centre, v->adaptive, sizeof v->centre);
+    if (!v->centre[0] && !v->centre[1] && !v->centre[2]) v->centre[2] = 1;
+    int64_t length = touch_length(v->centre);
+    v->centre_step = touch_step(p->steps, length), v->centre_level = touch_level_of(p->steps, length);
+    touch_basis(v->centre, length, v->basis);
+    for (int k = 0; k < 3; k++) {
+        uint32_t side[4];
+        for (int n = 0; n < 4; n++) {
+            const int32_t *other = n < 3 ? v->extrapolation[n] : v->reference;
+            int64_t quarters = 0;
+            side[n] = 15;
+            if (!(n < 3 ? v->neighbour[n] != 0 : v->has_reference)) continue;
+            for (int i = 0; i < 3; i++) quarters += (int64_t)(other[i] - v->centre[i]) * v->basis[k][i];
+            quarters = touch_div(quarters >> 12, v->centre_step);
+            side[n] = (uint32_t)(quarters < 0 ? 7 - touch_class(-quarters, limits) : 7 + touch_class(quarters, limits));
+        }
+        v->sides_near[k] = side[0] << 4 | side[1], v->sides_far[k] = side[2] << 4 | side[3];
+    }
+}
+
+/* Component k of the residual: is it zero, its sign, its size in steps. */
+static int64_t touch_code_component(touch_pass *p, const touch_voxel *v, int k, int64_t residual) {
+    touch_component_contexts *c = p->models->context.component + k;
+    int64_t target = touch_abs(residual), size = 1;
+    int64_t distance = (v->offset[0] * v->basis[k][0] + v->offset[1] * v->basis[k][1] + v->offset[2] * v->basis[k][2]) >> 14;
+    int toward = touch_distance_class(touch_abs(distance), v->centre_step), group = v->group[k];
+    int offset = toward << 3 | v->offset_class, is_large = group > 3;
+    int is_certain = k == 2 && v->followed == TOUCH_NONE && !v->residual[0] && !v->residual[1]; /* it was no skip */
+    if (!is_certain && !touch_mix3(p->coder, &c->zero_near[is_large][v->sides_near[k]],
+                                   &c->zero_far[is_large][v->sides_far[k]], &c->zero_offset[offset],
+                                   p->models->weight.zero[k][group], residual != 0))
+        return 0;
+    int is_negative = touch_mix3(p->coder, &c->sign_near[v->sides_near[k]], &c->sign_far[v->sides_far[k]],
+                                 &c->sign_offset[toward << 3 | (distance < 0) << 2 | v->neighbour_count],
+                                 p->models->weight.sign[k], residual < 0);
+    while (size <= 14 && touch_mix2(p->coder, &c->size_group[group][size - 1], &c->size_offset[offset][size - 1],
+                                    p->models->weight.size[k][size - 1], target > size))
+        size++;
+    if (size > 14) size = 14 + touch_gamma(p->coder, 17, target - 14);
+    return is_negative ? -size : size;
+}
+
+/* The length along the centre by the first component of a residual, and the steps across it there. */
+static int64_t touch_along(const touch_pass *p, const touch_voxel *v, int64_t r, int64_t *cross_step) {
+    int64_t along = touch_length_of(p->steps, v->centre_level + 256 * r);
+    *cross_step = touch_max((touch_abs(along) * p->steps->cross_rate) >> 16, p->steps->cross_floor);
+    return along;
+}
+
+/* The vector of a residual: a length along the centre, and two components across it. */
+static void touch_place(const touch_voxel *v, int64_t along, int64_t b, int64_t c, int32_t out[3]) {
+    for (int n = 0; n < 3; n++)
+        out[n] = touch_limit((along * v->basis[0][n] + b * v->basis[1][n] + c * v->basis[2][n] + 8192) >> 14);
+}
+
+#ifdef TOUCH_WRITES /* the choices of a writer (touch_encode.h) */
+static int touch_choose_state(const touch_pass *p);
+static int touch_choose_blocks(const touch_pass *p);
+static int touch_choose_support(const touch_pass *p, int here);
+static int touch_choose_skip(const touch_pass *p, const touch_voxel *v);
+static void touch_choose_residual(const touch_pass *p, touch_voxel *v);
+#endif
+
+/* A voxel: support, prediction, skip or residual; `index` is that of its cell. */
+static void touch_code_voxel(touch_pass *p, int here, int32_t index, int state) {
+    touch_coder *b = p->coder;
+    touch_voxel v;
+    if (!touch_code_support(p, &v, here, TOUCH_CHOOSE(b, touch_choose_support(p, here)))) return;
+    TOUCH_ACCOUNT(b, 0);
+    touch_predict(p, &v, state);
+    v.residual[0] = v.residual[1] = v.residual[2] = 0;
+    if (touch_code_skip(p, &v, TOUCH_CHOOSE(b, touch_choose_skip(p, &v)))) {
+        memcpy(v.vector, v.prediction, sizeof v.vector);
+        TOUCH_ACCOUNT(b, 1);
+    } else {
+        int64_t residual[3] = {0, 0, 0}, along, step;
+        touch_aim(p, &v);
+#ifdef TOUCH_WRITES
+        if (TOUCH_IS_WRITING(b)) touch_choose_residual(p, &v), memcpy(residual, v.residual, sizeof residual);
+#endif
+        for (int k = 0; k < 3; k++) {
+            v.residual[k] = touch_code_component(p, &v, k, residual[k]);
+            if (!k) TOUCH_ACCOUNT(b, 1);
+        }
+        TOUCH_ACCOUNT(b, 2);
+        along = touch_along(p, &v, v.residual[0], &step);
+        touch_place(&v, along, v.residual[1] * step, v.residual[2] * step, v.vector);
+    }
+    touch_store(p, here, index, v.vector, touch_min(touch_abs(v.residual[0]), 15),
+                touch_min(touch_abs(v.residual[1]) + touch_abs(v.residual[2]), 31));
+    memcpy(p->last_vector, v.vector, sizeof p->last_vector);
+    touch_learn_weights(&v);
+}
+
+static int touch_window_index(int x, int y, int z) { return (x + 2) * TOUCH_DEEP + (y + 2) * TOUCH_UP + z + 2; }
+
+/* Fill the window of a brick of the scan. */
+static void touch_enter(touch_pass *p, const int32_t brick[3], const touch_map *cells, const touch_map *references) {
+    for (int n = 0; n < TOUCH_WINDOW; n++) p->cell_at[n] = p->reference_at[n] = -1;
+    for (int dx = -1; dx <= 1; dx++)
+        for (int dy = -1; dy <= 1; dy++)
+            for (int dz = -1; dz <= 1; dz++) {
+                uint64_t key = touch_key(brick[0] + dx, brick[1] + dy, brick[2] + dz);
+                int is_past = dx < 0 || (!dx && (dy < 0 || (!dy && dz < 0)));
+                int64_t cell = is_past ? touch_map_get(cells, key) : -1, reference = touch_map_get(references, key);
+                int low[3], high[3], d[3];
+                if (cell < 0 && reference < 0) continue;
+                d[0] = dx, d[1] = dy, d[2] = dz;
+                for (int n = 0; n < 3; n++) low[n] = d[n] < 0 ? 6 : 0, high[n] = d[n] > 0 ? 2 : 8;
+                for (int x = low[0]; x < high[0]; x++)
+                    for (int y = low[1]; y < high[1]; y++)
+                        for (int z = low[2]; z < high[2]; z++) {
+                            int here = touch_window_index(8 * dx + x, 8 * dy + y, 8 * dz + z);
+                            int32_t index = (int32_t)(512 * cell + 64 * x + 8 * y + z);
+                            if (cell >= 0 && p->cell[index].length) p->cell_at[here] = index;
+                            if (reference < 0) continue;
+                            int sample = touch_grid_sample(&p->scan, x, y, z);
+                            if (p->has_reference[8 * reference + (sample >> 6)] >> (sample & 63) & 1)
+                                p->reference_at[here] = (int32_t)(512 * reference + sample);
+                        }
+            }
+}
+
+/* Whether any of the 16 voxels before a block along an axis, in the brick before, is supported. */
+static int touch_is_side_set(const touch_pass *p, const int base[3], int axis) {
+    for (int i = 0; i < 16; i++) {
+        int at[3], u = (axis + 1) % 3, w = (axis + 2) % 3;
+        at[axis] = -1, at[u] = base[u] + (i >> 2), at[w] = base[w] + (i & 3);
+        if (p->cell_at[touch_window_index(at[0], at[1], at[2])] >= 0) return 1;
+    }
+    return 0;
+}
+
+/* Whether the reference has a force in a block. */
+static int touch_has_block_reference(const touch_pass *p, const int base[3]) {
+    for (int i = 0; i < 64; i++)
+        if (p->reference_at[touch_window_index(base[0] + (i >> 4), base[1] + (i >> 2 & 3), base[2] + (i & 3))] >= 0) return 1;
+    return 0;
+}
+
+/* Blocks: which of the eight blocks of 4 x 4 x 4 voxels of a brick have a force, as bits. */
+static int touch_code_blocks(touch_pass *p, int target) {
+    int blocks = 0;
+    for (int n = 0; n < 8; n++) {
+        int side = 0, base[3], reference = 0;
+        base[0] = n >> 2 ? 4 : 0, base[1] = n & 2 ? 4 : 0, base[2] = n & 1 ? 4 : 0;
+        for (int axis = 0; axis < 3; axis++) {
+            int bit = 4 >> axis;
+            side = side << 1 | (n & bit ? blocks >> (n - bit) & 1 : touch_is_side_set(p, base, axis));
+        }
+        if (p->is_listed) reference = 1 + touch_has_block_reference(p, base);
+        blocks |= touch_code(p->coder, &p->models->context.block[reference][side], target >> n & 1) << n;
+    }
+    return blocks;
+}
+
+/* A brick at rest is as the reference has it. */
+static void touch_copy_reference(touch_pass *p, int32_t first, const int low[3], const int high[3]) {
+    for (int x = low[0]; x < high[0]; x++)
+        for (int y = low[1]; y < high[1]; y++)
+            for (int z = low[2]; z < high[2]; z++) {
+                int here = touch_window_index(x, y, z);
+                int32_t v[3];
+                if (p->reference_at[here] < 0) continue;
+                touch_reference_at(p, p->reference_at[here], v);
+                touch_store(p, here, first + 64 * x + 8 * y + z, v, 0, 0);
+            }
+}
+
+/* A brick: its state, if the reference lists it; its blocks; its voxels. */
+static void touch_code_brick(touch_pass *p, int64_t slot, const int low[3], const int high[3]) {
+    touch_coder *b = p->coder;
+    int state = TOUCH_CODE, blocks;
+    int32_t first = (int32_t)(512 * slot);
+    if (p->is_listed) {
+        int target = TOUCH_CHOOSE(b, touch_choose_state(p));
+        if (touch_code(b, p->models->context.copy + p->last_state, target == TOUCH_COPY)) state = TOUCH_COPY;
+        else state = touch_code(b, p->models->context.follow + p->last_state, target);
+        p->last_state = state;
+    }
+    if (state == TOUCH_COPY) {
+        touch_copy_reference(p, first, low, high);
+        return;
+    }
+    blocks = touch_code_blocks(p, TOUCH_CHOOSE(b, touch_choose_blocks(p)));
+    for (int x = low[0]; x < high[0]; x++)
+        for (int y = low[1]; y < high[1]; y++)
+            for (int z = low[2]; z < high[2]; z++)
+                if (blocks >> ((x >> 2) * 4 + (y >> 2) * 2 + (z >> 2)) & 1)
+                    touch_code_voxel(p, touch_window_index(x, y, z), first + 64 * x + 8 * y + z, state);
+}
+
+/* Cells of a brick as vectors of the grid. */
+static void touch_unscan(const touch_scan *s, const touch_cell *cell, touch_vector *out) {
+    for (int n = 0; n < 512; n++) {
+        if (!cell[n].length) continue;
+        touch_vector *v = out + touch_grid_sample(s, n >> 6, n >> 3 & 7, n & 7);
+        for (int k = 0; k < 3; k++) v->v[s->axis[k]] = s->sign[k] * cell[n].vector[k];
+    }
+}
+
+#ifdef TOUCH_WRITES
+static void touch_load_target(touch_pass *p, uint64_t brick);
+#endif
+
+/* The bricks of `out->list`, in the order of the scan; their vectors go to `out->v`. */
+static int touch_code_bricks(touch_pass *p, const touch_grid *grid, touch_units *out, touch_arena *arena,
+                             touch_cursor *error) {
+    const touch_list *before = &p->reference->list;
+    uint64_t count = out->list.count, *key = (uint64_t *)touch_take(arena, count, 8);
+    uint32_t *slot = (uint32_t *)touch_take(arena, count, 4);
+    touch_map cells, references;
+    p->cell = (touch_cell *)touch_take_zero(arena, 512 * count, sizeof *p->cell);
+    p->has_reference = (uint64_t *)touch_take_zero(arena, 8 * before->count, 8);
+    if (!key || !slot || !p->cell || !p->has_reference || !touch_map_make(&cells, count, arena) ||
+        !touch_map_make(&references, before->count, arena))
+        return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
+    for (uint64_t i = 0; i < count; i++)
+        key[i] = touch_scan_key(&p->scan, out->list.key[i]), slot[i] = (uint32_t)i, touch_map_put(&cells, key[i], slot[i]);
+    for (uint64_t i = 0; i < 512 * before->count; i++) {
+        const int32_t *v = p->reference->v[i].v;
+        p->has_reference[i >> 6] |= (uint64_t)(v[0] || v[1] || v[2]) << (i & 63);
+    }
+    for (uint64_t i = 0; i < before->count; i++)
+        touch_map_put(&references, touch_scan_key(&p->scan, before->key[i]), (uint32_t)i);
+    touch_sort(key, slot, count);
+    p->last_state = TOUCH_CODE, p->last_vector[0] = p->last_vector[1] = p->last_vector[2] = 0;
+    for (uint64_t i = 0; i < count; i++) {
+        int32_t at[3];
+        int low[3], high[3];
+        touch_position(key[i], at);
+        touch_scan_inside(&p->scan, grid, at, low, high);
+        p->is_listed = touch_map_get(&references, key[i]) >= 0;
+        touch_enter(p, at, &cells, &references);
+#ifdef TOUCH_WRITES
+        if (TOUCH_IS_WRITING(p->coder)) touch_load_target(p, slot[i]);
+#endif
+        touch_code_brick(p, slot[i], low, high);
+        touch_unscan(&p->scan, p->cell + 512 * (uint64_t)slot[i], out->v + 512 * (uint64_t)slot[i]);
+        if (!TOUCH_IS_WRITING(p->coder)) touch_check(p->coder, error);
+        if (error->code) return 0;
+    }
+    return 1;
+}
+
+/* -- base layers: splines (docs/format/touch-base-layer.md, kind 0) -------------------------------------------------- */
+
+typedef struct {
+    touch_list_models list;
+    struct {
+        touch_context length[10][24]; /* binary digits of a residual, by the sizes of those of the nodes before */
+    } node;
+} touch_spline_models;
+
+typedef struct { /* what all nodes have in common */
+    int shift[3]; /* nodes lie 2^shift samples apart */
+    int64_t step, scale[3];
+} touch_spline_head;
+
+typedef struct { /* the nodes that any brick needs, in raster order */
+    uint64_t *key, count;
+    int32_t *value, *size; /* coefficients in units; sizes of their residuals */
+    touch_map map;         /* of the nodes that are coded */
+} touch_nodes;
+
+static int64_t touch_code_node_residual(touch_coder *b, touch_context *c, int64_t residual) {
+    int64_t size = touch_abs(residual);
+    int length = 0, is_negative;
+    while (length < 24 && touch_code(b, c + length, size >> length > 0)) length++;
+    if (!length) return 0;
+    is_negative = touch_narrow(b, 32768, residual < 0);
+    size = (int64_t)1 << (length - 1) | touch_even(b, length - 1, size);
+    return is_negative ? -size : size;
+}
+
+/* The mean of the planes through the nodes before a node, two axes each; else of the nodes themselves; also the sum of
+   the sizes of their residuals: where the last ones were large, this one is, too. */
+static int64_t touch_expected_node(const touch_nodes *nodes, uint64_t key, int64_t *sizes) {
+    const int32_t *value = nodes->value;
+    int32_t at[3];
+    int64_t before[3], across[3], sum = 0;
+    int count = 0;
+    *sizes = 0;
+    touch_position(key, at);
+    for (int n = 0; n < 3; n++) { /* before it along an axis, and along the two others together */
+        before[n] = touch_map_get(&nodes->map, touch_key(at[0] - (n == 0), at[1] - (n == 1), at[2] - (n == 2)));
+        across[n] = touch_map_get(&nodes->map, touch_key(at[0] - (n != 0), at[1] - (n != 1), at[2] - (n != 2)));
+        if (before[n] >= 0) *sizes += nodes->size[before[n]];
+    }
+    for (int n = 0; n < 3; n++) {
+        int64_t p = before[(n + 1) % 3], q = before[(n + 2) % 3];
+        if (p >= 0 && q >= 0 && across[n] >= 0) sum += (int64_t)value[p] + value[q] - value[across[n]], count++;
+    }
+    for (int n = 0, has_planes = count > 0; n < 3 && !has_planes; n++)
+        if (before[n] >= 0) sum += value[before[n]], count++;
+    return count ? touch_div(2 * sum + count, 2 * count) : 0;
+}
+
+/* Values of all nodes: a writer's are replaced by what a reader will have. */
+static void touch_code_nodes(touch_coder *b, touch_spline_models *m, touch_nodes *nodes, int64_t step) {
+    for (uint64_t i = 0; i < nodes->count; i++) {
+        int64_t sizes, expected = touch_expected_node(nodes, nodes->key[i], &sizes), residual = 0;
+        int row = touch_bit_length((uint64_t)sizes);
+        if (TOUCH_IS_WRITING(b)) residual = touch_div(2 * (nodes->value[i] - expected) + step, 2 * step);
+        residual = touch_code_node_residual(b, m->node.length[row < 9 ? row : 9], residual);
+        nodes->size[i] = (int32_t)touch_abs(residual);
+        nodes->value[i] = (int32_t)touch_clip(expected + residual * step, -(1 << 23), 1 << 23);
+        touch_map_put(&nodes->map, nodes->key[i], (uint32_t)i);
+    }
+}
+
+/* The nodes of some bricks. */
+static int touch_nodes_of(touch_nodes *nodes, const int shift[3], touch_list list, touch_arena *arena) {
+    uint64_t count = 0, *key = (uint64_t *)touch_take(arena, 125 * list.count, 8);
+    uint32_t *tag = (uint32_t *)touch_take_zero(arena, 125 * list.count, 4);
+    if (!key || !tag) return 0;
+    for (uint64_t i = 0; i < list.count; i++) {
+        int32_t at[3], low[3], high[3];
+        touch_position(list.key[i], at);
+        for (int n = 0; n < 3; n++) low[n] = (8 * at[n] >> shift[n]) - 1, high[n] = ((8 * at[n] + 7) >> shift[n]) + 2;
+        for (int32_t x = low[0]; x <= high[0]; x++)
+            for (int32_t y = low[1]; y <= high[1]; y++)
+                for (int32_t z = low[2]; z <= high[2]; z++) key[count++] = touch_key(x, y, z);
+    }
+    touch_sort(key, tag, count);
+    nodes->key = key, nodes->count = 0;
+    for (uint64_t i = 0; i < count; i++)
+        if (!i || key[i] != key[i - 1]) key[nodes->count++] = key[i];
+    nodes->value = (int32_t *)touch_take_zero(arena, nodes->count, 4);
+    nodes->size = (int32_t *)touch_take_zero(arena, nodes->count, 4);
+    return nodes->value && nodes->size && touch_map_make(&nodes->map, nodes->count, arena);
+}
+
+/* Weights of four nodes of a cubic B-spline at the nine corners of a brick along an axis; `cell`: the first of them. */
+static void touch_corner_weights(int shift, int32_t brick, int64_t weight[9][4], int cell[9]) {
+    int64_t h = (int64_t)1 << shift;
+    for (int k = 0; k < 9; k++) {
+        cell[k] = (k < 7 ? k : 7) >> shift;
+        int64_t p = ((8 * brick) & (h - 1)) + k - cell[k] * h, q = h - p;
+        weight[k][0] = q * q * q, weight[k][3] = p * p * p;
+        weight[k][1] = 4 * h * h * h - 6 * h * p * p + 3 * p * p * p;
+        weight[k][2] = 4 * h * h * h - 6 * h * q * q + 3 * q * q * q;
+    }
+}
+
+/* The potential at the corners around the samples of a brick: sums of weighted nodes along x, then y, then z. */
+static void touch_corners(const touch_nodes *nodes, const int32_t brick[3], const int e[3], int64_t v[9][9][9]) {
+    int64_t node[5][5][5], weight[3][9][4];
+    int count[3], first[3], cell[3][9];
+    for (int n = 0; n < 3; n++) {
+        first[n] = (8 * brick[n] >> e[n]) - 1, count[n] = ((8 * brick[n] + 7) >> e[n]) + 3 - first[n];
+        touch_corner_weights(e[n], brick[n], weight[n], cell[n]);
+    }
+    for (int i = 0; i < count[0]; i++)
+        for (int j = 0; j < count[1]; j++)
+            for (int m = 0; m < count[2]; m++)
+                node[i][j][m] =
+                    nodes->value[touch_map_get(&nodes->map, touch_key(first[0] + i, first[1] + j, first[2] + m))];
+    for (int n = 0; n < 9; n++) {
+        int64_t x[5][5], y[5];
+        for (int j = 0; j < count[1]; j++)
+            for (int m = 0; m < count[2]; m++) {
+                x[j][m] = ((int64_t)1 << 3 * e[0]) >> 1;
+                for (int a = 0; a < 4; a++) x[j][m] += weight[0][n][a] * node[cell[0][n] + a][j][m];
+                x[j][m] >>= 3 * e[0];
+            }
+        for (int i = 0; i < 9; i++) {
+            for (int m = 0; m < count[2]; m++) {
+                y[m] = ((int64_t)1 << (3 * e[1])) >> 1;
+                for (int a = 0; a < 4; a++) y[m] += weight[1][i][a] * x[cell[1][i] + a][m];
+                y[m] >>= 3 * e[1];
+            }
+            for (int k = 0; k < 9; k++) {
+                int64_t sum = ((int64_t)1 << (3 * e[2])) >> 1;
+                for (int a = 0; a < 4; a++) sum += weight[2][k][a] * y[cell[2][k] + a];
+                v[n][i][k] = sum >> (3 * e[2]);
+            }
+        }
+    }
+}
+
+/* Forces of a brick: the depth against its gradient, which is limited where the potential has a fold. */
+static void touch_spline_brick(int64_t v[9][9][9], const int64_t scale[3], const int high[3], touch_vector *out) {
+    for (int x = 0; x < high[0]; x++)
+        for (int y = 0; y < high[1]; y++)
+            for (int z = 0; z < high[2]; z++) {
+                int64_t slope[3] = {0, 0, 0}, depth = 0, steepness = 0;
+                for (int n = 0; n < 8; n++) {
+                    int64_t f = v[x + (n >> 2)][y + (n >> 1 & 1)][z + (n & 1)];
+                    depth += f, slope[0] += n & 4 ? f : -f, slope[1] += n & 2 ? f : -f, slope[2] += n & 1 ? f : -f;
+                }
+                depth = touch_clip(touch_div(depth + 864, 1728), 0, 65536);
+                for (int n = 0; n < 3; n++) {
+                    slope[n] = touch_clip((slope[n] * scale[n]) >> 20, -(1 << 20), 1 << 20);
+                    steepness += slope[n] * slope[n];
+                }
+                steepness = touch_max(touch_isqrt(steepness), 16384);
+                for (int n = 0; n < 3; n++)
+                    out[64 * x + 8 * y + z].v[n] = (int32_t)touch_div(steepness - 2 * depth * slope[n], 2 * steepness);
+            }
+}
+
+/* The forces of a spline in the bricks of `out->list`, which are zero before. */
+static void touch_fill_spline(const touch_spline_head *h, const touch_nodes *nodes, const touch_grid *grid,
+                              touch_units *out) {
+    int64_t v[9][9][9];
+    for (uint64_t i = 0; i < out->list.count; i++) {
+        int32_t at[3];
+        int high[3];
+        touch_position(out->list.key[i], at), touch_brick_samples(grid, at, high);
+        touch_corners(nodes, at, h->shift, v);
+        touch_spline_brick(v, h->scale, high, out->v + 512 * i);
+    }
+}
+
+/* -- base layers: columns (docs/format/touch-base-layer.md, kind 1) -------------------------------------------------- */
+
+enum { TOUCH_X = 0, TOUCH_Y = 1, TOUCH_START = 2, TOUCH_AMPLITUDE = 3 }; /* the four numbers of a surface */
+
+typedef struct {
+    int32_t number[4], normal[3], residual[4]; /* the normal: along a, along b, outward, 1/16384 */
+} touch_surface;
+
+typedef struct {
+    int count;
+    touch_surface surface[2];
+} touch_column;
+
+typedef struct { /* what a writer has decided of a column */
+    int count, mode; /* mode: which neighbours the first surface continues, where they are torn apart */
+    int64_t residual[2][4];
+} touch_column_choice;
+
+typedef struct { /* a box of columns along one axis, from outside to inside */
+    const touch_grid *grid;
+    int axis, across[2], is_inverted; /* whether the outside is at the end of the axis */
+    int64_t depth;                    /* samples of a column */
+    int64_t tile[2], tiles[2];        /* the first tile of 8 x 8 columns along a and b, and how many */
+} touch_view;
+
+typedef struct {
+    touch_context first[36], second[16];
+} touch_column_contexts;
+
+enum { TOUCH_COLUMN_NODES = 14 * 22 };
+
+typedef struct { /* the code of columns */
+    touch_coder coder;
+    struct {
+        touch_column_contexts node[TOUCH_COLUMN_NODES];
+    } *context;
+    int64_t (*weight)[2];
+    int64_t top, ramp, ratio[2], step[3]; /* steps of a direction, a start and an amplitude */
+    touch_view view;
+    touch_column *column; /* row by row */
+    struct touch_column_fit *fit; /* of a writer */
+} touch_columns;
+
+static int touch_column_bit(touch_columns *h, int node, int first, int second, int bit) {
+    return touch_mix2(&h->coder, h->context->node[node].first + first, h->context->node[node].second + second,
+                      h->weight[node], bit);
+}
+
+static int64_t touch_column_number(touch_columns *h, int kind, int first, int second, int64_t r) {
+    int64_t size = 1, target = touch_abs(r);
+    int node = 22 * kind;
+    if (!touch_column_bit(h, node, first, second, r != 0)) return 0;
+    int is_negative = touch_column_bit(h, node + 1, first, second, r < 0);
+    while (size <= 20 && touch_column_bit(h, node + 1 + (int)size, first, second, target > size)) size++;
+    if (size > 20) size = 20 + touch_gamma(&h->coder, 24, target - 20);
+    return is_negative ? -size : size;
+}
+
+/* How much farther inside a surface is one column on. */
+static int64_t touch_rise(const touch_columns *h, const int32_t normal[3], int axis) {
+    return touch_clip(touch_div(normal[axis] * h->ratio[axis], normal[2]), -4096, 4096);
+}
+
+static int64_t touch_median(int64_t a, int64_t b, int64_t c) {
+    int64_t low = a < b ? a : b, high = a < b ? b : a;
+    return c < low ? low : c > high ? high : c;
+}
+
+/* The four numbers that a surface is expected to have by those of west and north (its sides), which it continues. */
+static int touch_expect_surface(const touch_columns *h, const touch_column *const near[4], const touch_column *own,
+                                int slot, int mode, int count, int64_t e[4], const touch_surface *side[2]) {
+    int k = slot || mode == 3, sides;
+    const touch_surface *west = near[0] && near[0]->count > k ? near[0]->surface + k : 0;
+    const touch_surface *north = near[1] && near[1]->count > k ? near[1]->surface + k : 0;
+    const touch_surface *corner = near[2] && near[2]->count > slot ? near[2]->surface + slot : 0;
+    if (!slot && mode) {
+        if (mode == 1 || (mode == 3 && west)) north = 0;
+        else west = 0;
+    }
+    side[0] = west, side[1] = north, sides = (west != 0) + (north != 0);
+    if (sides) {
+        for (int n = 0; n < 4; n++)
+            e[n] = touch_div((west ? west->number[n] : 0) + (int64_t)(north ? north->number[n] : 0), sides);
+        for (int n = 0; n < 2 && sides == 2 && corner; n++) { /* between their mean and the plane through all three */
+            int64_t w = west->number[n], o = north->number[n];
+            e[n] = (e[n] + touch_median(w, o, w + o - corner->number[n])) >> 1;
+        }
+    } else if (slot) {
+        for (int n = 0; n < 4; n++) e[n] = own->surface[0].number[n];
+        e[TOUCH_START] += 1536;
+    } else if (near[3] && near[3]->count) {
+        for (int n = 0; n < 4; n++) e[n] = near[3]->surface[0].number[n];
+    } else e[0] = e[1] = e[2] = 0, e[TOUCH_AMPLITUDE] = h->top;
+    if (slot) e[TOUCH_AMPLITUDE] = touch_max(h->top - own->surface[0].number[TOUCH_AMPLITUDE], h->top >> 4);
+    else if (count == 2) e[TOUCH_AMPLITUDE] = h->top >> 1;
+    return sides;
+}
+
+/* The direction of a surface; then its sides rise up to its start. */
+static void touch_turn_surface(const touch_columns *h, touch_surface *s, int64_t e[4], const int64_t r[4],
+                               const touch_surface *const side[2], int sides) {
+    int64_t sum = 0;
+    for (int n = 0; n < 2; n++) s->number[n] = (int32_t)touch_clip(e[n] + r[n] * h->step[0], -16384, 16384);
+    int64_t x = s->number[0], y = s->number[1], inverse = ((int64_t)1 << 43) / ((1 << 28) + x * x + y * y);
+    s->normal[0] = (int32_t)((x * inverse) >> 14), s->normal[1] = (int32_t)((y * inverse) >> 14);
+    s->normal[2] = (int32_t)touch_max(inverse - 16384, 820);
+    if (!sides) return;
+    for (int n = 0; n < 2; n++) /* west is the neighbour along b, north along a */
+        if (side[n])
+            sum += side[n]->number[TOUCH_START] +
+                   ((touch_rise(h, side[n]->normal, 1 - n) + touch_rise(h, s->normal, 1 - n)) >> 1);
+    e[TOUCH_START] = touch_div(sum, sides);
+}
+
+static int64_t touch_amplitude_step(const touch_columns *h, int64_t expected) {
+    return touch_max((touch_max(expected, h->top >> 4) * h->step[2]) >> 16, 1);
+}
+
+static void touch_set_surface(const touch_columns *h, touch_surface *s, const int64_t e[4], const int64_t r[4]) {
+    s->number[TOUCH_START] = (int32_t)touch_clip(e[2] + r[2] * h->step[1], -(1 << 24), 1 << 24);
+    s->number[TOUCH_AMPLITUDE] = (int32_t)touch_clip(e[3] + r[3] * touch_amplitude_step(h, e[3]), 1, TOUCH_LIMIT);
+    for (int q = 0; q < 4; q++) s->residual[q] = (int32_t)touch_clip(r[q], -(1 << 30), 1 << 30);
+}
+
+/* Neighbours whose starts differ by three samples, or with two surfaces, may not continue one surface. */
+static int touch_is_torn(const touch_column *const near[4]) {
+    int west = near[0] ? near[0]->count : 0, north = near[1] ? near[1]->count : 0;
+    if (west > 1 || north > 1) return 1;
+    if (!west || !north) return 0;
+    return touch_abs((int64_t)near[0]->surface[0].number[TOUCH_START] - near[1]->surface[0].number[TOUCH_START]) > 768;
+}
+
+/* A column by its neighbours west, north, corner and east, NULL beyond the box. */
+static void touch_code_column(touch_columns *h, const touch_column *const near[4], touch_column *own,
+                              const touch_column_choice *choice) {
+    int here = 0, twos = 0, mode = 0, some = 0, torn = touch_is_torn(near), count;
+    for (int n = 0; n < 4; n++) {
+        int c = near[n] ? near[n]->count : 0;
+        here |= c > 0 ? 8 >> n : 0, twos |= c > 1 ? 8 >> n : 0, some += c > 0;
+    }
+    own->count = 0;
+    if (!touch_column_bit(h, 0, here, twos, choice->count > 0)) return;
+    count = 1 + touch_column_bit(h, 1, 2 * twos + torn, here, choice->count > 1);
+    if (torn) {
+        mode = touch_column_bit(h, 22, twos >> 2, count, choice->mode >> 1);
+        mode = 2 * mode + touch_column_bit(h, 23 + mode, twos >> 2, count, choice->mode & 1);
+    }
+    for (int slot = 0; slot < count; slot++) {
+        touch_surface *s = own->surface + slot;
+        const touch_surface *side[2];
+        int64_t e[4], r[4], last = 0;
+        int sides = touch_expect_surface(h, near, own, slot, mode, count, e, side);
+        for (int q = 0; q < 4; q++) {
+            int64_t sizes[2];
+            for (int n = 0; n < 2; n++)
+                sizes[n] = near[n] && near[n]->count > slot ? touch_min(touch_abs(near[n]->surface[slot].residual[q]), 4) : 5;
+            r[q] = touch_column_number(h, 2 + 4 * (count - 1 + slot) + q, (int)(6 * sizes[0] + sizes[1]),
+                                       (int)(4 * last) + (some < 3 ? some : 3), choice->residual[slot][q]);
+            last = touch_max(q == TOUCH_Y ? last : 0, touch_min(touch_abs(r[q]), 3));
+            if (q == TOUCH_Y) touch_turn_surface(h, s, e, r, side, sides);
+        }
+        touch_set_surface(h, s, e, r);
+        own->count = slot + 1;
+    }
+}
+
+static touch_view touch_view_of(const touch_grid *grid, int axis, int is_inverted) {
+    touch_view v;
+    int k = 0;
+    memset(&v, 0, sizeof v);
+    v.grid = grid, v.axis = axis, v.is_inverted = is_inverted, v.depth = grid->shape[axis];
+    for (int n = 0; n < 3; n++)
+        if (n != axis) v.across[k++] = n;
+    return v;
+}
+
+/* Fresh models, and columns without surfaces. */
+static int touch_columns_make(touch_columns *h, touch_arena *arena) {
+    h->column = (touch_column *)touch_take_zero(arena, (uint64_t)(64 * h->view.tiles[0] * h->view.tiles[1]),
+                                                sizeof *h->column);
+    *(void **)&h->context = touch_take(arena, 1, sizeof *h->context);
+    h->weight = (int64_t(*)[2])touch_take(arena, TOUCH_COLUMN_NODES, sizeof *h->weight);
+    if (!h->column || !h->context || !h->weight) return 0;
+    touch_fresh((touch_context *)(void *)h->context, sizeof *h->context / sizeof(touch_context), h->weight[0],
+                2 * TOUCH_COLUMN_NODES);
+    return 1;
+}
+
+#ifdef TOUCH_WRITES
+static void touch_choose_column(touch_columns *h, int64_t a, int64_t b, const touch_column *const near[4],
+                                touch_column *own, touch_column_choice *choice);
+#endif
+
+/* All columns of the box that lie within the grid, in raster order. */
+static int touch_code_columns(touch_columns *h, touch_cursor *error) {
+    const touch_view *v = &h->view;
+    int64_t rows = touch_min(8 * v->tiles[0], v->grid->shape[v->across[0]] - 8 * v->tile[0]), row = 8 * v->tiles[1];
+    int64_t columns = touch_min(row, v->grid->shape[v->across[1]] - 8 * v->tile[1]);
+    for (int64_t a = 0; a < rows; a++) {
+        for (int64_t b = 0; b < columns; b++) {
+            touch_column *own = h->column + a * row + b;
+            touch_column_choice choice;
+            const touch_column *near[4];
+            near[0] = b ? own - 1 : 0, near[1] = a ? own - row : 0, near[2] = a && b ? own - row - 1 : 0;
+            near[3] = a && b + 1 < row ? own - row + 1 : 0;
+            memset(&choice, 0, sizeof choice);
+#ifdef TOUCH_WRITES
+            if (TOUCH_IS_WRITING(&h->coder)) touch_choose_column(h, a, b, near, own, &choice);
+#endif
+            touch_code_column(h, near, own, &choice);
+        }
+        if (!TOUCH_IS_WRITING(&h->coder)) touch_check(&h->coder, error);
+        if (error->code) return 0;
+    }
+    return 1;
+}
+
+/* How much of the force deep inside a surface there is at sample t, 0 to 65536. */
+static int64_t touch_ramp(const touch_columns *h, const touch_surface *s, int64_t t) {
+    int64_t slope = touch_max((h->ramp * s->normal[2]) >> 14, 16);
+    return touch_clip(((256 * t - s->number[TOUCH_START]) * slope) >> 8, 0, 65536);
+}
+
+/* The forces of a column, laid into the bricks of the base layer. */
+static void touch_fill_column(const touch_columns *h, const touch_column *own, int64_t a, int64_t b,
+                              const touch_map *map, touch_units *out) {
+    const touch_view *view = &h->view;
+    int64_t at[3], deep[2][3], slot = -1;
+    at[view->axis] = 0, at[view->across[0]] = 8 * view->tile[0] + a, at[view->across[1]] = 8 * view->tile[1] + b;
+    for (int s = 0; s < own->count; s++)
+        for (int n = 0; n < 3; n++)
+            deep[s][n] = ((int64_t)own->surface[s].number[TOUCH_AMPLITUDE] * own->surface[s].normal[n] + 8192) >> 14;
+    for (int64_t i = 0; i < view->depth; i++) {
+        int64_t sum[3] = {32768, 32768, 32768}, t = view->is_inverted ? view->depth - 1 - i : i;
+        at[view->axis] = i;
+        if (!(i & 7)) slot = touch_map_get(map, touch_key(at[0] >> 3, at[1] >> 3, at[2] >> 3));
+        if (slot < 0) continue;
+        for (int s = 0; s < own->count; s++) {
+            int64_t fraction = touch_ramp(h, own->surface + s, t);
+            for (int n = 0; n < 3; n++) sum[n] += fraction * deep[s][n];
+        }
+        touch_vector *v = out->v + 512 * slot + 64 * (at[0] & 7) + 8 * (at[1] & 7) + (at[2] & 7);
+        for (int n = 0; n < 3; n++) sum[n] = touch_limit(sum[n] >> 16);
+        v->v[view->across[0]] = (int32_t)sum[0], v->v[view->across[1]] = (int32_t)sum[1];
+        v->v[view->axis] = (int32_t)(view->is_inverted ? sum[2] : -sum[2]);
+    }
+}
+
+/* For each tile, the first sample of a column with a force. */
+static int64_t *touch_tile_starts(const touch_columns *h, touch_arena *arena) {
+    const touch_view *v = &h->view;
+    int64_t row = 8 * v->tiles[1], *start = (int64_t *)touch_take(arena, (uint64_t)(v->tiles[0] * v->tiles[1]), 8);
+    if (!start) return 0;
+    for (int64_t i = 0; i < v->tiles[0] * v->tiles[1]; i++) start[i] = v->depth;
+    for (int64_t i = 0; i < 8 * v->tiles[0] * row; i++) {
+        int64_t *first = start + (i / row >> 3) * v->tiles[1] + (i % row >> 3);
+        for (int n = 0; n < h->column[i].count; n++)
+            *first = touch_min(*first, (h->column[i].surface[n].number[TOUCH_START] >> 8) + 1);
+    }
+    return start;
+}
+
+/* The bricks and forces of columns; more than `max` bricks are an error. */
+static int touch_fill_columns(const touch_columns *h, uint64_t max, touch_units *out, touch_arena *arena,
+                              touch_cursor *error) {
+    const touch_view *v = &h->view;
+    int64_t *start = touch_tile_starts(h, arena), row = 8 * v->tiles[1];
+    touch_map map;
+    out->list.key = 0, out->list.count = 0;
+    for (int is_written = 0; start && is_written < 2; is_written++) { /* counted, then written */
+        uint64_t count = 0;
+        for (int64_t i = 0; i < v->tiles[0] * v->tiles[1]; i++)
+            for (int64_t k = 0; start[i] < v->depth && k < (v->depth + 7) >> 3; k++) {
+                int64_t at[3];
+                if (v->is_inverted ? 8 * k >= v->depth - start[i] : 8 * k + 8 <= start[i]) continue;
+                at[v->axis] = k, at[v->across[0]] = v->tile[0] + i / v->tiles[1];
+                at[v->across[1]] = v->tile[1] + i % v->tiles[1];
+                if (is_written) out->list.key[count] = touch_key(at[0], at[1], at[2]);
+                if (++count > max) return touch_fail(error, TOUCH_CUT, "bricks of a base layer");
+            }
+        if (!is_written) out->list.key = (uint64_t *)touch_take(arena, count, 8), out->list.count = count;
+        if (!out->list.key) return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
+    }
+    uint32_t *tag = (uint32_t *)touch_take_zero(arena, out->list.count, 4);
+    out->v = (touch_vector *)touch_take_zero(arena, 512 * out->list.count, sizeof *out->v);
+    if (!start || !tag || !out->v || !touch_map_make(&map, out->list.count, arena))
+        return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
+    touch_sort(out->list.key, tag, out->list.count);
+    for (uint64_t i = 0; i < out->list.count; i++) touch_map_put(&map, out->list.key[i], (uint32_t)i);
+    for (int64_t i = 0; i < 8 * v->tiles[0] * row; i++)
+        if (h->column[i].count) touch_fill_column(h, h->column + i, i / row, i % row, &map, out);
+    return 1;
+}
+
+/* -- the exact mode (docs/format/touch-exact.md) --------------------------------------------------------------------- */
+
+enum { TOUCH_EXACT_TABLE = 1 << 18 };
+
+typedef struct { /* a sample: its level and vertex, or its components in the order of floats */
+    uint32_t symbol[3];
+    uint8_t is_supported;
+} touch_symbols;
+
+typedef struct { /* a frame, to the bit */
+    touch_list list;
+    touch_symbols *own;
+    float *force;
+    int book;
+    const uint8_t *levels;
+    uint32_t level_count, vertex_count;
+    const float *vertices;
+} touch_exact;
+
+typedef struct {
+    touch_list_models list;
+    struct {
+        touch_context hashed[TOUCH_EXACT_TABLE];
+    } context;
+    struct {
+        int64_t plane[3][32][4], copy[15][4]; /* of each bit of a symbol; of a sample that is equal to a row */
+    } weight;
+} touch_exact_models;
+
+static void touch_exact_fresh(touch_exact_models *m) {
+    TOUCH_FRESH(m->list.context, m->list.weight);
+    TOUCH_FRESH(m->context, m->weight);
+}
+
+typedef struct {
+    int64_t p[3];
+} touch_point;
+
+static int touch_point_less(const touch_point *a, const touch_point *b) {
+    for (int n = 0; n < 3; n++)
+        if (a->p[n] != b->p[n]) return a->p[n] < b->p[n];
+    return 0;
+}
+
+static void touch_point_sift(touch_point *p, uint64_t at, uint64_t n) {
+    for (;;) {
+        uint64_t child = 2 * at + 1;
+        touch_point other;
+        if (child >= n) return;
+        if (child + 1 < n && touch_point_less(p + child, p + child + 1)) child++;
+        if (!touch_point_less(p + at, p + child)) return;
+        other = p[at], p[at] = p[child], p[child] = other;
+        at = child;
+    }
+}
+
+static void touch_unit(double v[3]) {
+    double size = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
+    v[0] /= size, v[1] /= size, v[2] /= size;
+}
+
+static void touch_add_point(touch_point *p, uint64_t *count, const double v[3]) {
+    for (int n = 0; n < 3; n++) p[*count].p[n] = (int64_t)floor(v[n] * 1099511627776.0 + 0.5);
+    (*count)++;
+}
+
+static void touch_split(touch_point *p, uint64_t *count, const double t[3][3], int times) {
+    double middle[3][3], part[3][3];
+    if (!times) {
+        for (int n = 0; n < 3; n++) touch_add_point(p, count, t[n]);
+        return;
+    }
+    for (int n = 0; n < 3; n++) {
+        for (int k = 0; k < 3; k++) middle[n][k] = t[n][k] + t[(n + 1) % 3][k];
+        touch_unit(middle[n]);
+    }
+    for (int n = 0; n < 3; n++) {
+        memcpy(part[0], t[n], 24), memcpy(part[1], middle[n], 24), memcpy(part[2], middle[(n + 2) % 3], 24);
+        touch_split(p, count, (const double(*)[3])part, times - 1);
+    }
+    touch_split(p, count, (const double(*)[3])middle, times - 1);
+}
+
+/* The vertices of codebook B (docs/format/paper.md): 1 to 20 ico1 to ico20, 21 to 25 octa1 to octa5. `*points`: the same
+   in 2^-40. */
+static const float *touch_codebook(int book, uint32_t *vertices, const touch_point **points, touch_arena *arena) {
+    uint64_t count = 0, unique = 0;
+    touch_point *p = (touch_point *)touch_take(arena, 24576, sizeof *p);
+    float *out = (float *)touch_take(arena, 3 * 4098, 4);
+    if (!p || !out) return 0;
+    if (book > 20) {
+        for (int n = 0; n < 8; n++) {
+            double t[3][3] = {{0}};
+            t[0][0] = n & 4 ? -1 : 1, t[1][1] = n & 2 ? -1 : 1, t[2][2] = n & 1 ? -1 : 1;
+            touch_split(p, &count, (const double(*)[3])t, book - 20);
+        }
+    } else {
+        double corner[12][3], weight[21], golden = (1 + sqrt(5.0)) / 2;
+        for (int n = 0; n < 12; n++) {
+            int axis = n / 4;
+            corner[n][axis] = 0, corner[n][(axis + 1) % 3] = n & 2 ? -1 : 1;
+            corner[n][(axis + 2) % 3] = n & 1 ? -golden : golden;
+            touch_unit(corner[n]);
+        }
+        for (int n = 0; n <= book; n++) weight[n] = sin(atan(2.0) * n / book);
+        for (int i0 = 0; i0 < 12; i0++)
+            for (int i1 = i0 + 1; i1 < 12; i1++)
+                for (int i2 = i1 + 1; i2 < 12; i2++) {
+                    const double *A = corner[i0], *B = corner[i1], *C = corner[i2];
+                    if (A[0] * B[0] + A[1] * B[1] + A[2] * B[2] < 0.4 || A[0] * C[0] + A[1] * C[1] + A[2] * C[2] < 0.4 ||
+                        B[0] * C[0] + B[1] * C[1] + B[2] * C[2] < 0.4)
+                        continue;
+                    for (int a = 0; a <= book; a++)
+                        for (int b = 0; a + b <= book; b++) {
+                            double v[3];
+                            for (int n = 0; n < 3; n++)
+                                v[n] = weight[a] * A[n] + weight[b] * B[n] + weight[book - a - b] * C[n];
+                            touch_unit(v);
+                            touch_add_point(p, &count, v);
+                        }
+                }
+    }
+    for (uint64_t i = count / 2; i-- > 0;) touch_point_sift(p, i, count);
+    for (uint64_t i = count; i-- > 1;) {
+        touch_point other = p[0];
+        p[0] = p[i], p[i] = other;
+        touch_point_sift(p, 0, i);
+    }
+    for (uint64_t i = 0; i < count; i++)
+        if (!i || touch_point_less(p + unique - 1, p + i)) {
+            p[unique] = p[i];
+            for (int n = 0; n < 3; n++) out[3 * unique + (uint64_t)n] = (float)((double)p[i].p[n] / 1099511627776.0);
+            unique++;
+        }
+    *vertices = (uint32_t)unique, *points = p;
+    return out;
+}
+
+/* The number of a component: floats in ascending order, -0.0 before 0.0. */
+static uint32_t touch_ordered(float f) {
+    uint32_t bits = touch_f32_bits(f);
+    return bits >> 31 ? 0xffffffffu - bits : bits + 0x80000000u;
+}
+
+static float touch_unordered(uint32_t symbol) {
+    return touch_f32_of(symbol >> 31 ? symbol - 0x80000000u : 0xffffffffu - symbol);
+}
+
+static float touch_level_at(const touch_exact *f, uint32_t n) {
+    const uint8_t *l = f->levels + 4 * (uint64_t)n;
+    return touch_f32_of((uint32_t)l[0] | (uint32_t)l[1] << 8 | (uint32_t)l[2] << 16 | (uint32_t)l[3] << 24);
+}
+
+static uint32_t touch_hash_value(uint32_t h, int64_t value) {
+    int64_t t = (int64_t)(((int64_t)h ^ value) & 4194303) * 0x2f0b4c47 + value;
+    return (uint32_t)((t ^ (t >> 19)) & 4194303);
+}
+
+/* The context of a hash of up to four numbers. */
+static touch_context *touch_hashed(touch_exact_models *m, uint32_t h, int64_t a, int64_t b, int64_t c, int count) {
+    h = touch_hash_value(h, a);
+    if (count > 1) h = touch_hash_value(h, b);
+    if (count > 2) h = touch_hash_value(h, c);
+    return m->context.hashed + (h & (TOUCH_EXACT_TABLE - 1));
+}
+
+/* By how far the symbol lies from an estimate, as far as its bits are known. */
+static touch_context *touch_hashed_near(touch_exact_models *m, uint32_t kind, int64_t estimate, int64_t node, int left) {
+    int64_t ahead = touch_clip(node - (estimate >> (left + 1)), -2, 2);
+    return touch_hashed(m, kind, ((ahead + 2) * 8 + (((estimate * 4) >> left) & 7)) * 32 + left, 0, 0, 1);
+}
+
+/* The symbol of plane p by those of rows 1 to 5, -1 where there is none; bit by bit from the highest. Mixed from an
+   estimate in space (the plane through three neighbours), one in time, and what followed the same symbols before. */
+static int64_t touch_code_symbol(touch_coder *b, touch_exact_models *m, int p, uint64_t size, const int64_t row[5],
+                                 int64_t last, int64_t target) {
+    int64_t previous = row[0], left = row[1], up = row[2], deep = row[3], diagonal = row[4], node = 0;
+    int width = touch_bit_length(size - 1);
+    int64_t spatial = left >= 0 ? left : up >= 0 ? up : deep >= 0 ? deep : previous >= 0 ? previous : 0;
+    if (left >= 0 && up >= 0 && diagonal >= 0) spatial = touch_clip(left + up - diagonal, 0, (int64_t)size - 1);
+    int64_t temporal = previous >= 0 ? previous : spatial;
+    for (int remaining = width - 1; remaining >= 0; remaining--) {
+        touch_context *c[4];
+        int64_t n = 32 * node + remaining;
+        c[0] = touch_hashed_near(m, 32u + (uint32_t)p, spatial, node, remaining);
+        c[1] = touch_hashed_near(m, 36u + (uint32_t)p, temporal, node, remaining);
+        c[2] = touch_hashed(m, 40u + (uint32_t)p, left, n, 0, 2);
+        c[3] = touch_hashed(m, 44u + (uint32_t)p, last, deep, n, 3);
+        node = 2 * node + touch_mix(b, c, m->weight.plane[p][width - 1 - remaining], 4, (int)(target >> remaining & 1));
+    }
+    return node;
+}
+
+static int touch_is_same(const touch_symbols *a, const touch_symbols *b, int planes) {
+    if (a->is_supported != b->is_supported) return 0;
+    for (int n = 0; n < planes && a->is_supported; n++)
+        if (a->symbol[n] != b->symbol[n]) return 0;
+    return 1;
+}
+
+/* A sample by the rows 1 to 14 (here from 0): is it equal to one of them (14: not supported), else its symbols. A writer
+   passes it, a reader gets it. */
+static touch_symbols touch_code_sample(touch_coder *b, touch_exact_models *m, const touch_symbols row[14], int planes,
+                                       const uint64_t size[3], touch_symbols own, touch_cursor *error) {
+    static const int order[5] = {14, 1, 2, 3, 4};
+    uint32_t same[15], c;
+    for (int n = 0; n < 5; n++) {
+        c = (uint32_t)order[n], same[c] = 0;
+        for (int k = 0; k < 14; k++) same[c] |= (uint32_t)touch_is_same(row + k, row + c - 1, planes) << k;
+    }
+    for (int n = 0; n < 5; n++) {
+        c = (uint32_t)order[n];
+        if (c != 14 && (!row[c - 1].is_supported || same[c] & ((1u << (c - 1)) - 1))) continue;
+        int is_equal = touch_mix2(b, touch_hashed(m, c, same[c], 0, 0, 1), touch_hashed(m, 16 + c, same[c] & 31, same[2], 0, 2),
+                                  m->weight.copy[c], TOUCH_CHOOSE(b, touch_is_same(&own, row + c - 1, planes)));
+        TOUCH_ACCOUNT(b, c != 14);
+        if (is_equal) return row[c - 1];
+    }
+    own.is_supported = 1;
+    for (int p = 0; p < planes; p++) {
+        int64_t near[5];
+        for (int k = 0; k < 5; k++) near[k] = row[k].is_supported ? (int64_t)row[k].symbol[p] : -1;
+        int64_t symbol = touch_code_symbol(b, m, p, size[p], near, p ? (int64_t)own.symbol[p - 1] : 0,
+                                           TOUCH_CHOOSE(b, (int64_t)own.symbol[p]));
+        touch_need(error, symbol < (int64_t)size[p], "a symbol that there is not");
+        own.symbol[p] = (uint32_t)symbol;
+        TOUCH_ACCOUNT(b, p ? 2 : 1);
+        if (error->code) return own;
+    }
+    return own;
+}
+
+typedef struct { /* a pass over an exact frame */
+    touch_coder *coder;
+    touch_exact_models *models;
+    const touch_grid *grid;
+    const touch_exact *before; /* the frame before, or NULL */
+    touch_map map, map_before; /* slots of the bricks so far; of the frame before */
+    uint64_t size[3];          /* of the planes */
+} touch_exact_pass;
+
+/* The rows of a sample: itself in the frame before, then those coded before it around it. */
+static void touch_exact_rows(const touch_exact_pass *p, const touch_exact *f, const int32_t brick[3], uint64_t slot,
+                             int64_t slot_before, int sample, touch_symbols row[14]) {
+    static const int8_t side[12][3] = {{0, 0, -1}, {0, -1, 0}, {-1, 0, 0}, {0, -1, -1}, {-1, 0, -1}, {-1, -1, 0},
+                                       {0, -1, 1}, {-1, 1, 0}, {-1, 0, 1}, {0, 0, -2}, {0, -2, 0}, {-2, 0, 0}};
+    const int x = sample >> 6, y = sample >> 3 & 7, z = sample & 7;
+    memset(row, 0, 14 * sizeof *row);
+    if (slot_before >= 0) {
+        uint64_t at = 512 * (uint64_t)slot_before + (uint64_t)sample;
+        row[0] = p->before->own[at];
+        if (p->before->book != f->book && row[0].is_supported)
+            for (int n = 0; n < 3; n++) row[0].symbol[n] = touch_ordered(p->before->force[3 * at + (uint64_t)n]);
+    }
+    for (int n = 0; n < 12; n++) {
+        int i = x + side[n][0], j = y + side[n][1], k = z + side[n][2];
+        int64_t there = (int64_t)slot;
+        if (i & ~7 || j & ~7 || k & ~7)
+            there = touch_map_get(&p->map, touch_key(brick[0] + (i >> 3), brick[1] + (j >> 3), brick[2] + (k >> 3)));
+        if (there >= 0) row[1 + n] = f->own[512 * there + 64 * (i & 7) + 8 * (j & 7) + (k & 7)];
+    }
+}
+
+/* The force of a sample that is read. */
+static void touch_exact_force(const touch_exact *f, const touch_symbols *own, float force[3], touch_cursor *error) {
+    int has_bits = 0;
+    for (int n = 0; n < 3; n++) {
+        if (f->book) force[n] = touch_level_at(f, own->symbol[0]) * f->vertices[3 * (uint64_t)own->symbol[1] + (uint64_t)n];
+        else force[n] = touch_unordered(own->symbol[n]);
+        has_bits |= touch_f32_bits(force[n]) != 0;
+        touch_need(error, (touch_f32_bits(force[n]) >> 23 & 255) != 255, "a force that is not finite");
+    }
+    touch_need(error, has_bits, "a force of zero");
+}
+
+/* The samples of a brick; whether there is any. */
+static int touch_code_exact_brick(touch_exact_pass *p, touch_exact *f, uint64_t slot, touch_cursor *error) {
+    int32_t at[3];
+    int high[3], any = 0;
+    touch_position(f->list.key[slot], at), touch_brick_samples(p->grid, at, high);
+    int64_t slot_before = p->before ? touch_map_get(&p->map_before, f->list.key[slot]) : -1;
+    for (int n = 0; n < 512; n++) {
+        touch_symbols row[14], *own = f->own + 512 * slot + (uint64_t)n;
+        if (n >> 6 >= high[0] || (n >> 3 & 7) >= high[1] || (n & 7) >= high[2]) continue;
+        touch_exact_rows(p, f, at, slot, slot_before, n, row);
+        *own = touch_code_sample(p->coder, p->models, row, f->book ? 2 : 3, p->size,
+                                 TOUCH_IS_WRITING(p->coder) ? *own : row[13], error);
+        if (error->code) return 0;
+        if (!own->is_supported) continue;
+        any = 1;
+        if (!TOUCH_IS_WRITING(p->coder)) touch_exact_force(f, own, f->force + 3 * (own - f->own), error);
+    }
+    return any;
+}
+
+/* The samples of all bricks of `f->list`. */
+static int touch_code_samples(touch_exact_pass *p, touch_exact *f, touch_arena *arena, touch_cursor *error) {
+    if (!touch_map_make(&p->map, f->list.count, arena) ||
+        !touch_map_make(&p->map_before, p->before ? p->before->list.count : 0, arena))
+        return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
+    for (uint64_t i = 0; p->before && i < p->before->list.count; i++)
+        touch_map_put(&p->map_before, p->before->list.key[i], (uint32_t)i);
+    p->size[0] = f->book ? f->level_count : (uint64_t)1 << 32, p->size[2] = (uint64_t)1 << 32;
+    p->size[1] = f->book ? f->vertex_count : (uint64_t)1 << 32;
+    for (uint64_t i = 0; i < f->list.count; i++) {
+        touch_map_put(&p->map, f->list.key[i], (uint32_t)i);
+        if (!touch_code_exact_brick(p, f, i, error) && !error->code)
+            touch_fail(error, TOUCH_CORRUPT, "a brick without a force");
+        if (error->code) return 0;
+    }
+    return 1;
+}
+
+/* -- supports and whole numbers (docs/format/bits.md) ---------------------------------------------------------------- */
+
+typedef struct { /* samples of bricks that are set, a byte each */
+    touch_list list;
+    uint8_t *is_set;
+} touch_set;
+
+typedef struct {
+    touch_list_models list;
+    struct {
+        touch_context near[4096];      /* the samples around that are coded already */
+        touch_context before[128][8];  /* the same of the support before, all around */
+    } context;
+    struct {
+        int64_t near[8][2];
+    } weight;
+} touch_set_models;
+
+static void touch_set_fresh(touch_set_models *m) {
+    TOUCH_FRESH(m->list.context, m->list.weight);
+    TOUCH_FRESH(m->context, m->weight);
+}
+
+static int touch_is_set(const touch_set *s, const touch_map *map, int64_t x, int64_t y, int64_t z) {
+    int64_t slot = touch_map_get(map, touch_key(x >> 3, y >> 3, z >> 3));
+    return slot >= 0 && s->is_set[512 * slot + 64 * (x & 7) + 8 * (y & 7) + (z & 7)];
+}
+
+/* The samples of a brick of a support; `map` has the bricks so far. Whether any is set. */
+static int touch_code_set_brick(touch_coder *b, touch_set_models *m, const touch_grid *grid, const touch_set *before,
+                                const touch_map *map_before, touch_set *set, const touch_map *map, uint64_t slot) {
+    static const int8_t side[12][3] = {{-1, 0, 0}, {0, -1, 0}, {0, 0, -1}, {-1, 0, 1}, {0, -1, -1}, {0, -1, 1},
+                                       {-1, -1, 0}, {-2, 0, 0}, {0, -2, 0}, {-1, 1, 0}, {-1, 1, 1}, {0, 0, -2}};
+    static const int8_t around[7][3] = {{0, 0, 0}, {0, 0, -1}, {0, 0, 1}, {0, -1, 0}, {0, 1, 0}, {-1, 0, 0}, {1, 0, 0}};
+    int32_t at[3];
+    int high[3], any = 0;
+    touch_position(set->list.key[slot], at), touch_brick_samples(grid, at, high);
+    for (int x = 0; x < high[0]; x++)
+        for (int y = 0; y < high[1]; y++)
+            for (int z = 0; z < high[2]; z++) {
+                int64_t X = 8 * (int64_t)at[0] + x, Y = 8 * (int64_t)at[1] + y, Z = 8 * (int64_t)at[2] + z;
+                uint8_t *own = set->is_set + 512 * slot + (uint64_t)(64 * x + 8 * y + z);
+                uint32_t near = 0, was = 0;
+                for (int n = 0; n < 12; n++)
+                    near |= (uint32_t)touch_is_set(set, map, X + side[n][0], Y + side[n][1], Z + side[n][2]) << n;
+                for (int n = 0; n < 7 && before->list.count; n++)
+                    was |= (uint32_t)touch_is_set(before, map_before, X + around[n][0], Y + around[n][1], Z + around[n][2])
+                           << n;
+                *own = (uint8_t)touch_mix2(b, m->context.near + near, &m->context.before[was][near & 7],
+                                           m->weight.near[near & 7], TOUCH_CHOOSE(b, *own));
+                any |= *own;
+            }
+    return any;
+}
+
+/* A support, given another one of the same grid; a writer passes it, a reader gets it. */
+static int touch_code_set(touch_coder *b, touch_set_models *m, const touch_grid *grid, const touch_set *before,
+                          touch_set *set, touch_arena *arena, touch_cursor *error) {
+    touch_map map, map_before;
+    if (!touch_code_list(b, &m->list, grid->shape, before->list, &set->list, arena, error)) return 0;
+    if (!TOUCH_IS_WRITING(b)) set->is_set = (uint8_t *)touch_take_zero(arena, 512 * set->list.count, 1);
+    if (!set->is_set || !touch_map_make(&map, set->list.count, arena) ||
+        !touch_map_make(&map_before, before->list.count, arena))
+        return touch_fail(error, TOUCH_MEMORY, "no room for a support");
+    for (uint64_t i = 0; i < before->list.count; i++) touch_map_put(&map_before, before->list.key[i], (uint32_t)i);
+    for (uint64_t i = 0; i < set->list.count; i++) {
+        touch_map_put(&map, set->list.key[i], (uint32_t)i);
+        int any = touch_code_set_brick(b, m, grid, before, &map_before, set, &map, i);
+        if (!TOUCH_IS_WRITING(b)) touch_check(b, error);
+        if (!touch_need(error, any, "a brick without samples")) return 0;
+    }
+    return 1;
+}
+
+typedef struct { /* a list of whole numbers */
+    struct {
+        touch_context plain[32];
+        touch_context recent[125][32]; /* the three numbers before, each limited to -2 to 2 */
+        touch_context sizes[147][32];  /* signs and binary digits of the last two */
+    } context;
+    struct {
+        int64_t bit[32][3];
+    } weight;
+    int64_t last[3];
+} touch_numbers;
+
+static void touch_numbers_fresh(touch_numbers *t) {
+    TOUCH_FRESH(t->context, t->weight);
+    t->last[0] = t->last[1] = t->last[2] = 0;
+}
+
+static int64_t touch_signed_digits(int64_t r, int max) { /* binary digits with the sign, around `max` */
+    int64_t d = touch_min(touch_bit_length((uint64_t)touch_abs(r)), max);
+    return r < 0 ? max - d : max + d;
+}
+
+static int touch_number_bit(touch_coder *b, touch_numbers *t, int64_t recent, int64_t sizes, int j, int bit) {
+    return touch_mix3(b, t->context.plain + j, t->context.recent[recent] + j, t->context.sizes[sizes] + j,
+                      t->weight.bit[j], bit);
+}
+
+/* A number: is it zero, its sign, its binary digits one by one, the second digit, the others as they are. */
+static int64_t touch_code_number(touch_coder *b, touch_numbers *t, int64_t number) {
+    int64_t recent = 0, sizes = 7 * touch_signed_digits(t->last[0], 10) + touch_signed_digits(t->last[1], 3);
+    int64_t target = touch_abs(number), size = 0;
+    for (int n = 0; n < 3; n++) recent = 5 * recent + touch_clip(t->last[n], -2, 2) + 2;
+    if (touch_number_bit(b, t, recent, sizes, 0, number != 0)) {
+        int is_negative = touch_number_bit(b, t, recent, sizes, 1, number < 0), length = 1;
+        while (touch_number_bit(b, t, recent, sizes, 1 + (length < 14 ? length : 14), target >> length > 0) && length < 62)
+            length++;
+        size = 1;
+        if (length > 1) {
+            int second = (int)(target >> (length - 2) & 1);
+            second = touch_number_bit(b, t, recent, sizes, 16 + (length < 15 ? length : 15), second);
+            size = (int64_t)(2 | second) << (length - 2);
+            size += touch_even(b, length - 2, target);
+        }
+        size = is_negative ? -size : size;
+    }
+    t->last[2] = t->last[1], t->last[1] = t->last[0], t->last[0] = size;
+    return size;
+}
+
+#endif

@@ -1,0 +1,314 @@
+"""`c/touch_encode.h` writes the bytes that the encoder of the package writes."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from encode_content import (
+    GOLDEN,
+    MODES,
+    Segment,
+    golden_segments,
+    lossless_segment,
+    random_frames,
+    random_poses,
+    random_samples,
+    random_segment,
+    random_support,
+    random_vibration,
+)
+from native_encoder import COMPILER, C, NativeEncoder, build
+from second import make_golden
+
+from touchfield.codec.objects.encoder import ObjectsEncoder, encode_poses, round_poses
+from touchfield.codec.objects.layout import SegmentParts
+from touchfield.codec.support import encode_numbers, encode_support
+from touchfield.codec.touch import base_layer_fit
+from touchfield.codec.touch.base_layer_fit import fit_columns
+from touchfield.codec.touch.encoder import TouchEncoder
+from touchfield.codec.touch.frame_encoder import lattice_for, limits_for
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.codec.vibration import encode_vibration
+from touchfield.medium import ForceField, Grid
+from touchfield.medium.medium import VibrationFrame
+
+HERE = Path(__file__).parent
+WATCHED = ("-g", "-Og", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+SEEDS = 8
+
+pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler here")
+
+
+@pytest.fixture(scope="module")
+def native(tmp_path_factory: pytest.TempPathFactory) -> NativeEncoder:
+    """The library, compiled with every warning an error."""
+    return NativeEncoder(build(tmp_path_factory.mktemp("c"), "-O2"))
+
+
+def expected(segment: Segment) -> bytes:
+    """The body that the encoder of the package writes."""
+    return TouchEncoder(segment.grid, segment.spec).encode_segment(segment.frames).body
+
+
+def segment_arguments(segment: Segment) -> tuple[Grid, TouchSpec, list[ForceField]]:
+    """The arguments of `NativeEncoder.segment`."""
+    return segment.grid, segment.spec, segment.frames
+
+
+def assert_same_bytes(native: NativeEncoder, segment: Segment) -> None:
+    """The same body from both encoders."""
+    assert native.segment(*segment_arguments(segment)) == expected(segment)
+
+
+@pytest.mark.parametrize("seed", range(SEEDS))
+@pytest.mark.parametrize("mode", MODES)
+def test_random_fields_without_base_layer(mode: str, seed: int, native: NativeEncoder) -> None:
+    assert_same_bytes(native, random_segment(mode, seed, guess="off"))
+
+
+@pytest.mark.parametrize("seed", range(SEEDS))
+@pytest.mark.parametrize("mode", MODES)
+def test_random_fields_with_columns(
+    mode: str, seed: int, native: NativeEncoder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(base_layer_fit, "_FITS", base_layer_fit._FITS[2:])
+    assert_same_bytes(native, random_segment(mode, seed))
+
+
+@pytest.mark.parametrize("seed", range(SEEDS))
+@pytest.mark.parametrize("mode", MODES)
+def test_random_fields_with_splines(mode: str, seed: int, native: NativeEncoder) -> None:
+    """The package fits the coefficients: sums of float32 depend on the vector instructions."""
+    segment = random_segment(mode, seed)
+    assert native.segment(*segment_arguments(segment), has_splines=True) == expected(segment)
+
+
+@pytest.mark.parametrize("seed", range(2 * SEEDS))
+def test_lossless(seed: int, native: NativeEncoder) -> None:
+    assert_same_bytes(native, lossless_segment(seed))
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_golden_segments(name: str, native: NativeEncoder) -> None:
+    for segment in golden_segments(name):
+        assert native.segment(*segment_arguments(segment), has_splines=True) == expected(segment)
+
+
+@pytest.mark.parametrize("seed", range(SEEDS))
+def test_supports(seed: int, native: NativeEncoder) -> None:
+    grid, supports = random_support(seed)
+    for i, (bricks, mask) in enumerate(supports):
+        before = supports[i - 1] if i else None
+        assert native.support(grid, (bricks, mask), before) == encode_support(grid, bricks, mask, before)
+
+
+def test_short_codes_are_padded(native: NativeEncoder) -> None:
+    """A byte stands for 16 bricks at most, or for a frame of a vibration."""
+    grid = Grid((80, 80, 80), (0.001,) * 3, (0.0,) * 3)
+    bricks = np.argwhere(np.ones((10, 10, 10))).astype(np.int32)
+    mask = np.ones((1000, 8, 8, 8), bool)
+    coded = encode_support(grid, bricks, mask, (bricks, mask))
+    assert coded[-1] == 0 and native.support(grid, (bricks, mask), (bricks, mask)) == coded
+    frames = [VibrationFrame.empty(grid)] * 100
+    coded = encode_vibration(frames)
+    assert coded[-1] == 0 and native.vibration(frames) == coded
+
+
+@pytest.mark.parametrize("seed", range(SEEDS))
+def test_whole_numbers(seed: int, native: NativeEncoder) -> None:
+    rng = np.random.default_rng(seed)
+    numbers = np.rint(rng.standard_normal(200 * seed) * 2.0 ** rng.integers(0, 27, 200 * seed)).astype(
+        np.int64
+    )
+    assert native.numbers(numbers) == encode_numbers(numbers)
+    with pytest.raises(ValueError, match="beyond 2"):
+        native.numbers(np.array([1 << 30]))
+
+
+@pytest.mark.parametrize("seed", range(SEEDS))
+def test_vibration(seed: int, native: NativeEncoder) -> None:
+    frames = random_vibration(seed)
+    assert native.vibration(frames) == encode_vibration(frames)
+    golden = [make_golden.hum(t) for t in range(seed)] or [make_golden.hum(4)]
+    assert native.vibration(golden) == encode_vibration(golden)
+
+
+def test_amplitudes_of_a_vibration_from_the_lowest_to_the_highest(native: NativeEncoder) -> None:
+    grid = Grid((1, 1, 2000), (0.001,) * 3, (0.0,) * 3)
+    amplitudes = np.geomspace(1e-7, 9.4e5, 2000).astype(np.float32)
+    places = np.argwhere(np.ones(grid.shape)).astype(np.int32)
+    frame = VibrationFrame(grid, places, amplitudes, np.linspace(0.1, 10000, 2000, dtype=np.float32))
+    assert native.vibration([frame]) == encode_vibration([frame])
+
+
+@pytest.mark.parametrize("seed", range(3 * SEEDS))
+def test_poses(seed: int, native: NativeEncoder) -> None:
+    track, steps = random_poses(seed)
+    assert native.poses(round_poses(track, steps)) == encode_poses(track, steps)
+
+
+@pytest.mark.parametrize("name", [name for name in make_golden.SCENES if "touch" in name])
+def test_golden_bodies(name: str, native: NativeEncoder) -> None:
+    scene, spec = make_golden.SCENES[name]
+    encoder = ObjectsEncoder(scene, spec, 1 / 64)
+    is_deforming = [not body.is_rigid for body in scene.objects]
+    for _, _, body in encoder.segments():
+        assert native.bodies(SegmentParts.from_bytes(body, is_deforming)) == body
+
+
+@pytest.mark.parametrize("seed", range(SEEDS))
+def test_exact_samples(seed: int, native: NativeEncoder) -> None:
+    segment = random_segment("mask", seed, guess="off")
+    coder, rng = TouchEncoder(segment.grid, segment.spec), np.random.default_rng(seed)
+    coded = coder.encode_segment(segment.frames)
+    samples = [random_samples(frame, rng) for frame in segment.frames]
+    samples[0] = samples[0][: len(samples[0]) * (seed % 2)]
+    body = coder.with_exact_samples(coded, segment.frames, samples).body
+    assert native.with_exact_samples(segment.grid, segment.spec, coded.body, segment.frames, samples) == body
+
+
+def test_functions_are_short() -> None:
+    for name in ("touch_model.h", "touch_encode.h"):
+        start, lines = 0, (C / name).read_text().splitlines()
+        for number, line in enumerate(lines):
+            assert len(line) <= 128, f"{name}:{number + 1}"
+            if line and line[0].isalpha():
+                start = number
+            if line == "}":
+                assert number - start < 80, f"{name}:{start + 1}"
+
+
+def test_key_frame(native: NativeEncoder) -> None:
+    segment = random_segment("mask", 1, guess="off")
+    key_frame = segment.frames[0].scaled(1.0005)
+    coder = TouchEncoder(segment.grid, segment.spec)
+    body = coder.encode_segment(segment.frames, key_frame=key_frame).body
+    assert native.segment(segment.grid, segment.spec, segment.frames, key_frame) == body
+
+
+@pytest.mark.parametrize(
+    "options", [{"k": 0.1}, {"k": 0.02, "f0_n": 0.0}, {"f0_n": 100.0}, {"mode": "nmse"}], ids=str
+)
+def test_frames_of_a_static_scene(options: dict[str, Any], native: NativeEncoder) -> None:
+    earlier, spec, found = random_frames(1)[0], TouchSpec(**options), set()
+    coder = TouchEncoder(earlier.grid, spec)
+    for scale in (1.0, 1.0003, 1.0007, 1.0015, 1.003, 1.03, 2.0):
+        frame = earlier.scaled(scale)
+        is_static = coder.key_frame(frame, earlier) is earlier
+        assert native.is_static(spec, frame, earlier) == is_static
+        found.add(is_static)
+    assert found == ({False} if spec.mode == "nmse" else {True, False})
+
+
+def test_forces_that_are_not_finite_are_refused(native: NativeEncoder) -> None:
+    segment = random_segment("mask", 1, guess="off")
+    for value in (np.nan, np.inf, 2e36):
+        forces = segment.frames[0].forces_n.copy()
+        forces[0, 0, 0, 0, 1] = value
+        bad = ForceField(segment.grid, segment.frames[0].bricks, forces)
+        for longest_n in (None, 1.0):  # as it is, and as a caller may state it
+            with pytest.raises(ValueError, match="6: a force that is not finite, or above"):
+                native.segment(segment.grid, segment.spec, [bad], longest_n=longest_n)
+
+
+def test_bricks_that_do_not_ascend_within_the_grid_are_refused(native: NativeEncoder) -> None:
+    segment = lossless_segment(1)
+    frame = next(frame for frame in segment.frames if len(frame.bricks) > 1)
+    for bricks, message in (
+        (frame.bricks[::-1], "bricks that do not ascend"),
+        (frame.bricks + np.int32(1 << 10), "a brick beyond the grid"),
+        (frame.bricks - np.int32(1 << 10), "a brick beyond the grid"),
+    ):
+        bad = SimpleNamespace(
+            grid=frame.grid, bricks=bricks, forces_n=frame.forces_n, to_dense=frame.to_dense
+        )
+        with pytest.raises(ValueError, match=f"6: {message}"):
+            native.segment(segment.grid, TouchSpec(), [bad])
+
+
+def test_vibrations_out_of_range_are_refused(native: NativeEncoder) -> None:
+    grid, places = Grid((9, 9, 9), (0.001,) * 3, (0.0,) * 3), np.array([[0, 0, 8], [8, 8, 8]], np.int32)
+    ones = np.ones(2, np.float32)
+    for positions, amplitude, frequency, message in (
+        (places[::-1], 1, 1, "do not ascend"),
+        (places + np.int32(1), 1, 1, "beyond the grid"),
+        (places - np.int32(1), 1, 1, "beyond the grid"),
+        (places, 0, 1, "not positive"),
+        (places, np.inf, 1, "not positive"),
+        (places, np.nan, 1, "not positive"),
+        (places, 1e6, 1, "above 0.9 meganewton"),
+        (places, 1, np.nan, "above 10 kHz"),
+        (places, 1, 10001, "above 10 kHz"),
+        (places, 1, -1, "above 10 kHz"),
+    ):
+        arrays = np.ascontiguousarray(positions), ones * np.float32(amplitude), ones * np.float32(frequency)
+        with pytest.raises(ValueError, match=message):
+            native.vibration_arrays(grid, [arrays])
+
+
+def noise(grid: Grid, seed: int) -> ForceField:
+    """Forces of any size everywhere, more of them along one axis: no code takes more bytes."""
+    rng = np.random.default_rng(seed)
+    forces = rng.uniform(-0.2, [0.2, 0.2, 1], (*grid.shape, 3))
+    forces *= np.exp(3 * rng.standard_normal((*grid.shape, 1)))
+    return ForceField.from_dense(grid, forces.astype(np.float32))
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"k": 0.001, "f0_n": 0.0}, {"mode": "nmse"}, {"mode": "lossless"}], ids=str
+)
+def test_noise_fits_in_the_memory_that_is_announced(options: dict[str, Any], native: NativeEncoder) -> None:
+    grid = Grid((48, 48, 48), (0.001,) * 3, (0.0,) * 3)
+    frames = [noise(grid, 0), noise(grid, 1)]
+    for guess in ("off",) if options.get("mode") == "lossless" else ("auto", "off"):
+        segment = Segment(TouchSpec(guess=guess, **options), frames)
+        assert native.segment(*segment_arguments(segment), has_splines=True) == expected(segment)
+    spec, room = segment.spec, native.room(grid, segment.spec, 216)
+    assert room < 216 * 51_000 + (12 << 20 if spec.mode == "lossless" else 4 << 20)
+    with pytest.raises(ValueError, match="5: no room"):
+        native.segment(grid, spec, frames, work_bytes=int(0.7 * room))
+
+
+def test_columns_that_reach_far_beyond_a_frame_are_not_taken(native: NativeEncoder) -> None:
+    """One tile has a slow ramp; the force of the others falls inwards, as if from a surface far outside."""
+    grid = Grid((64, 64, 256), (0.001,) * 3, (0.0,) * 3)
+    forces = np.zeros((*grid.shape, 3), np.float32)
+    forces[..., -8:, 2] = -np.linspace(0.95, 0.5, 8)
+    forces[:8, :8, :, 2] = -np.linspace(0.001, 1, 256)
+    segment = Segment(TouchSpec(mode="nmse", step_n=0.01), [ForceField.from_dense(grid, forces)])
+    lattice = lattice_for(segment.spec, 1.0)
+    assert fit_columns(segment.frames[0], lattice, limits_for(segment.spec, lattice)) is None
+    assert_same_bytes(native, segment)
+
+
+def test_too_little_memory_is_reported(native: NativeEncoder) -> None:
+    segment = random_segment("mask", 1, guess="off")
+    with pytest.raises(ValueError, match="5: no room for a segment"):
+        native.segment(segment.grid, segment.spec, segment.frames, out_bytes=100)
+
+
+def test_no_memory_is_touched_that_is_not_its_own(tmp_path: Path) -> None:
+    """The same segments under the address sanitizer, in a process that has its library."""
+    probe = tmp_path / "probe.c"
+    probe.write_text("int main(void) { return 0; }\n")
+    command = [str(COMPILER), *WATCHED, "-o", str(tmp_path / "probe"), str(probe)]
+    asan = subprocess.run(
+        [str(COMPILER), "-print-file-name=libasan.so"], capture_output=True, text=True, check=False
+    )
+    if (
+        subprocess.run(command, capture_output=True, check=False).returncode
+        or not Path(asan.stdout.strip()).is_file()
+    ):
+        pytest.skip("the compiler has no address sanitizer")
+    library = build(tmp_path, *WATCHED, source=HERE / "encode_watched.c")
+    env = {**os.environ, "LD_PRELOAD": asan.stdout.strip(), "ASAN_OPTIONS": "detect_leaks=0"}
+    command = [sys.executable, str(HERE / "encode_all.py"), str(library)]
+    done = subprocess.run(command, env=env, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-4000:]
