@@ -7,24 +7,9 @@
    Bricks are uint32 [n], their positions in the raster of bricks; forces are float32 [n, 8, 8, 8, 3] in newtons. Both
    are returned as bytes. Errors are a ValueError whose text names the cause. Other Python threads run while C decodes.
    The module uses CPython's stable ABI only, so that one binary serves every version from 3.11 on. */
-#define _DEFAULT_SOURCE
-#ifdef TOUCHFIELD_PYTHON_H /* only to check the declarations of stable_abi.h */
-#define PY_SSIZE_T_CLEAN
-#include <Python.h>
-#define PYTHON_EXPORT
-#else
-#include "stable_abi.h"
-#endif
-#define TOUCH_IMPLEMENTATION
-#include "../touch.h"
-
-#include <stdlib.h>
-#ifdef __linux__
-#include <sys/mman.h>
-#endif
+#include "arguments.h"
 
 #define FORCES_OF_BRICK ((uint64_t)6144) /* bytes: 8^3 samples of three float32 */
-#define HUGE_PAGE ((uint64_t)1 << 21)
 
 static const char file_name[] = "touchfield._native.file", frames_name[] = "touchfield._native.frames";
 
@@ -35,28 +20,10 @@ typedef struct {
 
 typedef struct {
     touch_decoder decoder;
+    touch_arena memory;      /* of the decoder */
     touch_arena frame_arena; /* memory of the latest frame */
     PyObject *file;          /* the capsule of the open_file, which must outlive the decoder */
 } open_frames;
-
-static PyObject *none(void) {
-    PyObject *result = &_Py_NoneStruct;
-    Py_IncRef(result);
-    return result;
-}
-
-/* Memory of an arena. A decoder touches tens of megabytes once; with pages of 4 kB a third of its time is page faults. */
-static uint8_t *arena_memory(uint64_t size) {
-#if defined(__linux__) && defined(MADV_HUGEPAGE)
-    if (size >= 2 * HUGE_PAGE) {
-        void *memory = NULL;
-        if (posix_memalign(&memory, (size_t)HUGE_PAGE, (size_t)size)) return NULL;
-        (void)madvise(memory, (size_t)size, MADV_HUGEPAGE); /* a hint: it may be refused */
-        return (uint8_t *)memory;
-    }
-#endif
-    return (uint8_t *)malloc((size_t)size);
-}
 
 static void free_file(PyObject *capsule) {
     open_file *self = (open_file *)PyCapsule_GetPointer(capsule, file_name);
@@ -67,8 +34,8 @@ static void free_file(PyObject *capsule) {
 static void free_frames(PyObject *capsule) {
     open_frames *self = (open_frames *)PyCapsule_GetPointer(capsule, frames_name);
     Py_DecRef(self->file);
-    free(self->decoder.arena.base);
-    free(self->frame_arena.base);
+    free_arena(&self->memory);
+    free_arena(&self->frame_arena);
     free(self);
 }
 
@@ -103,15 +70,13 @@ static PyObject *native_frames(PyObject *module, PyObject *arguments) {
 
     uint64_t decoder_size, frame_size;
     touch_room(&file->file, &decoder_size, &frame_size);
-    uint8_t *decoder_memory = arena_memory(decoder_size), *frame_memory = arena_memory(frame_size);
     Py_IncRef(capsule);
     self->file = capsule;
-    self->decoder.arena.base = decoder_memory; /* freed with `self`, whatever happens below */
-    self->frame_arena = touch_arena_of(frame_memory, frame_size);
+    self->memory = take_arena(decoder_size), self->frame_arena = take_arena(frame_size);
     int code = TOUCH_MEMORY;
-    if (decoder_memory && frame_memory) {
+    if (self->memory.base && self->frame_arena.base) {
         PyThreadState *state = PyEval_SaveThread();
-        code = touch_start(&self->decoder, &file->file, touch_arena_of(decoder_memory, decoder_size));
+        code = touch_start(&self->decoder, &file->file, self->memory);
         if (!code) code = touch_seek(&self->decoder, segment);
         PyEval_RestoreThread(state);
     }

@@ -60,11 +60,15 @@ LAYOUT = """
 #define FIELD(type, name) printf("%s.%s %zu\\n", #type, #name, offsetof(type, name))
 int main(void) {{
     PyModuleDef empty = {{PyModuleDef_HEAD_INIT, "m", NULL, -1, NULL, NULL, NULL, NULL, NULL}};
-    printf("%zu %zu %d %d\\n", sizeof empty, sizeof(PyMethodDef), METH_VARARGS, METH_O);
+    printf("%zu %zu %zu\\n", sizeof empty, sizeof(PyMethodDef), sizeof(Py_buffer));
+    printf("%d %d %d\\n", METH_VARARGS, METH_O, PyBUF_SIMPLE);
     FIELD(PyModuleDef, m_name); FIELD(PyModuleDef, m_doc); FIELD(PyModuleDef, m_size);
     FIELD(PyModuleDef, m_methods); FIELD(PyModuleDef, m_slots); FIELD(PyModuleDef, m_free);
     FIELD(PyMethodDef, ml_name); FIELD(PyMethodDef, ml_meth); FIELD(PyMethodDef, ml_flags);
     FIELD(PyMethodDef, ml_doc); FIELD(PyObject, ob_refcnt); FIELD(PyObject, ob_type);
+    FIELD(Py_buffer, buf); FIELD(Py_buffer, obj); FIELD(Py_buffer, len); FIELD(Py_buffer, itemsize);
+    FIELD(Py_buffer, readonly); FIELD(Py_buffer, ndim); FIELD(Py_buffer, format); FIELD(Py_buffer, shape);
+    FIELD(Py_buffer, strides); FIELD(Py_buffer, suboffsets); FIELD(Py_buffer, internal);
     return (int)empty.m_size + 1;
 }}
 """
