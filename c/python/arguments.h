@@ -116,7 +116,8 @@ static inline const void *add_array(buffer_list *list, PyObject *object, uint64_
         list->view = view, list->capacity = capacity;
     }
     if (!read_array(object, item_bytes, count, list->view + list->count)) return NULL;
-    return list->view[list->count++].buf;
+    const void *items = list->view[list->count++].buf;
+    return items ? items : ""; /* an empty array may have no address */
 }
 
 static inline void release_arrays(buffer_list *list) {

@@ -93,6 +93,7 @@ PYTHON_IMPORT PyObject *PySequence_GetItem(PyObject *sequence, Py_ssize_t index)
 PYTHON_IMPORT PyObject *PyList_New(Py_ssize_t size);
 PYTHON_IMPORT int PyList_SetItem(PyObject *list, Py_ssize_t index, PyObject *item);
 PYTHON_IMPORT PyObject *PyLong_FromUnsignedLongLong(unsigned long long number);
+PYTHON_IMPORT PyObject *PyBool_FromLong(long value);
 PYTHON_IMPORT double PyFloat_AsDouble(PyObject *number);
 PYTHON_IMPORT PyObject *PyCapsule_New(void *pointer, const char *name, void (*destructor)(PyObject *));
 PYTHON_IMPORT void *PyCapsule_GetPointer(PyObject *capsule, const char *name);
