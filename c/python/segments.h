@@ -78,9 +78,9 @@ static inline PyObject *native_open_fields(PyObject *module, PyObject *arguments
         return NULL;
     }
     self->parameters.size = (uint64_t)size[0], self->body.size = (uint64_t)size[1];
-    if (frame_count < 1 || frame_count > INT32_MAX) {
+    if (frame_count < 0 || frame_count > INT32_MAX) {
         close_fields(self);
-        return fail(TOUCH_ARGUMENT, "no frame, or too many");
+        return fail(TOUCH_ARGUMENT, "a number of frames that there is not");
     }
     self->frame_count = (uint32_t)frame_count;
     touch_body_room(&self->grid, self->body, &self->max_memory, &self->max_frame_memory);
