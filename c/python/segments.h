@@ -473,7 +473,8 @@ static inline int read_samples(PyObject *samples, uint64_t count, touch_exact_sa
 }
 
 /* The body with exact samples, of an encoder that has the frames and memory; NULL: an error is raised. */
-static inline PyObject *encode_exact(segment_encoder *self, touch_bytes body, const touch_exact_samples *exact, uint64_t total) {
+static inline PyObject *encode_exact(segment_encoder *self, touch_bytes body, const touch_exact_samples *exact,
+                                     uint64_t total) {
     touch_segment segment;
     uint64_t size = 4096 + body.size + TOUCH_OUTLIER_BYTES * total + TOUCH_RECORD_BYTES * self->frames.count;
     PyThreadState *state = PyEval_SaveThread();

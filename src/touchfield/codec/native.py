@@ -48,7 +48,7 @@ def decoding_errors(where: str) -> Iterator[None]:
 
 
 @contextmanager
-def argument_errors(where: str, expected: str = "") -> Iterator[None]:
+def argument_errors(where: str) -> Iterator[None]:
     """Turn errors of the module into InvalidArgument or MemoryError.
 
     AssertionError for one that no argument can cause.
@@ -57,7 +57,7 @@ def argument_errors(where: str, expected: str = "") -> Iterator[None]:
         yield
     except ValueError as error:
         code, text = _code_of(error)
-        raise _other_error(code, where, text, expected) from None
+        raise _other_error(code, where, text) from None
 
 
 def _code_of(error: ValueError) -> tuple[int, str]:
@@ -68,9 +68,9 @@ def _code_of(error: ValueError) -> tuple[int, str]:
     raise error
 
 
-def _other_error(code: int, where: str, text: str, expected: str = "") -> Exception:
+def _other_error(code: int, where: str, text: str) -> Exception:
     if code == _MEMORY:
         return MemoryError(f"{where}: {text}")
     if code == _ARGUMENT:
-        return InvalidArgument(where, text, expected)
+        return InvalidArgument(where, text)
     return AssertionError(f"{where}: {text}")

@@ -116,7 +116,7 @@ class TouchEncoder:
     def _argument_errors(self, frames: Sequence[ForceField], key: ForceField | None) -> Iterator[None]:
         """Errors of the module, with the frame whose forces cannot be coded."""
         try:
-            with argument_errors("frames", "finite forces, up to 2^120 N"):
+            with argument_errors("frames"):
                 yield
         except InvalidArgument as error:
             for i, frame in enumerate([*([] if key is None else [key]), *frames]):
