@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from touchfield.codec.touch.frame import decode_exact
 
 from touchfield.codec.paper.decoder import PaperDecoder
 from touchfield.codec.paper.directions import Codebook
 from touchfield.codec.paper.encoder import PaperEncoder
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.touch.encoder import encode_exact
-from touchfield.codec.touch.frame import decode_exact
 from touchfield.errors import CorruptFile, FormatError, TruncatedFile
 from touchfield.medium import ForceField, Grid
 

@@ -46,8 +46,8 @@ _IDENTITY: Final = np.eye(3, dtype=np.float32)
 class Nodes:
     """Nodes of the spline over bricks, int32 [n, 3], in raster order (x slowest).
 
-    `per_brick`, int64 [n, x, y, z]: indices of the nodes of each brick. `predecessors`, int64 [nodes, 6]:
-    indices of the preceding neighbours of each node (`code_nodes`), -1 where there is none.
+    `per_brick`, int64 [n, x, y, z]: indices of the nodes of each brick. `predecessors`, int64 [nodes, 3]:
+    indices of the nodes before each along the axes, -1 where there is none.
     """
 
     def __init__(self, bricks: Int32s, shifts: tuple[int, int, int]) -> None:
@@ -60,8 +60,7 @@ class Nodes:
         offsets = np.indices(counts).reshape(3, -1).T @ (x, y, z)
         keys, per_brick = np.unique((first @ (x, y, z))[:, None] + offsets, return_inverse=True)
         self.per_brick: Int64s = per_brick.reshape(-1, *counts)
-        steps = np.array((x, y, z, x + y, y + z, z + x))
-        earlier = keys[:, None] - steps
+        earlier = keys[:, None] - (x, y, z)
         self.predecessors: Int64s = np.searchsorted(keys, earlier)
         self.predecessors[keys[self.predecessors] != earlier] = -1
 
@@ -151,7 +150,7 @@ class _Samples:
         self.basis = np.stack(kinds, axis=4).reshape(bricks, -1, 4, count)
         self.forces = forces[:, x[:, None, None], y[:, None], z].reshape(bricks, -1, 3)
         parent, node = (
-            nodes.predecessors[:, :3],
+            nodes.predecessors,
             np.arange(len(nodes.predecessors))[:, None] + np.zeros(3, int),
         )
         grandparent = np.take_along_axis(parent, parent, axis=0)
