@@ -120,3 +120,18 @@ int model_read(const touch_grid *grid, touch_bytes data, touch_arena arena, mode
     *text = error.code ? error.what : "";
     return layer_of(1, &s, &units, &error, out);
 }
+
+void model_scan(int order, const touch_grid *grid, const int32_t brick[3], int32_t sample[512], int32_t to[3],
+                int32_t inside[6]);
+
+/* Of an order of the scan: the sample of the grid of each sample of a brick; a brick of the grid in the scan; and the
+   samples of that brick which lie within the grid, low and high. */
+void model_scan(int order, const touch_grid *grid, const int32_t brick[3], int32_t sample[512], int32_t to[3],
+                int32_t inside[6]) {
+    touch_scan s = touch_scan_of(order, grid);
+    int low[3], high[3];
+    for (int n = 0; n < 512; n++) sample[n] = touch_grid_sample(&s, n >> 6, n >> 3 & 7, n & 7);
+    touch_position(touch_scan_key(&s, touch_key(brick[0], brick[1], brick[2])), to);
+    touch_scan_inside(&s, grid, to, low, high);
+    for (int n = 0; n < 3; n++) inside[n] = low[n], inside[3 + n] = high[n];
+}

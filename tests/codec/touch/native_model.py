@@ -88,6 +88,7 @@ def library() -> Any:
         ("basis", None, [pointer, i64, i64, i64, pointer, pointer]),
         ("lattice", None, [pointer, f64, pointer]),
         ("fractions", None, [pointer, pointer]),
+        ("scan", None, [ctypes.c_int, *[pointer] * 5]),
         ("compare", ctypes.c_int, [pointer] * 4 + [ctypes.c_int, CArena, pointer]),
         ("columns", ctypes.c_int, [pointer, pointer, f64, f64, f64, CArena, pointer]),
         ("spline", ctypes.c_int, [pointer, pointer, pointer, CArena, pointer]),
@@ -163,6 +164,24 @@ def axes_and_vector(centre: Sequence[int], along: int, b: int, c: int) -> tuple[
     axes, vector, start = np.zeros((3, 3), np.int64), np.zeros(3, np.int32), np.array(centre, np.int32)
     library().model_basis(start.ctypes.data, along, b, c, axes.ctypes.data, vector.ctypes.data)
     return axes, vector.astype(np.int64)
+
+
+class Scan(NamedTuple):
+    """An order of the scan: samples of the grid in it, [8, 8, 8]; a brick in it; samples within the grid."""
+
+    sample: np.ndarray
+    brick: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+def scan_of(order: int, grid: Grid, brick: Sequence[int]) -> Scan:
+    """The scan of a brick of a grid."""
+    sample, to, inside = np.zeros((8, 8, 8), np.int32), np.zeros(3, np.int32), np.zeros((2, 3), np.int32)
+    given = np.array(brick, np.int32)
+    pointers = (array.ctypes.data for array in (given, sample, to, inside))
+    library().model_scan(order, ctypes.byref(c_grid(grid)), *pointers)
+    return Scan(sample, to, *inside)
 
 
 def bit_fractions(bits: tuple[float, float, float]) -> tuple[int, int]:
