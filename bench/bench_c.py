@@ -106,7 +106,7 @@ def measure(runs: int) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Require 1.4 times the speed of numba's decoder, queries within a tick, and a first decoding in 0.5 s."""
+    """Require 1.4 times numba's speed, queries within a tick, and a first decoding in 0.5 s."""
     return [
         at_least("frames a second over numba's", figure(figures, "decode_times_numba"), 1.4),
         at_most("a query, median", figure(figures, "query_p50_us"), 0.3, "us"),
