@@ -121,6 +121,23 @@ def test_a_machine_without_a_compiler_needs_ziglang(monkeypatch: pytest.MonkeyPa
     assert compiler.find_compiler()[1:] == ["-m", "ziglang", "cc"]
 
 
+def test_a_build_without_a_compiler_fails_with_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    hook = pytest.importorskip("hook")
+
+    def fail(*_: Any) -> None:
+        raise compiler.NoCompiler("no C compiler works")
+
+    monkeypatch.setattr(hook, "_PACKAGE", tmp_path)
+    monkeypatch.setattr(hook, "compile_module", fail)
+    old = tmp_path / "_native.abi3.so"
+    old.touch()
+    with pytest.raises(SystemExit, match=r"no C compiler works.*pip install ziglang"):
+        hook.NativeModule.initialize(None, "standard", {})
+    assert not old.exists()  # a module of other sources would be imported
+
+
 GRID = Grid((20, 17, 13), (0.001, 0.002, 0.0015), (0.0, 0.0, 0.0))
 OPTIONS = (0, 0, 0, 1, 1, 0.1, 0.05, 18.4, 0.05)
 
