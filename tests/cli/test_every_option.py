@@ -137,7 +137,7 @@ TASKS = {
     "splice": ("tasks.editing:splice",),
     "resample": ("tasks.editing:resample_file",),
     "lod": ("tasks.editing:levels_of_detail",),
-    "partition": ("tasks.editing:read_medium", "pipeline.partition:partition_workspace"),
+    "partition": ("tasks.matching:read_medium", "pipeline.partition:partition_workspace"),
     "texture": (
         "sources.recordings.recording:read_recording",
         "tasks.texture:texture_of",

@@ -173,7 +173,7 @@ def test_plan_prints_the_values_of_its_json(monkeypatch: pytest.MonkeyPatch, cap
     printed = capsys.readouterr().out
     title, heading, *lines = printed.splitlines()
     assert title == "scene.stl: 6 frames under 5 settings; the frontier"
-    assert heading.split() == ["nw", "coder", "k", "or", "step", "bit/s", "NMSE", "dB", "mask", "kept"]
+    assert heading.split() == ["nw", "coder", "k", "or", "step", "bit/s", "NMSE", "dB", "within", "mask"]
     rows = [line.split() for line in lines if "%" in line and not line.startswith("note")]
     assert rows == [
         ["4", "touch", "mask", "0.25", "16,000", "-20.00", "97.00", "%"],

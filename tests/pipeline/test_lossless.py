@@ -55,7 +55,7 @@ def test_a_stored_field_keeps_its_lattice_and_every_bit(
     assert grid == Grid(shape, (spacing_m,) * 3, origin_m) == read_npz(source).grid
     assert np.array_equal(found.view(np.uint32), forces.view(np.uint32))
     assert done.summary()["promise_against"] == SOURCE_FORCES
-    assert any("keeps its own lattice" in note for note in done.notes)
+    assert any("on its own lattice" in note for note in done.notes)
     with open_file(tmp_path / "a.touch") as opened:
         assert opened.summary()["promise_against"] == SOURCE_FORCES and opened.summary()["promise_kept"]
     assert compare(source, tmp_path / "a.touch").summary()["mask_violations"] == 0

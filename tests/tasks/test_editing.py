@@ -14,18 +14,9 @@ from numpy.typing import NDArray
 import touchfield as tf
 from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.tasks.editing import (
-    change_lattice,
-    change_rate,
-    edit,
-    levels_of_detail,
-    match_medium,
-    operator_of,
-    read_medium,
-    region_of,
-    resample_file,
-    splice,
-)
+from touchfield.tasks.edit_syntax import operator_of, region_of
+from touchfield.tasks.editing import edit, levels_of_detail, resample_file, splice
+from touchfield.tasks.matching import change_lattice, change_rate, match_medium, read_medium
 
 AXES = "x right, y up, z towards the viewer"
 GRID = tf.Grid.over_box((-0.04,) * 3, (0.04,) * 3, (32, 32, 32))

@@ -145,7 +145,7 @@ def partition(
 ) -> Answer:
     """Divide the workspace of MEDIUM into boxes that each fill a coarse device, with the least loss."""
     from touchfield.pipeline.partition import partition_workspace
-    from touchfield.tasks.editing import read_medium
+    from touchfield.tasks.matching import read_medium
 
     source = read_medium(medium).medium
     if not 0 <= depth <= 7:

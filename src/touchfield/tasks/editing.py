@@ -7,77 +7,34 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial, reduce
+from functools import partial, reduce
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from touchfield.compute.threads import Progress, silent
-from touchfield.errors import (
-    InvalidArgument,
-    require_between,
-    require_ending,
-    require_not_negative,
-    require_one_of,
-    require_positive,
-)
+from touchfield.errors import InvalidArgument, require_between, require_ending, require_not_negative
 from touchfield.files import refuse_overwriting
-from touchfield.filters.device_spec import NW_RANGE
-from touchfield.filters.edit import (
-    COMPOSITIONS,
-    Compose,
-    EditOperator,
-    Erase,
-    Gain,
-    Limit,
-    Move,
-    cross_fade,
-    edit_medium,
-)
+from touchfield.filters.edit import cross_fade, edit_medium
 from touchfield.filters.limit import limit_forces
-from touchfield.filters.region import Ball, Box, Everywhere, ForceRange, HalfSpace, Region, RigidMotion
-from touchfield.filters.registry import add_note, field_filters, filter_of, length_m
-from touchfield.filters.resample import (
-    LOW_PASSES,
-    half_grid,
-    interpolate,
-    max_levels,
-    pyramid,
-    rebuild_level,
-    resample,
-)
+from touchfield.filters.region import Everywhere
+from touchfield.filters.registry import add_note
+from touchfield.filters.resample import half_grid, max_levels, pyramid, rebuild_level
 from touchfield.measure.fidelity import FidelityMeter
-from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.selection import evenly_spaced
 from touchfield.pipeline.decoding import write_field
 from touchfield.pipeline.encoding import encode_prepared
-from touchfield.pipeline.preparation import Prepared, prepare
+from touchfield.pipeline.preparation import Prepared
 from touchfield.pipeline.provenance import file_provenance
 from touchfield.pipeline.result import Result
-from touchfield.pipeline.source import is_stream, open_scene
+from touchfield.pipeline.source import is_stream
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.pipeline.stream import FILTERED
-from touchfield.render.point_device import axes_matrix
-from touchfield.sources.options import SourceOptions
-
-KERNELS: Final = (*LOW_PASSES, "trilinear")
-
-
-def read_medium(path: str | Path, spec: EncodeSpec | None = None) -> Prepared:
-    """Prepare a ``.touch`` file, or a stored field on its own lattice.
-
-    Raises SourceError if it cannot be read; InvalidArgument for a scene or a sample.
-    """
-    if is_stream(path):
-        return prepare(path, spec)
-    stored = open_scene(path, SourceOptions(kind="field")).stored
-    if stored is None:
-        raise InvalidArgument(str(path), "a scene", "a stored field", "Make it a medium: touchfield encode.")
-    return prepare(stored, spec)
+from touchfield.tasks.edit_syntax import operator_of, region_of
+from touchfield.tasks.matching import change_lattice, change_rate, lattice_of, match_medium, read_medium
 
 
 def fidelity_of(prepared: Prepared, received: HapticMedium) -> FidelityMeter:
@@ -90,96 +47,6 @@ def fidelity_of(prepared: Prepared, received: HapticMedium) -> FidelityMeter:
         decoded = received[n]
         meter.add(medium[n], decoded if decoded.grid == medium.grid else rebuild_level(decoded, medium.grid))
     return meter
-
-
-def change_rate(medium: HapticMedium, rate_hz: float) -> HapticMedium:
-    """Return the medium at another rate, interpolated linearly between frames.
-
-    The duration changes by at most half a frame.
-    """
-    if medium.rate_hz == rate_hz:
-        return medium
-    require_positive(rate_hz=rate_hz)
-    cached = replace(medium, make_frame=lru_cache(2)(medium.__getitem__))  # several output frames use a frame
-    count = max(1, round(len(medium) * rate_hz / medium.rate_hz))
-    provenance = add_note(medium.provenance, "resampled", f"{medium.rate_hz:g} Hz to {rate_hz:g} Hz")
-    timed = replace(
-        medium, rate_hz=rate_hz, frame_count=count, vibration=None, segments=None, provenance=provenance
-    )
-    return replace(timed, make_frame=lambda i: cached.at(i / rate_hz))
-
-
-def change_lattice(medium: HapticMedium, grid: Grid, kernel: str = "spline") -> HapticMedium:
-    """Return the medium on another lattice.
-
-    It is resampled through a low-pass or by trilinear interpolation.
-    """
-    require_one_of("kernel", kernel, KERNELS)
-    if grid == medium.grid:
-        return medium
-
-    def make(i: int) -> ForceField:
-        return interpolate(medium[i], grid) if kernel == "trilinear" else resample(medium[i], grid, kernel)
-
-    provenance = add_note(
-        medium.provenance, "resampled", f"{medium.grid.description} to {grid.description}, {kernel}"
-    )
-    return replace(medium, grid=grid, make_frame=make, vibration=None, segments=None, provenance=provenance)
-
-
-def match_medium(
-    medium: HapticMedium, like: HapticMedium, kernel: str = "spline", name: str = "the medium"
-) -> tuple[HapticMedium, tuple[str, ...]]:
-    """Bring a medium to the axes, lattice and rate of another one.
-
-    Returns the result and notes on the changes.
-    """
-    notes: list[str] = []
-    result = medium
-    permutation = axes_matrix(medium.axes, like.axes)
-    if (permutation != np.eye(3)).any():
-        motion, before = RigidMotion(tuple(map(tuple, permutation.tolist()))), result  # type: ignore[arg-type]
-        box = np.sort(motion.points_m(np.stack(medium.grid.box_m)), axis=0)
-        shape = tuple(np.abs(permutation @ np.array(medium.grid.shape)).astype(int).tolist())
-        grid = Grid.over_box(box[0], box[1], shape)
-        result = replace(
-            result, grid=grid, axes=like.axes, make_frame=lambda i: interpolate(before[i], grid, motion),
-            vibration=None, segments=None,
-        )  # fmt: skip
-        notes.append(f"{name}: turned from {medium.axes} to {like.axes}")
-    if result.grid != like.grid:
-        notes.append(f"{name}: {result.grid.description} resampled to {like.grid.description}")
-        positions_m, (low, high) = result.grid.to_m(result[len(result) // 2].positions()), like.grid.box_m
-        is_outside = ((positions_m < low) | (positions_m > high)).any(axis=1)
-        if is_outside.any():
-            notes.append(
-                f"{name}: {100 * is_outside.mean():.3g} % of its samples lie outside, and are left out"
-            )
-        result = change_lattice(result, like.grid, kernel)
-    if result.rate_hz != like.rate_hz:
-        notes.append(f"{name}: {result.rate_hz:g} Hz to {like.rate_hz:g} Hz")
-        result = change_rate(result, like.rate_hz)
-    return replace(result, axes=like.axes), tuple(notes)
-
-
-def lattice_of(grid: Grid, nw: int | None, shape: Sequence[int] | None, spacing_m: float | None) -> Grid:
-    """Return a lattice over the box of `grid`.
-
-    It has 2^nw samples per axis, a given shape, or a given spacing.
-    """
-    if sum(option is not None for option in (nw, shape, spacing_m)) > 1:
-        raise InvalidArgument("lattice", "more than one of nw, shape and spacing", "one of them")
-    low, high = grid.box_m
-    if nw is not None:
-        require_between(*NW_RANGE, nw=nw)
-        return Grid.over_box(low, high, (1 << nw,) * 3)
-    if shape is not None:
-        return Grid.over_box(low, high, tuple(shape))  # type: ignore[arg-type]
-    if spacing_m is not None:
-        require_positive(**{"--spacing": spacing_m})
-        x, y, z = np.maximum(1, np.rint((high - low) / spacing_m)).astype(int).tolist()
-        return Grid.over_box(low, high, (x, y, z))
-    return grid
 
 
 _HISTORY_KEYS: Final = ("edits", "splices", "resampled")
@@ -441,92 +308,3 @@ def detail_level(medium: HapticMedium, level: int) -> HapticMedium:
 
     provenance = add_note(medium.provenance, "resampled", f"level of detail {level}")
     return replace(medium, grid=grid, make_frame=make, vibration=None, segments=None, provenance=provenance)
-
-
-REGIONS: Final[Mapping[str, tuple[str, Callable[..., Region]]]] = {
-    "box": ("LLLLLL", lambda *v: Box(v[:3], v[3:])),
-    "ball": ("LLLL", lambda *v: Ball(v[:3], v[3])),
-    "half-space": ("NNNLLL", lambda *v: HalfSpace(v[:3], v[3:])),
-}
-"""For each region, the form of its numbers (see `_numbers`), and the function that makes it."""
-
-
-def region_of(text: str) -> Region:
-    """Parse a region; `|` is the union, `&` the intersection, `~` the complement.
-
-    ``everywhere``; ``box:X,Y,Z,X,Y,Z``, low and high corner; ``ball:X,Y,Z,RADIUS``;
-    ``half-space:NX,NY,NZ,X,Y,Z``, the side that the normal points to, and a point; ``force:LOW..HIGH``
-    newtons. Lengths have a unit: 2mm, -0.5cm; bounds of a box may be inf. Raises InvalidArgument for any
-    other text.
-    """
-    for sign in "|&":
-        parts = text.split(sign)
-        if len(parts) > 1:
-            return reduce(lambda a, b: a | b if sign == "|" else a & b, map(region_of, parts))
-    word = text.strip()
-    if word.startswith("~"):
-        return ~region_of(word[1:])
-    name, _, values = word.partition(":")
-    if name == "everywhere" and not values:
-        return Everywhere()
-    if name == "force":
-        low, _, high = values.partition("..")
-        return ForceRange(*_numbers("--region force", f"{low},{high or 'inf'}", "NN"))
-    if name in REGIONS:
-        form, make = REGIONS[name]
-        return make(*_numbers(f"--region {name}", values, form))
-    raise InvalidArgument(
-        "--region", repr(text), "everywhere, box:, ball:, half-space: or force:, with | & ~"
-    )
-
-
-OPERATORS: Final[Mapping[str, tuple[tuple[str, ...], Callable[..., EditOperator]]]] = {
-    "gain": (("N",), Gain),
-    "limit": (("N",), Limit),
-    "move": (("LLL",), lambda *v: Move(RigidMotion.move(v))),
-    "turn": (("NNNN", "NNNNLLL"), lambda *v: Move(RigidMotion.turn(v[:3], v[3], v[4:] or (0.0, 0.0, 0.0)))),
-    "mirror": (("NNN", "NNNLLL"), lambda *v: Move(RigidMotion.mirror(v[:3], v[3:] or (0.0, 0.0, 0.0)))),
-}
-"""For each operator, the forms of its numbers (see `_numbers`), and the function that makes it."""
-
-
-def operator_of(text: str, like: Prepared) -> EditOperator:
-    """Parse an operator.
-
-    ``gain:2``; ``erase``; ``limit:1.5`` newtons; ``move:DX,DY,DZ``; ``turn:AX,AY,AZ,DEGREES`` and
-    ``mirror:NX,NY,NZ``, each with a point ``,X,Y,Z`` that stays; ``over:FILE``, ``add:FILE``, ``max:FILE`` or
-    ``replace:FILE``, another medium, frame by frame or of one frame; or a haptic filter,
-    ``gaussian:sigma=2mm``. `like` is the medium to be edited; another medium is brought to its lattice.
-    Raises InvalidArgument for any other text.
-    """
-    name, _, values = text.strip().partition(":")
-    if name == "erase" and not values:
-        return Erase()
-    if name in OPERATORS:
-        forms, make = OPERATORS[name]
-        return make(*_numbers(f"--operator {name}", values, *forms))
-    if name in COMPOSITIONS:
-        other = read_medium(values)
-        medium, _ = match_medium(other.medium, like.medium, name=values)
-        return Compose(medium if len(medium) > 1 else medium[0], name)
-    if name in field_filters():
-        return filter_of(name, values)
-    names = ", ".join(("gain", "erase", *list(OPERATORS)[1:], *COMPOSITIONS, *field_filters()))
-    raise InvalidArgument("--operator", repr(text), f"one of {names}")
-
-
-def _numbers(where: str, text: str, *forms: str) -> list[float]:
-    """Parse numbers (N) and lengths (L, with a unit or infinite) between commas, by one of the forms."""
-    parts = [part.strip() for part in text.split(",")]
-    form = next((f for f in forms if len(f) == len(parts)), None)
-    if form is None:
-        expected = " or ".join(str(len(f)) for f in forms)
-        raise InvalidArgument(where, repr(text), f"{expected} numbers between commas")
-    numbers = []
-    for part, kind in zip(parts, form, strict=True):
-        try:
-            is_length = kind == "L" and part.lstrip("+-") not in ("inf", "0")
-            numbers.append(length_m(part, where) if is_length else float(part))
-        except ValueError:
-            raise InvalidArgument(where, repr(part), "a number") from None
-    return numbers

@@ -48,7 +48,7 @@ from touchfield.render.point_device import BOX_AXES, axes_matrix
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
 from touchfield.sources.scene import CAMERA_AXES
-from touchfield.tasks.editing import match_medium
+from touchfield.tasks.matching import match_medium
 
 MAX_PENDING_BYTES: Final = 1 << 24  # limit of the compressed bytes of files in progress
 SAVE_EVERY_S: Final = 5.0  # interval between saves; longer if saving takes more than a twentieth of it

@@ -52,7 +52,8 @@ from touchfield.sources.recordings.contact_trace import (
     require_contacts,
     thin_contacts,
 )
-from touchfield.tasks.editing import fidelity_of, read_medium, write_result
+from touchfield.tasks.editing import fidelity_of, write_result
+from touchfield.tasks.matching import read_medium
 
 _HAND_KG, _INERTIA_KG = (
     0.05,

@@ -110,7 +110,8 @@ def test_the_frames_are_the_times_before_the_end(
     duration_s: float, rate_hz: float, count: int, tmp_path: Path
 ) -> None:
     times, values = ([0, duration_s], [[0, 0, 0], [1, 0, 0]]) if duration_s else ([0], [[0, 0, 0]])
-    scene = AnimatedMeshScene(moving_cube(values, times).save(tmp_path / "a.gltf"), rate_hz=rate_hz)
+    path = moving_cube(values, times).save(tmp_path / "a.gltf")
+    scene = AnimatedMeshScene(str(path), rate_hz=rate_hz)
     assert scene.frame_count == count
     for frame in range(count):
         fraction = frame / rate_hz / duration_s if duration_s else 0

@@ -70,7 +70,7 @@ class AnimatedMeshScene(MovingScene):
 
     def __init__(
         self,
-        path: Path,
+        path: str | Path,
         animation: str | None = None,
         *,
         rate_hz: float = _RATE_HZ,
@@ -85,7 +85,7 @@ class AnimatedMeshScene(MovingScene):
         self._block = lru_cache(maxsize=2)(self._poses)  # a frame may lie at the edge of its block
         self._latest: tuple[int, MeshScene] | None = None
         with np.errstate(all="ignore"):
-            model = Model(path)
+            model = Model(Path(path))
             number = _animation_number(str(path), model.animation_names, animation)
             self._animation = model.animation(number)
             self.duration_s = self._animation.duration_s
