@@ -273,7 +273,7 @@ def measured_again(figures: Figures, rounds: int) -> Figures:
     return {**figures, "rows": rows}
 
 
-def bars(figures: Figures, margin: float) -> list[Bar]:
+def bars(figures: Figures, margin: float = MARGIN) -> list[Bar]:
     """Require every ratio to be at most `margin` times the stored one."""
     return [
         at_most(f"{name}, over the stored ratio", row["over_stored"], margin)
