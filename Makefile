@@ -53,7 +53,7 @@ wheels: .venv/ready
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check ziglang abi3audit auditwheel
 	$(BIN)/python build_backend/wheels.py dist
 
-# the page of `touchfield view`, made again from web/ and c/touch.h; needs node, and npm's registry once
+# the page of `touchfield view`, built from web/ and c/; needs node, and npm's registry once
 web: .venv/ready web/node_modules/.package-lock.json
 	$(BIN)/python -c 'import ziglang' 2>/dev/null || $(BIN)/python -m pip install --quiet --disable-pip-version-check 'ziglang>=0.16'
 	cd web && npm run check && PYTHON=$(CURDIR)/$(BIN)/python npm run build

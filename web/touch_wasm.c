@@ -1,9 +1,15 @@
-/* touch.h for a browser: a file, the two frames about an instant, and what the page draws of them.
+/* touch.h and touch_write.h for a browser: a file, the two frames about an instant, what the page draws of them, and a
+   file that is written from its frames.
 
    Memory is one block: the file, a decoder each for even and odd segments (so that frames on both sides of a border
    live at once), two frames, and a piece that drawings are written to. Where it is too small it grows, to a limit. */
 #define TOUCH_IMPLEMENTATION
-#include "../c/touch.h"
+#define TOUCH_WRITES
+#include "../c/touch_encode.h"
+#define TOUCH_ENCODE_IMPLEMENTATION
+#pragma clang attribute push(__attribute__((minsize)), apply_to = function) /* small rather than fast: it is in every page */
+#include "../c/touch_write.h"
+#pragma clang attribute pop
 #include "surface.h"
 
 #define EXPORT(name) __attribute__((export_name(#name)))
@@ -418,3 +424,9 @@ EXPORT(largest) const double *largest(uint32_t n) {
     surface_largest(field_of(n), out);
     return out;
 }
+
+/* -- a file that is written ------------------------------------------------------------------------------------------ */
+
+#pragma clang attribute push(__attribute__((minsize)), apply_to = function)
+#include "record.h"
+#pragma clang attribute pop

@@ -44,6 +44,14 @@ const asked = {
   feel: ({ points }) => page.evaluate((p) => window.touchfield.feel(p), points),
   press: async ({ key }) => { await page.keyboard.press(key); await page.waitForTimeout(150); },
   click: ({ id }) => page.click(`#${id}`),
+  download: async ({ id, key, path }) => {
+    const coming = page.waitForEvent("download", { timeout: 60000 });
+    if (key) { await page.focus(`#${id}`); await page.keyboard.press(key); } else await page.click(`#${id}`);
+    const download = await coming;
+    await download.saveAs(path);
+    return download.suggestedFilename();
+  },
+  fill: ({ id, value }) => page.fill(`#${id}`, value),
   move: async ({ x, y }) => { await page.mouse.move(x, y); await page.waitForTimeout(200); },
   drag: async ({ from, to, steps = 8 }) => {
     await page.mouse.move(...from);

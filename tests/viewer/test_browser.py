@@ -475,3 +475,144 @@ def test_a_movie_and_its_touch_are_on_one_clock(tmp_path: Path) -> None:
         assert touch == pytest.approx(min(max(film - 1, 0), 29 / 30), abs=0.35)  # a slowly drawn frame
     assert not last["playing"] and last["movie"] == pytest.approx(1.5, abs=0.05)
     assert last["time"] == pytest.approx(0.5)
+
+
+SAVED = "!document.getElementById('saved').textContent.startsWith('Saving')"
+
+
+def _within_bound(stream: Path, original: list[tf.ForceField], k: float, f0_n: float) -> float:
+    """Largest |error| / max(F_0, k |F|) of a file; its decoded frames are as many as the original ones."""
+    medium = tf.decode(stream)
+    assert len(medium) == len(original)
+    ratios = [0.0]
+    for decoded, frame in zip(medium, original, strict=True):
+        true = frame.to_dense().astype(np.float64)
+        allowed = np.maximum(f0_n, k * np.linalg.norm(true, axis=-1))
+        ratios.append(float((np.linalg.norm(decoded.to_dense() - true, axis=-1) / allowed).max()))
+    return max(ratios)
+
+
+def _rising(count: int) -> tf.HapticMedium:
+    """A wavy floor that rises from frame to frame."""
+    x, y, z = np.meshgrid(*(np.arange(n) for n in (20, 17, 24)), indexing="ij")
+    frames = []
+    for i in range(count):
+        depth = y * 0.0 + 6 + i / 3 + 2 * np.sin(x / 4) - z
+        push = np.stack([0.1 * np.cos(y / 3), 0.1 * np.sin(x / 3), 0.3 * depth], axis=-1)
+        frames.append(np.where(depth[..., None] > 0, push, 0))
+    grid = tf.Grid((20, 17, 24), (0.004,) * 3, (-0.038, -0.032, -0.046))
+    return tf.HapticMedium.from_array(np.stack(frames).astype(np.float32), grid, 30.0)
+
+
+def test_the_shown_frame_is_saved_as_a_file(page: str, tmp_path: Path) -> None:
+    """By its button with the bound of the file, and by a key with another bound; the page opens what it saved."""
+    source, first, second = (tmp_path / f"{name}.touch" for name in ("rising", "first", "second"))
+    tf.encode(_rising(3), source, tf.EncodeSpec(touch=tf.codec.TouchSpec(k=0.05, f0_n=0.02)))
+    shown = tf.decode(source)
+    result = drive(
+        tmp_path,
+        step("goto", url=page),
+        step("open", file=source),
+        step("seek", time=1 / 30),
+        step("download", id="save-frame", path=str(first)),
+        step("until", code=SAVED),
+        step("text", id="saved"),
+        step("fill", id="save-k", value="20"),
+        step("fill", id="save-f0", value="0.1"),
+        step("download", id="save-frame", key="Enter", path=str(second)),
+        step("until", code=SAVED),
+        step("state"),
+        step("open", file=second),
+        step("state"),
+    )
+    assert result.errors == []
+    assert result.answers[3] == "rising-1.touch"
+    assert result.answers[5].startswith("Saved rising-1.touch: 1 frame, ")
+    assert result.answers[10]["name"] == "rising.touch" and result.answers[10]["state"] == "ready"
+    for stream, k, f0_n in ((first, 0.05, 0.02), (second, 0.2, 0.1)):
+        assert 0 < _within_bound(stream, [shown[1]], k, f0_n) <= 1 + 1e-6
+        with tf.open_stream(stream) as opened:
+            head = opened.reader.head
+            assert (head.weber_fraction, head.force_threshold_n) == pytest.approx((k, f0_n))
+            assert opened.reader.provenance["source"].startswith("frame 1 of rising.touch")
+            assert opened.reader.provenance["source.source"] == "scene"
+    assert second.stat().st_size < first.stat().st_size
+    assert result.answers[12]["state"] == "ready" and result.answers[12]["name"] == "second.touch"
+    assert result.answers[12]["head"]["frames"] == 1
+    with pytest.raises(SystemExit) as ended:
+        run_cli(["info", str(first)], app)
+    assert ended.value.code == 0
+
+
+def test_a_range_of_frames_is_saved_in_segments(page: str, tmp_path: Path) -> None:
+    source, out = tmp_path / "rising.touch", tmp_path / "range.touch"
+    tf.encode(_rising(24), source)
+    shown = list(tf.decode(source))
+    result = drive(
+        tmp_path,
+        step("goto", url=page),
+        step("open", file=source),
+        step("fill", id="save-from", value="3"),
+        step("fill", id="save-to", value="22"),
+        step("download", id="save-range", path=str(out)),
+        step("open", file=out),
+        step("through"),
+        step("state"),
+    )
+    assert result.errors == []
+    assert result.answers[4] == "rising-3-22.touch"
+    assert 0 < _within_bound(out, shown[3:23], 0.1, 0.05) <= 1 + 1e-6
+    with tf.open_stream(out) as opened:
+        assert [entry.frame_count for entry in opened.reader.segments] == [15, 5]
+    assert result.answers[7]["state"] == "ready" and result.answers[7]["head"]["frames"] == 20
+
+
+def test_vibrations_are_saved_exactly(page: str, tmp_path: Path) -> None:
+    source, out = CONFORMANCE / "v1" / "vibration-touch.touch", tmp_path / "out.touch"
+    result = drive(tmp_path, step("goto", url=page), step("open", file=source),
+                   step("download", id="save-range", path=str(out)))  # fmt: skip
+    assert result.errors == []
+    before, after = tf.decode(source), tf.decode(out)
+    assert len(before) == len(after) > 1
+    sampler, other = tf.FieldSampler(before), tf.FieldSampler(after)
+    points = before.grid.positions_m().reshape(-1, 3) if hasattr(before.grid, "positions_m") else _lattice(before.grid)
+    count = 0
+    for i in range(len(before)):
+        expected, found = sampler.vibration(i / before.rate_hz, points), other.vibration(i / after.rate_hz, points)
+        np.testing.assert_array_equal(expected, found)
+        count += int((np.asarray(expected)[0] > 0).sum())
+    assert count > 0
+
+
+def _lattice(grid: tf.Grid) -> np.ndarray:
+    indices = np.stack(np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij"), axis=-1).reshape(-1, 3)
+    return np.asarray(grid.origin_m) + indices * np.asarray(grid.spacing_m)
+
+
+def test_what_cannot_be_saved_is_reported(page: str, tmp_path: Path) -> None:
+    text, paper = step("text", id="saved"), CONFORMANCE / "v1" / "paper-dct.touch"
+    result = drive(
+        tmp_path,
+        step("goto", url=page),
+        step("open", file=MOVING),
+        text,
+        step("click", id="save-frame"),
+        step("until", code=SAVED),
+        text,
+        step("open", file=SOLID),
+        text,
+        step("fill", id="save-k", value="0"),
+        step("click", id="save-frame"),
+        text,
+        step("open", file=paper),
+        text,
+        step("text", id="fault"),
+        step("press", key="p"),
+        text,
+    )
+    assert result.errors == []
+    assert all("coder objects" in result.answers[n] for n in (2, 5))
+    assert result.answers[7] == ""
+    assert result.answers[10].startswith("Cannot be saved") and "percent" in result.answers[10]
+    assert "paper-dct.touch cannot be shown" in result.answers[12] and "coder paper" in result.answers[13]
+    assert result.answers[15].startswith("Cannot be saved")

@@ -35,12 +35,15 @@ def sources() -> list[str]:
     """The sources named by build.mjs."""
     names = [
         "../c/touch.h",
+        "../c/touch_encode.h",
         "../c/touch_model.h",
+        "../c/touch_write.h",
         "build.mjs",
         "build_wasm.sh",
         "package-lock.json",
         "page.css",
         "page.html",
+        "record.h",
         "surface.h",
     ]
     folders = [f"{p.parent.name}/{p.name}" for p in sorted((WEB / "freestanding").iterdir())]

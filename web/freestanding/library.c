@@ -1,4 +1,4 @@
-/* The few functions of C's library that touch.h needs; blocks of memory are copied and filled by instructions. */
+/* The few functions of C's library that touch.h and touch_encode.h need; blocks of memory are copied and filled by instructions. */
 #include "math.h"
 #include "string.h"
 
@@ -24,5 +24,21 @@ size_t strlen(const char *text) {
 double ldexp(double x, int power) {
     for (; power > 0; power--) x *= 2;
     for (; power < 0; power++) x /= 2;
+    return x;
+}
+
+/* x = out * 2^power with 0.5 <= |out| < 1; zero, infinities and what is no number stay, with power 0. */
+double frexp(double x, int *power) {
+    unsigned long long bits;
+    int exponent;
+    *power = 0;
+    memcpy(&bits, &x, 8), exponent = (int)(bits >> 52 & 2047);
+    if (x == 0 || exponent == 2047) return x;
+    if (!exponent) { /* below the smallest normal number */
+        x = frexp(x * 0x1p64, power), *power -= 64;
+        return x;
+    }
+    *power = exponent - 1022, bits = (bits & ~(2047ull << 52)) | 1022ull << 52;
+    memcpy(&x, &bits, 8);
     return x;
 }

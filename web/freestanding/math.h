@@ -1,15 +1,23 @@
-/* What touch.h asks of the mathematics of C, where there is no library: two are instructions, three the browser's. */
+/* The mathematics of C that touch.h and touch_encode.h need, where there is no library: instructions, the browser's
+   functions, and a few that library.c computes. What reaches a decoder is whole numbers; these decide the choices of the
+   encoder, and the last product of a decoded force is exact. */
 #ifndef TOUCH_WASM_MATH_H
 #define TOUCH_WASM_MATH_H
 #define sqrt __builtin_sqrt
 #define floor __builtin_floor
 #define ceil __builtin_ceil
 #define fabs __builtin_fabs
+#define rint __builtin_rint
 #define sqrtf __builtin_sqrtf
+#define fabsf __builtin_fabsf
+#define HUGE_VAL __builtin_huge_val()
 #define TOUCH_FROM_PAGE(name) __attribute__((import_module("page"), import_name(name)))
 TOUCH_FROM_PAGE("sin") double sin(double x);
 TOUCH_FROM_PAGE("cos") double cos(double x);
 TOUCH_FROM_PAGE("atan") double atan(double x);
 TOUCH_FROM_PAGE("atan2") double atan2(double y, double x);
+TOUCH_FROM_PAGE("asin") double asin(double x);
+TOUCH_FROM_PAGE("log2") double log2(double x);
 double ldexp(double x, int power);
+double frexp(double x, int *power);
 #endif

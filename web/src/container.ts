@@ -78,6 +78,24 @@ export function readRecords(data: Uint8Array, size = data.length): Records {
   return out;
 }
 
+/** The payload of PROV for frames of a file: its own statements, with those about its coding named as those of the source. */
+export function storyOf(story: [string, string][], name: string, from: number, count: number): Uint8Array {
+  const frames = count > 1 ? `frames ${from} to ${from + count - 1}` : `frame ${from}`;
+  const clean = name.replaceAll(/[\0-\x1f\x7f-\x9f]/g, "\ufffd").slice(0, 80);
+  const pairs = new Map([["source", `${frames} of ${clean}, saved by the page`]]);
+  for (const [key, value] of story) {
+    const own = key === "source" || key === "spec" ? `source.${key}` : key;
+    if (pairs.size < 64 && !(own.startsWith("source.") && own === key)) pairs.set(own, value);
+  }
+  const encoder = new TextEncoder();
+  const out: number[] = [pairs.size & 255, pairs.size >> 8];
+  for (const text of [...pairs].flat()) {
+    const bytes = encoder.encode(text);
+    out.push(bytes.length & 255, bytes.length >> 8, ...bytes);
+  }
+  return Uint8Array.from(out);
+}
+
 const LAST = 40;
 
 /** The byte where the index begins, as the end of a file tells it; 0: it does not. */

@@ -1,5 +1,5 @@
-// The decoder of touch.h in WebAssembly, and what the page asks of it. Runs in a worker, or beside the page.
-import { Fault, faultOf, readRecords, type Records } from "./container";
+// The decoder and encoder of touch.h in WebAssembly, and what the page asks of them. Runs in a worker, or beside the page.
+import { Fault, faultOf, readRecords, type Records, storyOf } from "./container";
 import { Difference } from "./difference";
 
 interface Exports {
@@ -20,6 +20,9 @@ interface Exports {
   field_key(n: number): number;
   surface(n: number, threshold: number, depth: number): number;
   largest(n: number): number;
+  story(bytes: number): number;
+  record(from: number, count: number, k: number, threshold: number): number;
+  recorded(): number;
 }
 
 export type Triple = [number, number, number];
@@ -97,8 +100,35 @@ export interface Opened {
   ms: number;
 }
 
+/** Frames to save, and the bound max(threshold, weber |F|) of their error: newtons, and a fraction. */
+export interface Recording {
+  from: number;
+  count: number;
+  weber: number;
+  threshold: number;
+  /** How the new file names its source. */
+  name: string;
+}
+
+export interface Recorded {
+  data: Uint8Array<ArrayBuffer>;
+  /** The largest error as a fraction of the bound. */
+  ratio: number;
+  ms: number;
+}
+
 const CODES = ["", "foreign file", "cut short", "corrupt", "another version", "too large", "argument", "end"];
 const CUT_SIDE = 112;
+
+/** The coder of a file that is of another version, or has a coder that is not known here. */
+function coderOf(data: Uint8Array): string {
+  try {
+    const { coder } = readRecords(data);
+    return coder && coder !== "touch" && coder !== "objects" ? `: the coder ${coder}` : "";
+  } catch {
+    return "";
+  }
+}
 
 export class Engine {
   private readonly wasm: Exports;
@@ -106,9 +136,11 @@ export class Engine {
   private keys: string[] = [];
   /** Of a file in parts: where it lies, its bytes, and the segments that are there. */
   private parts: { at: number; size: number; there: Set<number> } | null = null;
+  private bytes = { at: 0, size: 0 };
+  private records: Records | null = null;
 
-  constructor(module: WebAssembly.Module) {
-    const page = { sin: Math.sin, cos: Math.cos, atan: Math.atan, atan2: Math.atan2 };
+  constructor(private readonly module: WebAssembly.Module) {
+    const page = { sin: Math.sin, cos: Math.cos, atan: Math.atan, atan2: Math.atan2, asin: Math.asin, log2: Math.log2 };
     this.wasm = new WebAssembly.Instance(module, { page }).exports as unknown as Exports;
   }
 
@@ -118,7 +150,7 @@ export class Engine {
     this.bring(0, data, null);
     const code = this.wasm.open();
     this.parts = null;
-    if (code) throw faultOf(CODES[code] ?? "fault", this.words(), data);
+    if (code) throw faultOf(CODES[code] ?? "fault", code === 4 ? `${this.words()}${coderOf(data)}` : this.words(), data);
     return this.told(readRecords(data), begin);
   }
 
@@ -129,6 +161,7 @@ export class Engine {
     const at = this.wasm.room(size);
     if (!at) throw new Fault("too large", "the file is larger than the memory that the page takes", null);
     this.parts = { at, size, there: new Set() };
+    this.bytes = { at, size };
     return true;
   }
 
@@ -154,6 +187,7 @@ export class Engine {
   }
 
   private told(records: Records, begin: number): Opened {
+    this.records = records;
     const n = (i: number): number => this.wasm.number(i);
     const three = (i: number): Triple => [n(i), n(i + 1), n(i + 2)];
     this.head = {
@@ -162,6 +196,28 @@ export class Engine {
       offset: three(20),
     };
     return { head: this.head, records, memory: this.memory, ms: performance.now() - begin };
+  }
+
+  /** A new file of some frames, coded in a decoder and memory of its own: what is shown stays. */
+  record({ from, count, weber, threshold, name }: Recording): Recorded {
+    const begin = performance.now();
+    const head = this.opened();
+    if (head.objects) throw new Fault("argument", "the page saves fields of coder touch only, and this file has the coder objects", null);
+    const own = new Engine(this.module);
+    const data = new Uint8Array(this.wasm.memory.buffer, this.bytes.at, this.bytes.size);
+    own.room(data.length);
+    own.bring(0, data, null);
+    const code = (this.parts ? own.wasm.open_parts() : own.wasm.open()) || own.put(from, count, weber, threshold, storyOf(this.records!.story, name, from, count));
+    if (code) throw new Fault(CODES[code] ?? "fault", own.words(), null);
+    const [at, size, ratio] = new Float64Array(own.wasm.memory.buffer, own.wasm.recorded(), 3);
+    return { data: new Uint8Array(own.wasm.memory.buffer, at, size).slice(), ratio: ratio!, ms: performance.now() - begin };
+  }
+
+  private put(from: number, count: number, weber: number, threshold: number, story: Uint8Array): number {
+    const at = this.wasm.story(story.length);
+    if (!at) throw new Fault("argument", "a statement about its origin that is too long", null);
+    new Uint8Array(this.wasm.memory.buffer).set(story, at);
+    return this.wasm.record(from, count, weber, threshold);
   }
 
   private needed(time: number): number[] {
@@ -368,6 +424,7 @@ export type Ask =
   | { do: "missing"; time: number }
   | { do: "of"; what: What }
   | { do: "show"; time: number; axis: number; at: number | null; depth: number }
+  | { do: "record"; recording: Recording }
   | { do: "cut"; axis: number; at: number }
   | { do: "feel"; points: number[] }
   | { do: "contact"; time: number | null; rays: Ray[]; depth: number; away: Away | null };
@@ -415,6 +472,10 @@ export function answer(ask: Ask): unknown {
       return true;
     }
     if (ask.do === "show") return engine.show(ask.time, ask.axis, ask.at, ask.depth);
+    if (ask.do === "record") {
+      if (engine instanceof Engine) return engine.record(ask.recording);
+      throw new Fault("argument", "a difference is not a field: show decoded or source", null);
+    }
     if (ask.do === "cut") return engine.cut(ask.axis, ask.at);
     if (ask.do === "feel") return engine.feel(ask.points);
     if (ask.time !== null) engine.seek(ask.time);

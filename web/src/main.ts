@@ -2,9 +2,10 @@
 import { directionWords, waysOf, type Ways } from "./axes";
 import { colourOf } from "./colour";
 import { firstSegment, indexOffset } from "./container";
-import { answer, type Ask, type Cut, type Opened, type Piece, type Shown, type Triple, type What } from "./engine";
+import { answer, type Ask, type Cut, type Opened, type Piece, type Recorded, type Shown, type Triple, type What } from "./engine";
 import { differenceWords, figuresOf, type Given, keyList, millimetres } from "./panel";
 import { materialsOf, slidOver } from "./material";
+import { prepareSaving, save } from "./saving";
 import { Sound } from "./sound";
 import { Trace } from "./trace";
 import { View } from "./view";
@@ -120,6 +121,7 @@ function tellFault(error: unknown, name = state?.name ?? "the file"): void {
   const words = told.fault ? `${told.words} (${told.fault}${where})` : String(error);
   text("fault", `${name} cannot be shown: ${words}.`);
   byId("fault").hidden = false;
+  text("saved", `Cannot be saved: ${name} cannot be shown.`);
   document.documentElement.dataset.state = "fault";
   playing = false;
 }
@@ -226,6 +228,7 @@ function begin(): void {
   scaleNow();
   figuresOf(byId("figures"), byId("story"), opened, given);
   surfaces = materialsOf(opened.records.story.find(([key]) => key === "materials.json")?.[1]);
+  prepareSaving(head);
   jumps();
   for (const [n, button] of [...document.querySelectorAll<HTMLButtonElement>("[data-axis]")].entries())
     button.setAttribute("aria-pressed", String(n === state!.axis));
@@ -618,6 +621,7 @@ const ACTS: Record<string, (event: KeyboardEvent) => void> = {
   e: () => setWhat(WHATS[(WHATS.indexOf(state?.what ?? "decoded") + 1) % 3]!),
   h: () => setContrast(!document.documentElement.classList.contains("contrast")),
   o: () => byId("file").click(),
+  p: () => void saveFrames(false),
   t: () => ((spokenAt = 0), speak()),
   "?": () => toggleHelp(),
   Escape: () => toggleHelp(true),
@@ -655,6 +659,17 @@ function wireKeys(): void {
   });
 }
 
+/** Save the frame that is shown, or a range of frames; of a file in parts all of them are fetched first. */
+function saveFrames(isRange: boolean): Promise<void> {
+  const isFault = document.documentElement.dataset.state === "fault";
+  const source = isFault ? "the file cannot be shown, see above" : state ? { name: state.name, head: state.opened.head, time: state.time } : "no file is open";
+  return save(source, isRange, async (recording) => {
+    const { rate } = state!.opened.head;
+    for (let n = recording.from; n < recording.from + recording.count; n++) await fetched(n / rate);
+    return decoder.ask<Recorded>({ do: "record", recording });
+  });
+}
+
 function setAxis(axis: number): void {
   if (!state) return;
   state.axis = axis;
@@ -670,6 +685,8 @@ function wireControls(): void {
     const file = (event.target as HTMLInputElement).files?.[0];
     if (file) await openFile(file);
   };
+  byId("save-frame").onclick = (): void => void saveFrames(false);
+  byId("save-range").onclick = (): void => void saveFrames(true);
   byId("contrast").onclick = (): void => setContrast(!document.documentElement.classList.contains("contrast"));
   byId("keys").onclick = (): void => toggleHelp();
   byId("play").onclick = (): void => setPlaying(!playing);

@@ -89,7 +89,7 @@ const KEYS: [string, string][] = [
   ["t", "tell what is under the probe again"],
   ["a, d, w, q, +, -, r", "turn the view, nearer, farther, back to the begin"],
   ["h", "high contrast"],
-  ["o", "open a file"],
+  ["o, p", "open a file; save the frame that is shown as one"],
   ["pointer", "hover: feel; drag: turn; wheel: nearer; Shift and wheel: deeper; the slice by its handle"],
   ["fingers, pen", "one: feel, and a pen's pressure is depth; two: turn and zoom"],
 ];

@@ -1,0 +1,80 @@
+// Saves what is shown as a new file: the frames and the bound as the page has them.
+import type { Head, Recorded, Recording } from "./engine";
+
+export interface Source {
+  name: string;
+  head: Head;
+  time: number;
+}
+
+type Record = (recording: Recording) => Promise<Recorded>;
+
+const input = (id: string): HTMLInputElement => document.getElementById(id) as HTMLInputElement;
+const message = (text: string): void => void (document.getElementById("saved")!.textContent = text);
+
+const bytes = (n: number): string => (n < 10000 ? `${n} bytes` : n < 1e7 ? `${(n / 1000).toFixed(1)} kB` : `${(n / 1e6).toFixed(1)} MB`);
+
+/** The fields of the form for a file: all frames, and the bound of the file if it has one. */
+export function prepareSaving(head: Head): void {
+  for (const id of ["save-from", "save-to"]) input(id).max = String(head.frames - 1);
+  input("save-from").value = "0";
+  input("save-to").value = String(head.frames - 1);
+  input("save-k").value = String(+(100 * (head.weber > 0 ? head.weber : 0.1)).toPrecision(12));
+  input("save-f0").value = String(head.weber > 0 || head.threshold > 0 ? head.threshold : 0.05);
+  (document.getElementById("save-range") as HTMLButtonElement).hidden = head.frames < 2;
+  document.getElementById("saving")!.hidden = false;
+  message(head.objects ? "Cannot be saved: the file has the coder objects, and the page saves fields of coder touch." : "");
+}
+
+/** The frames that a button saves; a text if the form has none. */
+function framesOf(source: Source, isRange: boolean): [number, number] | string {
+  const last = source.head.frames - 1;
+  if (!isRange) {
+    const frame = Math.min(Math.round(source.time * source.head.rate), last);
+    return [frame, frame];
+  }
+  const [from, to] = [input("save-from").valueAsNumber, input("save-to").valueAsNumber];
+  const fits = Number.isInteger(from) && Number.isInteger(to) && from >= 0 && from <= to && to <= last;
+  return fits ? [from, to] : `frames from 0 to ${last}, the first not after the last`;
+}
+
+/** The recording that the form describes; a text if it describes none. */
+function recordingOf(source: Source, isRange: boolean): Recording | string {
+  const frames = framesOf(source, isRange);
+  if (typeof frames === "string") return frames;
+  const [weber, threshold] = [input("save-k").valueAsNumber / 100, input("save-f0").valueAsNumber];
+  if (!(weber >= 0.001 && weber < 1)) return "an error of 0.1 to below 100 percent of the force";
+  if (!(threshold >= 0 && threshold <= 1e30)) return "an error of 0 newtons or more";
+  return { from: frames[0], count: frames[1] - frames[0] + 1, weber, threshold, name: source.name };
+}
+
+function download(data: Uint8Array<ArrayBuffer>, name: string): void {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(new Blob([data], { type: "application/octet-stream" }));
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 60000);
+}
+
+let isBusy = false;
+
+/** Save frames of a file, and report it in the status line; `source` is a text if there is nothing to save. */
+export async function save(source: Source | string, isRange: boolean, record: Record): Promise<void> {
+  if (isBusy) return;
+  if (typeof source === "string") return message(`Cannot be saved: ${source}.`);
+  const recording = recordingOf(source, isRange);
+  if (typeof recording === "string") return message(`Cannot be saved: the page needs ${recording}.`);
+  const { from, count } = recording;
+  const name = `${source.name.replace(/\.touch$/, "")}-${count > 1 ? `${from}-${from + count - 1}` : from}.touch`;
+  isBusy = true;
+  message("Saving …");
+  try {
+    const { data, ratio, ms } = await record(recording);
+    download(data, name);
+    const frames = count > 1 ? `${count} frames` : "1 frame";
+    message(`Saved ${name}: ${frames}, ${bytes(data.length)}, largest error ${(100 * ratio).toFixed(0)} % of what is allowed, ${(ms / 1000).toFixed(1)} s.`);
+  } catch (error) {
+    message(`Cannot be saved: ${(error as { words?: string }).words ?? String(error)}.`);
+  }
+  isBusy = false;
+}
