@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from second import decoder
-from test_c import C, COMPILER, STRICT, built
+from test_c import COMPILER, STRICT, C, built
 
 import touchfield as tf
 from touchfield.codec.touch.encoder import TouchEncoder
