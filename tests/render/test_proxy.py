@@ -181,6 +181,48 @@ def test_a_plate_that_rises_carries_the_hand() -> None:
     assert max(steps) < 0.05
 
 
+@pytest.mark.parametrize("turn_deg", [0, 30, 90, 200])
+def test_friction_holds_on_a_body_that_turns(turn_deg: int) -> None:
+    """Where the hand goes with the surface, friction is zero and the proxy stays where it is on the body."""
+    half = np.radians(np.arange(turn_deg - 30, turn_deg + 1, 10)) / 2  # three frames of ten degrees up to it
+    axis, place = np.array([1.0, 2.0, 2.0]) / 3, np.array([0.005, -0.003, 0.002])
+    poses = [((np.cos(a), *(np.sin(a) * axis)), tuple(place)) for a in half]
+    rendered = Held(field_of(BALL), mu=0.7, poses=poses)
+    pressed = np.array([0.0, 0.6, 0.8])  # in the axes of the body
+
+    def of_body(vector: np.ndarray) -> np.ndarray:
+        n = min(int(rendered.at), len(half) - 1)
+        angle = 2 * (half[n] + (rendered.at - n) * np.radians(5))
+        parallel = (axis @ vector) * axis
+        turned = np.cos(angle) * (vector - parallel) + np.sin(angle) * np.cross(axis, vector)
+        return np.asarray(turned + parallel)
+
+    into(rendered, place + of_body(0.03 * pressed), place + of_body(0.022 * pressed))
+    for at in np.linspace(0, 3, 151):
+        rendered.at = at
+        rendered.tick(place + of_body(0.022 * pressed))
+        normal, force = of_body(pressed), rendered.word(W.FIELD_FORCE)
+        assert force @ normal > 1.0 and force @ normal == pytest.approx(np.linalg.norm(force), rel=0.01)
+        assert np.linalg.norm(rendered.word(W.FRICTION_FORCE)) < 0.05
+        assert np.cross(rendered.proxy_m - place, normal) == pytest.approx(np.zeros(3), abs=1e-4)
+
+
+def test_friction_carries_a_hand_along_with_a_body_that_turns() -> None:
+    """On a hand that stays where it is, friction pulls the way in which the surface passes below it."""
+    halves = np.radians([90, 92, 94, 96, 98]) / 2
+    poses = [((np.cos(a), 0.0, 0.0, np.sin(a)), (0.0, 0.0, 0.0)) for a in halves]
+    rendered = Held(field_of(BALL), mu=0.7, poses=poses)
+    into(rendered, np.array([0.03, 0.0, 0.0]), np.array([0.022, 0.0, 0.0]))
+    for at in np.linspace(0, 4, 101):
+        rendered.at = at
+        rendered.tick(np.array([0.022, 0.0, 0.0]))
+        slip = 0.025 * np.radians(2 * at)
+        drag, pressure = rendered.word(W.FRICTION_FORCE), np.linalg.norm(rendered.word(W.FIELD_FORCE))
+        expected = min(rendered.wall.stiffness_n_per_m * slip, 0.7 * pressure)
+        assert drag[1] == pytest.approx(expected, rel=0.15, abs=0.05)
+        assert abs(drag[2]) < 0.05
+
+
 def test_a_proxy_without_contact_follows_the_hand_without_force() -> None:
     rendered = Held(field_of(BALL), mu=0.5)
     for z in np.linspace(0.05, 0.03, 40):
