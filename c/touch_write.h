@@ -235,6 +235,7 @@ static int touch_put_body(touch_file_writer *w, touch_sink *s, const touch_sourc
     double longest_n = 0;
     touch_encoder encoder;
     touch_arena out = w->out;
+    memset(&encoder, 0, sizeof encoder); /* its body does not grow */
     out.used = s->size <= s->capacity ? s->size : s->capacity;
     for (uint32_t i = 0; i < count; i++) {
         double own_n = touch_longest_n(frames + i);
