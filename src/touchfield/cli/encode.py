@@ -71,9 +71,10 @@ def encode(
         )
     if target is not None and out.suffix == ".zarr":
         raise InvalidArgument(f"{target.option} works with OUT.touch, not with .zarr")
+    later = ("fusion",) if Path(source).is_dir() else ()  # a folder is a depth sequence, most often
     with (
         computing(device_compute),
-        progress("encode") as report,
+        progress("encode", later=later) as report,
         executor_of(workers) as executor,
     ):
         if out.suffix == ".zarr":

@@ -18,12 +18,17 @@ from touchfield.compute.jit import kernel_folder
 from touchfield.compute.threads import Progress, silent, worker_count
 from touchfield.devices.drivers.registry import Check, array_kinds, library_check, point_kinds
 from touchfield.errors import InvalidArgument
+from touchfield.filters.limit import limit_forces
 from touchfield.filters.registry import field_filters
+from touchfield.filters.resample import resample
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.pipeline.comparison import compare
 from touchfield.pipeline.encoding import encode
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.render.sampler import FieldSampler
+from touchfield.sources.depth.fused_scene import FusedVolume
+from touchfield.sources.depth.kernels.planes import SurfacePlanes
+from touchfield.sources.laws import ForceProfile
 from touchfield.sources.tiny_scenes import tiny_scenes
 from touchfield.tasks.measure import MeasureSpec, measure_medium
 from touchfield.tasks.play import PlaySpec, play
@@ -143,7 +148,23 @@ def _measures() -> None:
     FieldSampler(medium).force_n(0.0, np.zeros((2, 3)))
 
 
-GROUPS: Final[Mapping[str, Callable[[], None]]] = {"filters": _filters, "measures": _measures}
+def _fusion() -> None:
+    """What a depth sequence needs after its tangent planes, from a picture without any."""
+    grid = Grid((16, 16, 16), (0.01,) * 3, (0.0,) * 3)
+    no_tiles = np.tile(np.array([0, 1e30], np.float32), (1, 1, 1))
+    surface = SurfacePlanes((8, 8), np.ones(4, np.float32), np.zeros(4 * 65, np.float32), no_tiles)
+    volume = FusedVolume(grid, ForceProfile(((-0.01, 0.0, 0.0, -100.0),)), 0.001)
+    volume.add(np.argwhere(np.ones(grid.brick_shape)).astype(np.int32))
+    volume.integrate(surface, np.eye(4))
+    volume.field(volume.forces_n())
+    limit_forces(resample(_solid(), grid), 1.0)
+
+
+GROUPS: Final[Mapping[str, Callable[[], None]]] = {
+    "filters": _filters,
+    "measures": _measures,
+    "fusion": _fusion,
+}
 """Groups of kernels that are compiled together, each by a small run."""
 
 
