@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-thorough test-all bench lint gallery site reproduction golden native wheels web browser-tests clean
+.PHONY: demo test test-thorough test-all bench lint gallery site reproduction golden wheels web browser-tests clean
 
 demo: .venv/ready
 	$(BIN)/touchfield demo demo
@@ -48,10 +48,6 @@ reproduction: .venv/ready
 golden: .venv/ready
 	$(BIN)/python conformance/make_golden.py
 
-# the module in C again, after its sources were edited
-native: .venv/ready
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
-
 # wheels for the platforms of build_backend/targets.py, cross-compiled by zig, and checked
 wheels: .venv/ready
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check ziglang abi3audit auditwheel
@@ -70,15 +66,19 @@ browser-tests: .venv/ready web/node_modules/.package-lock.json
 web/node_modules/.package-lock.json: web/package-lock.json
 	cd web && npm ci --no-audit --no-fund
 
-.venv/ready: requirements.lock pyproject.toml
+# the package, with its compiled module: again after its sources in C were edited
+.venv/ready: .venv/packages pyproject.toml $(wildcard c/*.h c/python/* build_backend/*.py)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	touch .venv/ready
+
+.venv/packages: requirements.lock
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "touchfield needs Python 3.11 or newer; name one with: make PYTHON=python3.12")'
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
 	@PYTHONPATH=build_backend $(BIN)/python -c 'import compiler; compiler.find_compiler()' 2> /dev/null || { \
-	echo 'no C compiler here: ziglang from PyPI compiles the decoder'; \
+	echo 'no C compiler here: ziglang from PyPI compiles the coder'; \
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'ziglang>=0.16'; }
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
-	touch .venv/ready
+	touch .venv/packages
 
 clean:
 	rm -rf .venv demo site web/node_modules

@@ -1,10 +1,9 @@
-"""`c/touch.h` against numba: decoding speed, query time, and a first decoding.
+"""`c/touch.h`: decoding speed, query time, and a first decoding.
 
     python bench/bench_c.py [--quick]
 
-Three things are measured: frames decoded per processor second by C and by numba, the time of one force query
-in C, and the wall time of `touchfield decode` with an empty kernel cache. The benchmark is skipped without a
-C compiler.
+Three things are measured: frames decoded per processor second, the time of one force query in C, and the wall
+time of `touchfield decode` with an empty kernel cache. The benchmark is skipped without a C compiler.
 """
 
 from __future__ import annotations
@@ -21,7 +20,6 @@ from typing import Any
 
 import touchfield as tf
 from machine import Bar, Figures, at_least, at_most, bench, figure, leave_out
-from touchfield.pipeline import native_decoder
 from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.stream import VoxelStream
 
@@ -29,15 +27,17 @@ ROOT = Path(__file__).resolve().parents[1]
 
 SOURCES = {"terrain": "sample:terrain", "motorcycle": "sample:motorcycle"}
 QUERIES = 1_000_000
+NUMBA_FRAMES_PER_S = {"terrain": 15.98, "motorcycle": 19.02}
+"""The decoder in numba, which this one replaced, on an AMD EPYC (commit d1772591c6d0)."""
 
 
-def require_native() -> None:
-    """Skip the benchmark without the compiled module, or a compiler for the program of queries."""
-    if native_decoder.native_module() is None or which("cc") is None:
-        leave_out("no C compiler (cc), or touchfield was installed without its compiled module")
+def require_compiler() -> None:
+    """Skip the benchmark without a compiler for the program of queries."""
+    if which("cc") is None:
+        leave_out("no C compiler (cc)")
 
 
-def frames_per_cpu_s(stream: Path, is_native: bool, runs: int) -> float:
+def frames_per_cpu_s(stream: Path, runs: int) -> float:
     """Return frames decoded per processor second on one thread, the best of `runs`.
 
     Each run decodes the whole file.
@@ -46,38 +46,24 @@ def frames_per_cpu_s(stream: Path, is_native: bool, runs: int) -> float:
     for _ in range(runs):
         with open_file(stream) as opened:
             assert isinstance(opened, VoxelStream)
-            segments, decoder = len(opened.reader.segments), opened.decoder
-            native = native_decoder.native_module()
+            reader, decoder = opened.reader, opened.decoder
             began = process_time()
-            if is_native:
-                file = native.open(opened.reader.read_all())
-                for n in range(segments):
-                    frames = native.frames(file, n)
-                    while native.next(frames) is not None:
-                        pass
-            else:
-                for n, entry in enumerate(opened.reader.segments):
-                    for _ in decoder.frames(opened.reader.read_segment(n), entry.frame_count):
-                        pass
-            best = max(best, opened.reader.head.frame_count / (process_time() - began))
+            for n, entry in enumerate(reader.segments):
+                for _ in decoder.frames(reader.read_segment(n), entry.frame_count):
+                    pass
+            best = max(best, reader.head.frame_count / (process_time() - began))
     return best
 
 
-def cold_s(stream: Path, folder: Path, is_native: bool, runs: int) -> float:
-    """Return the median wall time of `touchfield decode` with an empty cache, s.
-
-    The cache is that of compiled kernels. Without `is_native` the compiled module cannot be imported, so that
-    numba decodes.
-    """
-    hidden = [] if is_native else ["import sys; sys.modules['touchfield._native'] = None"]
-    program = "; ".join([*hidden, "from touchfield.cli.main import run; run()"])
+def cold_s(stream: Path, folder: Path, runs: int) -> float:
+    """Return the median wall time of `touchfield decode` with an empty cache of compiled kernels, s."""
     times = []
     for n in range(runs):
-        environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / f"cache-{is_native}-{n}")}
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / f"cache-{n}")}
         began = perf_counter()
         arguments = ["decode", str(stream), str(folder / "out.npz")]
         subprocess.run(
-            [sys.executable, "-c", program, *arguments],
+            [sys.executable, "-c", "from touchfield.cli.main import run; run()", *arguments],
             check=True,
             env=environment,
             stdout=subprocess.DEVNULL,
@@ -103,27 +89,26 @@ def query_us(stream: Path, folder: Path, runs: int) -> tuple[float, float]:
 
 def measure(runs: int) -> Figures:
     """Measure decoding, queries, and the first decode of a fresh machine."""
-    require_native()
+    require_compiler()
     figures: dict[str, Any] = {"decode": {}}
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         for name, source in SOURCES.items():
             stream = folder / f"{name}.touch"
             tf.encode(source, stream)
-            ours, numbas = (frames_per_cpu_s(stream, is_native, runs) for is_native in (True, False))
-            figures["decode"][name] = {"c": ours, "numba": numbas, "times": ours / numbas}
+            figures["decode"][name] = frames_per_cpu_s(stream, runs)
         stream = folder / "terrain.touch"
         figures["query_p50_us"], figures["query_p999_us"] = query_us(stream, folder, runs)
-        figures["cold_decode_s"] = cold_s(stream, folder, True, runs)
-        figures["cold_decode_without_s"] = cold_s(stream, folder, False, 1)
-    figures["decode_times_numba"] = min(row["times"] for row in figures["decode"].values())
+        figures["cold_decode_s"] = cold_s(stream, folder, runs)
+    ratios = (figures["decode"][name] / numba for name, numba in NUMBA_FRAMES_PER_S.items())
+    figures["decode_times_numba"] = min(ratios)
     return figures
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Require numba's speed, queries within a tick, and a first decoding in 0.5 s."""
+    """Require 1.4 times numba's speed, queries within a tick, and a first decoding in 0.5 s."""
     return [
-        at_least("frames a second over numba's", figure(figures, "decode_times_numba"), 1.0),
+        at_least("frames a second over numba's", figure(figures, "decode_times_numba"), 1.4),
         at_most("a query, median", figure(figures, "query_p50_us"), 0.3, "us"),
         at_most("a query, p99.9", figure(figures, "query_p999_us"), 1.0, "us"),
         at_most("first decode, nothing compiled", figure(figures, "cold_decode_s"), 0.5, "s"),

@@ -40,8 +40,7 @@ from bench_objects import scene
 from bench_query import SIDE, SPACING_M, field, path
 from machine import Bar, Figures, arguments, at_most, keep, machine, show, stored
 from reference import kernels as frozen
-from timing import Clock, call_clock, function_clock, paired_cpu_ms
-from touchfield.codec.touch import frame, frame_encoder
+from timing import Clock, call_clock, paired_cpu_ms
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
@@ -171,7 +170,7 @@ def query_pairs() -> dict[str, Pair]:
 
 
 def coder_pairs() -> dict[str, Pair]:
-    """Pairs for encoding and decoding two depth frames: whole calls, and voxel passes."""
+    """Pairs for encoding and decoding two depth frames."""
     grid = Grid.over_box(LOW_M, HIGH_M, (48, 48, 48))
     frames = [DepthScene(IndoorSequence()).field(0, grid, wall(grid))] * 2
     symbols = (np.abs(np.random.default_rng(0).normal(0, 6, (40, 40, 40))) % 32).astype(np.uint8)
@@ -194,12 +193,7 @@ def coder_pairs() -> dict[str, Pair]:
     def reference() -> None:
         frozen.coded_bits(symbols, squash, stretch, out)
 
-    return {
-        "encode": Pair.of(encode, reference),
-        "encode, pass": Pair(function_clock(frame_encoder, "encode_bricks", encode), call_clock(reference)),
-        "decode": Pair.of(decode, reference),
-        "decode, pass": Pair(function_clock(frame, "decode_bricks", decode), call_clock(reference)),
-    }
+    return {"encode": Pair.of(encode, reference), "decode": Pair.of(decode, reference)}
 
 
 GROUPS = {

@@ -59,6 +59,9 @@ SECONDS_PER_BYTE = 4e-3
 PATIENCE = 90.0
 """Wall seconds without an answer after which a child is ended."""
 
+MAX_BRICKS = 1 << 27
+"""Largest grid that a file may have."""
+
 GRID = Grid((22, 19, 26), (0.0025, 0.002, 0.001), (-0.01, -0.008, -0.004))
 
 
@@ -205,7 +208,8 @@ def case_of(pool: list[Good], seed: int, number: int) -> Good:
     chance = rng.random()
     if chance < 0.05:
         shape = tuple(int(2 ** rng.uniform(0, 20)) for _ in range(3))
-        grid = Grid((shape[0], shape[1], shape[2]), grid.spacing_m, grid.origin_m)
+        if np.prod([-(-n // 8) for n in shape]) <= MAX_BRICKS:
+            grid = Grid((shape[0], shape[1], shape[2]), grid.spacing_m, grid.origin_m)
     elif chance < 0.08:
         frames = int(rng.integers(1, 1 << 16))
     elif chance < 0.1:

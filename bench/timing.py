@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from time import perf_counter, process_time
-from types import ModuleType
 from typing import Any
 
 
@@ -32,28 +31,6 @@ def call_clock(call: Callable[[], Any]) -> Clock:
         start = process_time()
         call()
         return 1e3 * (process_time() - start)
-
-    return run
-
-
-def function_clock(module: ModuleType, name: str, call: Callable[[], Any]) -> Clock:
-    """Return the clock of one function of a module, summed over its runs in a call."""
-    function, spent = getattr(module, name), [0.0]
-
-    def timed_function(*values: Any) -> Any:
-        start = process_time()
-        result = function(*values)
-        spent[0] += 1e3 * (process_time() - start)
-        return result
-
-    def run() -> float:
-        spent[0] = 0.0
-        setattr(module, name, timed_function)
-        try:
-            call()
-        finally:
-            setattr(module, name, function)
-        return spent[0]
 
     return run
 

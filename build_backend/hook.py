@@ -21,7 +21,7 @@ _PACKAGE = ROOT / "src" / "touchfield"
 
 
 class NativeModule(BuildHookInterface):
-    """Compiles into the package; without a compiler, the wheel has no compiled module.
+    """Compiles into the package; the build fails if there is no compiler, or it refuses the source.
 
     ``TOUCHFIELD_TARGET`` names a target of `targets.WHEEL_PLATFORMS` to compile for, by default this machine.
     """
@@ -33,15 +33,10 @@ class NativeModule(BuildHookInterface):
         try:
             path = compile_module(_PACKAGE, target)
         except (NoCompiler, OSError, subprocess.CalledProcessError) as error:
-            if target is not None:
-                raise
-            print(
-                f"touchfield: built without its compiled module: {error}. The first decoding will compile "
-                "kernels for about 9 s. To avoid this, install a C compiler, or `pip install ziglang`, and "
-                "install touchfield again.",
-                file=sys.stderr,
-            )
-            return
+            raise SystemExit(
+                f"touchfield: the compiled module touchfield._native cannot be built: {error}. Install a C "
+                "compiler, or `pip install ziglang`, and install touchfield again; or install a wheel."
+            ) from error
         build_data["pure_python"] = False
         build_data["artifacts"].append(path.relative_to(ROOT).as_posix())
         build_data["tag"] = f"cp311-abi3-{WHEEL_PLATFORMS[target] if target else _this_platform()}"

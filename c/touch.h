@@ -14,6 +14,8 @@
        touch_next(&decoder, &arena, &frame);                  // one frame after another, into an arena of its own
        touch_force(&frame, x, y, z, newtons);                 // metres, at any point: zero outside
 
+   A receiver of a stream has no file: it calls touch_start_body in place of touch_open, touch_start and touch_seek.
+
    It decodes the coder `touch` (exact mode too), `objects` of such fields, and vibration; the coder `paper` it refuses.
    Shifts of negative numbers are to be arithmetic, as with every compiler there is. */
 #ifndef TOUCH_H
@@ -88,7 +90,7 @@ typedef struct {
 
 struct touch_state;
 typedef struct {
-    const touch_file *file;
+    const touch_file *file; /* or NULL: touch_start_body */
     touch_arena arena;
     uint64_t kept; /* of the arena, that segments do not overwrite */
     struct touch_state *state;
@@ -102,6 +104,12 @@ int touch_open(touch_file *file, const void *bytes, uint64_t size);
    what bodies keep at the end of its arena, by which touch_start makes `size` smaller. */
 void touch_room(const touch_file *file, uint64_t *decoder, uint64_t *frame);
 int touch_start(touch_decoder *decoder, const touch_file *file, touch_arena arena);
+/* The body of one segment of coder `touch` without a file, positioned before its first frame: by the grid, the parameters
+   in HEAD, and the number of frames, all of which a receiver has from elsewhere. touch_seek is not for such a decoder. */
+int touch_start_body(touch_decoder *decoder, const touch_grid *grid, touch_bytes parameters, touch_bytes body,
+                     uint32_t frame_count, touch_arena arena);
+/* As touch_room, for touch_start_body. */
+void touch_body_room(const touch_grid *grid, touch_bytes body, uint64_t *decoder, uint64_t *frame);
 /* The segment that has a frame. */
 uint32_t touch_segment_of(const touch_file *file, uint32_t frame);
 int touch_seek(touch_decoder *decoder, uint32_t segment);
@@ -1287,8 +1295,15 @@ static uint64_t touch_most_bricks(uint64_t lattice, uint64_t bytes, uint64_t fra
     return lattice < most / frames ? lattice * frames : most;
 }
 
+/* Bytes of models; of each brick: of a field that stays, of one that is decoded, of what vibrates. */
+enum { TOUCH_FIXED = 6 << 20, TOUCH_KEPT = 6400, TOUCH_WORK = 49152, TOUCH_VIBRATING = 20480 };
+
+void touch_body_room(const touch_grid *grid, touch_bytes body, uint64_t *decoder, uint64_t *frame) {
+    uint64_t bricks = touch_most_bricks(touch_brick_count(grid), body.size, 1);
+    *decoder = TOUCH_FIXED + TOUCH_WORK * bricks, *frame = 4096 + TOUCH_KEPT * bricks;
+}
+
 void touch_room(const touch_file *file, uint64_t *decoder, uint64_t *frame) {
-    enum { FIXED = 6 << 20, KEPT = 6400, WORK = 49152, VIBRATING = 20480 }; /* of models; of each brick */
     touch_cursor at = touch_cursor_of(file->data + TOUCH_OPENING, file->size - TOUCH_OPENING);
     uint64_t bricks = touch_brick_count(&file->grid), rigid = 0, deforming = 0, bodies = 1, work = 0, segment = 0;
     uint64_t vibrating = 0, frames = 0;
@@ -1316,9 +1331,9 @@ void touch_room(const touch_file *file, uint64_t *decoder, uint64_t *frame) {
             segment = segment > kept ? segment : kept;
         }
     }
-    *decoder = bodies * FIXED + KEPT * (rigid + segment) + WORK * work + VIBRATING * vibrating +
+    *decoder = bodies * TOUCH_FIXED + TOUCH_KEPT * (rigid + segment) + TOUCH_WORK * work + TOUCH_VIBRATING * vibrating +
                512 * (frames + 4) * (file->object_count + 1);
-    *frame = 4096 + 512 * ((uint64_t)file->object_count + 1) + KEPT * ((has_bodies ? 0 : work) + vibrating);
+    *frame = 4096 + 512 * ((uint64_t)file->object_count + 1) + TOUCH_KEPT * ((has_bodies ? 0 : work) + vibrating);
 }
 
 static int touch_start_bodies(touch_decoder *d, touch_cursor *error) {
@@ -1369,18 +1384,34 @@ static int touch_told(touch_decoder *d, const touch_cursor *error) {
     return error->code;
 }
 
+/* The state of a new decoder, or NULL. */
+static touch_state *touch_state_make(touch_decoder *decoder, const touch_grid *grid, touch_arena arena, touch_cursor *error) {
+    touch_state *s;
+    memset(decoder, 0, sizeof *decoder), decoder->arena = arena;
+    s = decoder->state = (touch_state *)touch_take_zero(&decoder->arena, 1, sizeof *s);
+    if (s) touch_fill_tables(&s->tables), s->fields.grid = *grid;
+    else touch_fail(error, TOUCH_MEMORY, "no room for a decoder");
+    return s;
+}
+
+int touch_start_body(touch_decoder *decoder, const touch_grid *grid, touch_bytes parameters, touch_bytes body,
+                     uint32_t frame_count, touch_arena arena) {
+    touch_cursor error = touch_cursor_of(0, 0);
+    touch_state *s = touch_state_make(decoder, grid, arena, &error);
+    if (s && touch_check_parameters(parameters, &s->fields.is_exact, &error)) {
+        s->at = touch_cursor_of(body.bytes, body.size), s->segment.count = frame_count;
+        touch_begin_fields(&s->fields, &s->at, frame_count, &decoder->arena, &error);
+        s->mark = decoder->arena.used;
+    }
+    if (s && error.code) s->next = s->segment.count;
+    return touch_told(decoder, &error);
+}
+
 int touch_start(touch_decoder *decoder, const touch_file *file, touch_arena arena) {
     touch_cursor error = touch_cursor_of(0, 0);
-    touch_state *s;
-    memset(decoder, 0, sizeof *decoder);
-    decoder->file = file, decoder->arena = arena;
-    s = decoder->state = (touch_state *)touch_take_zero(&decoder->arena, 1, sizeof *s);
-    if (!s) {
-        touch_fail(&error, TOUCH_MEMORY, "no room for a decoder");
-        return touch_told(decoder, &error);
-    }
-    touch_fill_tables(&s->tables);
-    s->fields.grid = file->grid;
+    touch_state *s = touch_state_make(decoder, &file->grid, arena, &error);
+    decoder->file = file;
+    if (!s) return touch_told(decoder, &error);
     if (touch_is(file->coder, "objects")) touch_start_bodies(decoder, &error);
     else touch_check_parameters(file->parameters, &s->fields.is_exact, &error);
     decoder->kept = decoder->arena.used, s->full = decoder->arena.size, s->segment_number = file->segment_count;
@@ -1508,7 +1539,7 @@ int touch_next(touch_decoder *decoder, touch_arena *arena, touch_frame *frame) {
         decoder->arena.used = begin;
     }
     frame->number = s->segment.first + own, frame->parts = count, frame->part = part, frame->is_placed = s->body != 0;
-    frame->surface_damping_n_s_per_m = s->surface_damping, frame->force_max_n = file->force_max_n;
+    frame->surface_damping_n_s_per_m = s->surface_damping, frame->force_max_n = file ? file->force_max_n : 0;
     s->next = error.code ? s->segment.count : own + 1;
     return touch_told(decoder, &error);
 }

@@ -7,7 +7,7 @@
    from memory that the caller gives; any number of threads may each have an encoder. touch_model.h has what the reader
    and this writer share: here is what only a writer decides, in floating point, and never reaches a reader.
 
-       touch_encoder encoder;  touch_segment segment;
+       touch_encoder encoder = {0};  touch_segment segment;
        touch_encode_start(&encoder, &grid, &options, longest_n, touch_arena_of(work, size), touch_arena_of(out, size));
        for each frame:  touch_encode_next(&encoder, &frame, 0, 0);
        touch_encode_finish(&encoder, frames, &segment);       // segment.body, segment.size
@@ -60,7 +60,8 @@ typedef struct { /* a spline that is fitted elsewhere: coefficients of the nodes
 } touch_spline;
 
 typedef struct { /* fits the next finer spline, level 4 and then 3, to a frame; 0: it is not smooth */
-    int (*fit)(void *self, const touch_source *frame, int level, touch_spline *out);
+    /* `unit_n` is a unit in newtons; the error that is allowed is max(f0, k |F|), units */
+    int (*fit)(void *self, const touch_source *frame, int level, double unit_n, double k, double f0, touch_spline *out);
     void *self;
 } touch_spline_fit;
 
@@ -80,6 +81,12 @@ struct touch_writer;
 typedef struct {
     struct touch_writer *writer;
     const char *error;
+    /* These are set by the caller before touch_encode_start, or NULL. `grow` is called when `out` is full: as realloc, with
+       the base of `out`, which it must have from malloc then. `decoded` takes the number of decoded voxels with a force of
+       each frame; there must be room for one more at each touch_encode_next. */
+    void *(*grow)(void *self, void *out, uint64_t size);
+    void *self;
+    uint64_t *decoded;
 } touch_encoder;
 
 /* Bytes of `work` that are enough for frames, and the key frame, of at most so many bricks each; bricks that only have
@@ -92,6 +99,8 @@ double touch_longest_n(const touch_source *frame);
 /* `longest_n` is an upper limit of the length of all forces; `out` takes the bytes of the segment. */
 int touch_encode_start(touch_encoder *encoder, const touch_grid *grid, const touch_options *options, double longest_n,
                        touch_arena work, touch_arena out);
+/* Go on in another `work`, for frames of more bricks; the one before is free then. */
+int touch_encode_move(touch_encoder *encoder, touch_arena work);
 /* The next frame; `coded`, if given, is coded in its place, and the bound applies to `frame` nevertheless. */
 int touch_encode_next(touch_encoder *encoder, const touch_source *frame, const touch_source *coded,
                       const touch_spline_fit *splines);
@@ -990,6 +999,9 @@ typedef struct touch_writer {
     double max_ratio; /* of the frames so far */
     uint32_t max_frame, max_voxel[3];
     touch_sink body; /* the records of the frames, behind room for what is before them */
+    void *(*grow)(void *self, void *out, uint64_t size); /* of the encoder, as are the next two */
+    void *self;
+    uint64_t *decoded;
 } touch_writer;
 
 enum { TOUCH_HEAD_ROOM = 64 };
@@ -1111,6 +1123,50 @@ int touch_encode_start(touch_encoder *encoder, const touch_grid *grid, const tou
     return TOUCH_OK;
 }
 
+static void *touch_moved(const void *piece, const uint8_t *from, uint8_t *to) {
+    return piece ? to + ((const uint8_t *)piece - from) : 0;
+}
+
+int touch_encode_move(touch_encoder *encoder, touch_arena work) {
+    touch_writer *w = encoder->writer;
+    uint8_t *base = w->work.base, *from = base + (16 - (uintptr_t)base % 16) % 16; /* where the first piece lies */
+    uint64_t size = w->work.used - (uint64_t)(from - base), behind = w->work.used - w->mark;
+    uint8_t *to = (uint8_t *)touch_piece(&work, size, 1, 0);
+    encoder->error = "no room for a segment";
+    if (!to) return TOUCH_MEMORY;
+    memcpy(to, from, (size_t)size);
+    w = encoder->writer = (touch_writer *)touch_moved(w, from, to);
+    w->models = (touch_models *)touch_moved(w->models, from, to);
+    w->fresh = (touch_models *)touch_moved(w->fresh, from, to);
+    w->steps.border = (int32_t *)touch_moved(w->steps.border, from, to);
+    w->previous.list.key = (uint64_t *)touch_moved(w->previous.list.key, from, to);
+    w->previous.v = (touch_vector *)touch_moved(w->previous.v, from, to);
+    w->work = work, w->mark = work.used - behind, encoder->error = "";
+    return TOUCH_OK;
+}
+
+/* The writer, with what the caller has set. */
+static touch_writer *touch_writer_of(const touch_encoder *encoder) {
+    touch_writer *w = encoder->writer;
+    w->grow = encoder->grow, w->self = encoder->self, w->decoded = encoder->decoded;
+    return w;
+}
+
+/* So many more bytes of the body, if the caller can give them. */
+static int touch_reserve(touch_writer *w, uint64_t bytes, touch_cursor *error) {
+    touch_sink *s = &w->body;
+    if (s->size > s->capacity) return touch_fail(error, TOUCH_MEMORY, "no room for a segment");
+    if (bytes <= s->capacity - s->size || !w->grow) return 1; /* without `grow` the sink tells when it is full */
+    uint64_t capacity = 2 * s->capacity + bytes;
+    uint8_t *grown = (uint8_t *)w->grow(w->self, s->bytes, capacity);
+    if (!grown) return touch_fail(error, TOUCH_MEMORY, "no room for a segment");
+    s->bytes = grown, s->capacity = capacity;
+    return 1;
+}
+
+/* Bytes of a record's flags and lengths, and of an outlier, at most. */
+enum { TOUCH_RECORD_BYTES = 64, TOUCH_OUTLIER_BYTES = 32 };
+
 /* The forces of some voxels, as they are; into a sink, or only counted. */
 static void touch_put_forces(touch_sink *s, const touch_grid *grid, const touch_source *frame, const touch_comparison *c,
                              const uint64_t *key) {
@@ -1160,6 +1216,9 @@ static int touch_put_frame(touch_writer *w, const touch_source *frame, int is_in
         !touch_compare(frame, &side, &bound, &w->grid, 1, &c, &w->work))
         return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
     int has_layer = base_layer->size > 0, has_outliers = c.violations > 0;
+    uint64_t size = base_layer->size + coded->payload.size + TOUCH_OUTLIER_BYTES * c.violations;
+    if (w->decoded) w->decoded[w->frames] = c.decoded;
+    if (!touch_reserve(w, TOUCH_RECORD_BYTES + size, error)) return 0;
     touch_put_u(&w->body, (uint64_t)(is_inter | has_layer << 1 | has_outliers << 2), 1);
     bits[0] = 32.0 + coded->spent.bits[0], bits[1] = coded->spent.bits[1], bits[2] = coded->spent.bits[2];
     touch_put_fractions(&w->body, bits);
@@ -1206,7 +1265,8 @@ static int touch_fit_base_layer(touch_writer *w, const touch_source *frame, cons
         int found = 0;
         memset(&layer, 0, sizeof layer), memset(&spline, 0, sizeof spline);
         if (!(best->fraction < enough[kind])) continue;
-        if (kind < 2 && (!splines || !frame->bricks || !splines->fit(splines->self, frame, 4 - kind, &spline))) continue;
+        if (kind < 2 && (!splines || !frame->bricks)) continue;
+        if (kind < 2 && !splines->fit(splines->self, frame, 4 - kind, (double)w->steps.unit_n, k, f0, &spline)) continue;
         if (kind < 2)
             found = touch_put_spline(&w->grid, &w->tables, frame, &spline, &layer.bytes, &layer.units, &w->work, error);
         else
@@ -1262,7 +1322,7 @@ static int touch_report(touch_encoder *e, const touch_cursor *error) {
 
 int touch_encode_next(touch_encoder *encoder, const touch_source *frame, const touch_source *coded,
                       const touch_spline_fit *splines) {
-    touch_writer *w = encoder->writer;
+    touch_writer *w = touch_writer_of(encoder);
     touch_cursor error = touch_cursor_of(0, 0);
     touch_layer layer;
     touch_coded best;
@@ -1519,6 +1579,7 @@ static int touch_put_exact(touch_writer *w, touch_exact_models *models, const to
     touch_pad(&payload, head, touch_min_bytes(4 * f->list.count));
     bits[1] = 8.0 * (double)head + spent.bits[1], bits[2] = spent.bits[2];
     bits[0] = 8.0 * (double)payload.size - bits[1] - bits[2];
+    if (!touch_reserve(w, TOUCH_RECORD_BYTES + payload.size, error)) return 0;
     touch_put_u(&w->body, before != 0, 1), touch_put_fractions(&w->body, bits), touch_put_chunk(&w->body, &payload);
     if (w->body.size > w->body.capacity) return touch_fail(error, TOUCH_MEMORY, "no room for a segment");
     return 1;
@@ -1573,8 +1634,8 @@ static int touch_side_of_field(touch_side *side, const touch_field *field, touch
     return 1;
 }
 
-/* Whether a decoded field is an original, bit for bit. */
-static int touch_is_identical(const touch_source *frame, const touch_side *side, touch_arena *arena) {
+/* Whether a decoded field is an original, bit for bit; `decoded` is the number of its voxels with a force. */
+static int touch_is_identical(const touch_source *frame, const touch_side *side, uint64_t *decoded, touch_arena *arena) {
     uint64_t *key = touch_source_keys(frame, arena), i = 0, j = 0;
     static const float zero[1536] = {0};
     if (!key) return 0;
@@ -1582,8 +1643,9 @@ static int touch_is_identical(const touch_source *frame, const touch_side *side,
         int has_first = j == side->count || (i < frame->bricks && key[i] <= side->key[j]);
         int has_second = i == frame->bricks || (j < side->count && side->key[j] <= key[i]);
         const float *original = has_first ? frame->forces_n + 1536 * i : zero;
-        const float *decoded = has_second ? side->forces_n + 1536 * side->slot[j] : zero;
-        if (memcmp(original, decoded, sizeof zero)) return 0;
+        const float *sent = has_second ? side->forces_n + 1536 * side->slot[j] : zero;
+        if (memcmp(original, sent, sizeof zero)) return 0;
+        for (int n = 0; n < 1536; n += 3) *decoded += sent[n] != 0 || sent[n + 1] != 0 || sent[n + 2] != 0;
         i += (uint64_t)has_first, j += (uint64_t)has_second;
     }
     return 1;
@@ -1608,7 +1670,10 @@ static int touch_check_body(touch_writer *w, const touch_source *frames, touch_c
         uint64_t used = w->work.used;
         if (!field) return 0;
         if (!touch_side_of_field(&side, field, &w->work)) return touch_fail(error, TOUCH_MEMORY, "no room for a decoder");
-        if (f.is_exact) touch_need(error, touch_is_identical(frames + n, &side, &w->work), "a frame is not decoded as it was");
+        memset(&result, 0, sizeof result);
+        if (f.is_exact)
+            touch_need(error, touch_is_identical(frames + n, &side, &result.decoded, &w->work),
+                       "a frame is not decoded as it was");
         else if (!touch_compare(frames + n, &side, &bound, &w->grid, 0, &result, &w->work))
             return touch_fail(error, TOUCH_MEMORY, "no room for a decoder");
         else {
@@ -1618,6 +1683,7 @@ static int touch_check_body(touch_writer *w, const touch_source *frames, touch_c
                 memcpy(w->max_voxel, result.voxel, sizeof result.voxel);
             }
         }
+        if (w->decoded) w->decoded[n] = result.decoded;
         w->work.used = used, w->work.size = size; /* the field is no longer needed */
         if (error->code) return 0;
     }
@@ -1625,7 +1691,7 @@ static int touch_check_body(touch_writer *w, const touch_source *frames, touch_c
 }
 
 int touch_encode_finish(touch_encoder *encoder, const touch_source *frames, touch_segment *out) {
-    touch_writer *w = encoder->writer;
+    touch_writer *w = touch_writer_of(encoder);
     touch_cursor error = touch_cursor_of(0, 0);
     uint8_t head[TOUCH_HEAD_ROOM];
     touch_sink s;
@@ -1713,6 +1779,8 @@ static int touch_put_record(touch_writer *w, touch_cursor *c, const touch_source
     if (c->code) return touch_fail(error, c->code, c->what);
     if (!touch_merge_outliers(&merged, chunk, exact, &w->grid, &w->work, error)) return 0;
     if (!key) return touch_fail(error, TOUCH_MEMORY, "no room for outliers");
+    uint64_t size = touch_left(&layer) + touch_left(&payload) + TOUCH_OUTLIER_BYTES * merged.violations;
+    if (!touch_reserve(w, TOUCH_RECORD_BYTES + size, error)) return 0;
     touch_put_u(&w->body, (flags & 3) | (merged.violations ? 4 : 0), 1), touch_put_u(&w->body, fractions, 2);
     if (flags & 2) touch_put_varint(&w->body, touch_left(&layer)), touch_put(&w->body, layer.at, touch_left(&layer));
     touch_put_varint(&w->body, touch_left(&payload)), touch_put(&w->body, payload.at, touch_left(&payload));
@@ -1734,7 +1802,7 @@ int touch_encode_with_exact(touch_encoder *encoder, const touch_grid *grid, cons
         if (code == TOUCH_ARGUMENT) encoder->error = "every sample of mode lossless is exact";
         return code;
     }
-    touch_writer *w = encoder->writer;
+    touch_writer *w = touch_writer_of(encoder);
     memset(&f, 0, sizeof f), f.grid = *grid;
     if (!touch_begin_fields(&f, &c, count, &w->work, &error)) return touch_report(encoder, &error);
     w->steps = f.steps, w->mark = w->work.used;

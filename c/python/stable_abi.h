@@ -1,4 +1,4 @@
-/* The part of CPython's stable ABI (PEP 384, version 3.11 and later) that module.c uses.
+/* The part of CPython's stable ABI (PEP 384, version 3.11 and later) that the module uses.
 
    A binary that uses only this part runs on every CPython from 3.11 on. It is declared here, and not included
    from Python.h, because many systems ship Python without its headers, and because a cross compiler has only the
@@ -36,6 +36,18 @@ typedef struct {
     const char *ml_doc;
 } PyMethodDef;
 
+typedef struct {
+    void *buf;
+    PyObject *obj;
+    Py_ssize_t len, itemsize;
+    int readonly, ndim;
+    char *format;
+    Py_ssize_t *shape, *strides, *suboffsets;
+    void *internal;
+} Py_buffer;
+
+#define PyBUF_SIMPLE 0
+
 #define METH_VARARGS 0x0001
 #define METH_O 0x0008
 
@@ -70,9 +82,24 @@ PYTHON_IMPORT PyObject *Py_BuildValue(const char *format, ...);
 PYTHON_IMPORT PyObject *PyBytes_FromStringAndSize(const char *data, Py_ssize_t size);
 PYTHON_IMPORT char *PyBytes_AsString(PyObject *bytes);
 PYTHON_IMPORT int PyBytes_AsStringAndSize(PyObject *bytes, char **data, Py_ssize_t *size);
+PYTHON_IMPORT int PyObject_GetBuffer(PyObject *object, Py_buffer *view, int flags);
+PYTHON_IMPORT void PyBuffer_Release(Py_buffer *view);
+PYTHON_IMPORT PyObject *PyObject_CallFunction(PyObject *callable, const char *format, ...);
+PYTHON_IMPORT PyObject *PyObject_GetIter(PyObject *object);
+PYTHON_IMPORT PyObject *PyIter_Next(PyObject *iterator);
+PYTHON_IMPORT PyObject *PySequence_List(PyObject *sequence);
+PYTHON_IMPORT Py_ssize_t PySequence_Size(PyObject *sequence);
+PYTHON_IMPORT PyObject *PySequence_GetItem(PyObject *sequence, Py_ssize_t index);
+PYTHON_IMPORT PyObject *PyList_New(Py_ssize_t size);
+PYTHON_IMPORT int PyList_SetItem(PyObject *list, Py_ssize_t index, PyObject *item);
+PYTHON_IMPORT PyObject *PyLong_FromUnsignedLongLong(unsigned long long number);
+PYTHON_IMPORT PyObject *PyBool_FromLong(long value);
+PYTHON_IMPORT double PyFloat_AsDouble(PyObject *number);
 PYTHON_IMPORT PyObject *PyCapsule_New(void *pointer, const char *name, void (*destructor)(PyObject *));
 PYTHON_IMPORT void *PyCapsule_GetPointer(PyObject *capsule, const char *name);
 PYTHON_IMPORT void PyErr_SetString(PyObject *type, const char *message);
+PYTHON_IMPORT void PyErr_SetObject(PyObject *type, PyObject *value);
+PYTHON_IMPORT PyObject *PyErr_Occurred(void);
 PYTHON_IMPORT PyObject *PyErr_NoMemory(void);
 PYTHON_IMPORT void Py_IncRef(PyObject *object);
 PYTHON_IMPORT void Py_DecRef(PyObject *object);

@@ -1,13 +1,17 @@
 """Coder `touch` in C (``c/touch.h`` and ``c/touch_encode.h``) as a module of Python.
 
 Arrays are C-contiguous buffers of the given dtype and shape; results are bytes. Every function releases the
-GIL while C works, and holds no state but in the objects that it returns. One that fails raises ValueError
-with two arguments: a code of ``touch.h`` (2 truncated, 3 corrupt, 4 of another version, 5 out of memory, 6
-an invalid argument), and a text that says what is wrong.
+GIL while C works, and holds no state but in the objects that it returns, each of which one thread uses at a
+time. One that fails raises ValueError with two arguments: a code of ``touch.h`` (2 truncated, 3 corrupt, 4 of
+another version, 5 out of memory, 6 an invalid argument), and a text that says what is wrong.
 """
 
-from collections.abc import Buffer, Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
+from numpy.typing import NDArray
+
+Buffer = bytes | NDArray[Any]
 Shape = tuple[int, int, int]
 Frame = tuple[Buffer, Buffer, Buffer | None]
 """Bricks int32 [n, 3], ascending; forces float32 [n, 8, 8, 8, 3], newtons; and the error that surrounding
@@ -18,26 +22,33 @@ Options = tuple[int, int, int, int, int, float, float, float, float]
 """The fields of `touch_options` in their order."""
 Spline = tuple[tuple[int, int, int], int, tuple[int, int, int], Buffer]
 """Shifts, step, scales, and coefficients float64 [nodes]: the fields of `touch_spline`."""
+CodedBody = tuple[bytes, list[int], tuple[float, int, Shape]]
+"""The body of a segment; the number of decoded voxels with a force in each frame; and the largest error over
+the error bound, with its frame and voxel."""
 
-def open_fields(shape: Shape, parameters: bytes, body: bytes, frame_count: int) -> object:
-    """Open the body of a segment."""
+def open_fields(shape: Shape, parameters: Buffer, body: Buffer, frame_count: int) -> object:
+    """Open the body of a segment before its first frame. `parameters` are those of HEAD."""
 
 def next_field(fields: object) -> tuple[bytes, bytes] | None:
     """Bricks int32 [n, 3], ascending, and forces float32 [n, 8, 8, 8, 3] of the next frame; None after the
-    last one. Bricks whose forces are all zero bits are left out."""
+    last one, and after an error. Bricks whose forces are all zero bits are left out."""
 
 def encode_segment(
     shape: Shape,
     spacing_m: tuple[float, float, float],
     options: Options,
-    frames: Sequence[Frame],
+    frames: Iterable[Frame],
     key_frame: Frame | None,
-    fit_spline: Callable[[int, int], Spline | None] | None,
-) -> tuple[bytes, list[int]]:
-    """The body of a segment, and the number of decoded voxels with a force in each frame.
+    longest_n: float | None,
+    fit_spline: Callable[[int, int, float, float, float], Spline | None] | None,
+) -> CodedBody:
+    """Code frames, at least one, as a segment.
 
-    `key_frame` is coded in place of the first frame. `fit_spline(frame, level)` fits a spline to the frame
-    of that index (-1: the key frame), or returns None.
+    `key_frame` is coded in place of the first frame. `longest_n` is an upper limit of the length of all
+    forces; if it is given, each frame is coded before the next one is taken from `frames`. `fit_spline(frame,
+    level, unit_n, k, f0)` fits a spline to the frame of that index (-1: the key frame), or returns None;
+    `unit_n` is a unit in newtons, and max(`f0`, `k` |F|) the error that is allowed, in units. An exception of
+    `frames` or `fit_spline` is passed on.
     """
 
 def is_static(
@@ -49,12 +60,12 @@ def add_exact_samples(
     shape: Shape,
     spacing_m: tuple[float, float, float],
     options: Options,
-    body: bytes,
-    frames: Sequence[Frame],
+    body: Buffer,
+    frames: Iterable[Frame],
     samples: Sequence[Buffer],
-) -> tuple[bytes, list[int]]:
-    """The body with samples of each frame, uint64 [m], sent exactly; decoded voxels as in
-    `encode_segment`."""
+) -> CodedBody:
+    """A body with samples of each frame sent exactly: uint64 [m], ascending, 512 times the number of the
+    brick plus the sample."""
 
 def encode_support(shape: Shape, support: Support, previous: Support | None) -> bytes:
     """The code of a support (docs/format/bits.md)."""

@@ -35,26 +35,26 @@ def started_helpers(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Started:
     return found
 
 
-def compiled_passes(cache: Path) -> list[Path]:
-    """Cache files of the kernel that the group `passes` compiles last but one."""
-    return list(cache.rglob("encode_pass.encode_bricks*.nbc"))
+def compiled_measures(cache: Path) -> list[Path]:
+    """Cache files of the kernel that the group `measures` compiles last."""
+    return list(cache.rglob("points.field_at_points*.nbc"))
 
 
 def test_helpers_start_with_the_first_compilation_and_end_with_the_command(
     started_helpers: Started, tmp_path: Path
 ) -> None:
     kernel = njit(lambda x: x + 1)
-    with announce_compilation(lambda line: None, ("passes", "columns", "filters")):
+    with announce_compilation(lambda line: None, ("measures", "filters", "other")):
         assert not started_helpers
         assert kernel(2) == 3
         assert [helper.args[-2:] for helper in started_helpers] == [
-            ["passes", "filters"],
-            ["touchfield.cli.compile_ahead", "columns"],
+            ["measures", "other"],
+            ["touchfield.cli.compile_ahead", "filters"],
         ]
         assert all(helper.poll() is None for helper in started_helpers)
     assert all(helper.returncode is not None for helper in started_helpers)
-    assert not compiled_passes(tmp_path)
-    with announce_compilation(lambda line: None, ("passes",)):
+    assert not compiled_measures(tmp_path)
+    with announce_compilation(lambda line: None, ("measures",)):
         assert kernel(2) == 3
     assert len(started_helpers) == 2
 
@@ -64,7 +64,7 @@ def test_no_helper_if_disabled_or_on_a_single_core(
     started_helpers: Started, monkeypatch: pytest.MonkeyPatch, name: str, value: str
 ) -> None:
     monkeypatch.setenv(name, value)
-    with compile_ahead.helpers(["passes"]) as start:
+    with compile_ahead.helpers(["measures"]) as start:
         start()
     assert not started_helpers
 
@@ -76,7 +76,7 @@ def test_broken_helper_is_ignored(
         start()
         assert started_helpers[0].wait(60) == 1
     monkeypatch.setattr(sys, "executable", str(tmp_path / "nobody"))
-    with compile_ahead.helpers(["passes"]) as start:
+    with compile_ahead.helpers(["measures"]) as start:
         start()
     assert len(started_helpers) == 1
 
@@ -95,7 +95,7 @@ def test_helper_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
                 print(self.pid, flush=True)
 
         compile_ahead.subprocess.Popen = Told
-        with compile_ahead.helpers(["passes"]) as start:
+        with compile_ahead.helpers(["measures"]) as start:
             start()
             time.sleep(600)
     """
@@ -114,28 +114,4 @@ def test_helper_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
         parent.send_signal(signal.SIGKILL)
     while helper.exists() and ") Z " not in helper.read_text():
         time.sleep(0.05)
-    assert not compiled_passes(tmp_path)
-
-
-def test_a_first_encode_finds_all_kernels_of_the_coder_that_the_groups_compile() -> None:
-    code = """if True:
-        import sys, tempfile
-        from numba.core.dispatcher import Dispatcher
-        from touchfield import pipeline
-        from touchfield.tasks.setup import GROUPS
-
-        def compiled():
-            modules = [m for name, m in sys.modules.items() if name.startswith("touchfield.codec.")]
-            kernels = [k for m in modules for k in vars(m).values() if isinstance(k, Dispatcher)]
-            return {(k.py_func.__name__, types) for k in kernels for types in k.overloads}
-
-        for name in ("columns", "passes"):
-            GROUPS[name]()
-        before = compiled()
-        with tempfile.TemporaryDirectory() as folder:
-            done = pipeline.encode("sample:terrain", folder + "/out.touch", pipeline.EncodeSpec(nw=6))
-        assert done.supported_voxels and "write_row" in dict(before)
-        print(compiled() - before, "scipy.linalg" in sys.modules)
-    """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "set() False\n"  # and numba has not imported scipy.linalg, which no kernel needs
+    assert not compiled_measures(tmp_path)

@@ -13,10 +13,8 @@ import numpy as np
 
 from touchfield.codec.objects.layout import SegmentParts
 from touchfield.codec.support import Bricks
-from touchfield.codec.touch import base_layer, base_layer_fit
+from touchfield.codec.touch.base_layer_fit import fit_spline
 from touchfield.codec.touch.error_bound import masked_error_n
-from touchfield.codec.touch.frame_encoder import lattice_for, limits_for
-from touchfield.codec.touch.lattice import TOP, Lattice
 from touchfield.codec.touch.spec import MODES, TouchSpec
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.medium import VibrationFrame
@@ -119,7 +117,12 @@ class CBody(ctypes.Structure):
 
 
 _FIT = ctypes.CFUNCTYPE(
-    ctypes.c_int, ctypes.c_void_p, ctypes.POINTER(CSource), ctypes.c_int, ctypes.POINTER(CSpline)
+    ctypes.c_int,
+    ctypes.c_void_p,
+    ctypes.POINTER(CSource),
+    ctypes.c_int,
+    *[ctypes.c_double] * 3,
+    ctypes.POINTER(CSpline),
 )
 
 
@@ -132,7 +135,11 @@ class CSplineFit(ctypes.Structure):
 class CEncoder(ctypes.Structure):
     """`touch_encoder`."""
 
-    _fields_ = [("writer", ctypes.c_void_p), ("error", ctypes.c_char_p)]
+    _fields_ = [
+        ("writer", ctypes.c_void_p),
+        ("error", ctypes.c_char_p),
+        *((name, ctypes.c_void_p) for name in ("grow", "self", "decoded")),
+    ]
 
 
 def build(folder: Path, *options: str, source: Path = C / "touch_encode.c") -> Path:
@@ -192,48 +199,25 @@ class Source:
 class Splines:
     """Splines as the package fits them, for C to ask for."""
 
-    def __init__(self, grid: Grid, spec: TouchSpec, longest: float) -> None:
-        self._grid, self._lattice = grid, lattice_for(spec, longest)
-        limits = limits_for(spec, self._lattice)
-        if spec.mode == "nmse":
-            limits = limits._replace(f0=base_layer_fit._FINENESS * self._lattice.floor)
-        self._k, self._f0 = limits.k, limits.f0
-        self._coefficients = np.zeros(0)
+    def __init__(self, grid: Grid) -> None:
+        self._grid, self._coefficients = grid, np.zeros(0)
         self.c = CSplineFit(_FIT(self._fit), None)
 
-    def _fit(self, _: Any, source: Any, level: int, out: Any) -> int:
+    def _fit(self, _: Any, source: Any, level: int, unit_n: float, k: float, f0: float, out: Any) -> int:
         count = source.contents.bricks
         bricks = np.ctypeslib.as_array(
             ctypes.cast(source.contents.brick, ctypes.POINTER(ctypes.c_int32)), (count, 3)
         )
         forces = ctypes.cast(source.contents.forces, ctypes.POINTER(ctypes.c_float))
         frame = ForceField(self._grid, bricks, np.ctypeslib.as_array(forces, (count, 8, 8, 8, 3)))
-        fitted = spline_coefficients(frame, self._lattice, self._k, self._f0, level)
+        fitted = fit_spline(frame, level, unit_n, k, f0)
         if fitted is None:
             return 0
-        head, self._coefficients = fitted
-        out.contents.shift[:], out.contents.step, out.contents.scale[:] = head.shifts, head.step, head.scales
+        shifts, out.contents.step, scales, coefficients = fitted
+        out.contents.shift[:], out.contents.scale[:] = shifts, scales
+        self._coefficients = np.asarray(coefficients)
         out.contents.coefficient, out.contents.nodes = self._coefficients.ctypes.data, len(self._coefficients)
         return 1
-
-
-def spline_coefficients(
-    frame: ForceField, lattice: Lattice, k: float, f0: float, level: int
-) -> tuple[base_layer.Head, np.ndarray] | None:
-    """What `base_layer_fit.fit_spline` fits, before it is coded."""
-    fit, f0 = base_layer_fit, max(f0, 1.0)
-    if f0 >= TOP:
-        return None
-    forces, spacing = frame.forces_n / np.float32(lattice.unit_n), np.array(frame.grid.spacing_m)
-    stiffness = fit._find_stiffness(forces[:: -(-len(frame.bricks) // fit._STIFFNESS_BRICKS)], frame.grid)
-    if not stiffness:
-        return None
-    x, y, z = np.clip(np.rint(level - np.log2(spacing / spacing.min())), 2, 5).astype(int).tolist()
-    a, b, c = np.clip(2**35 / 864 / stiffness / spacing, 1, (1 << 20) - 1).astype(int).tolist()
-    step = int(np.clip(fit._STEP * max(f0, fit._RAMP[0] * k), 1, (1 << 20) - 1))
-    head = base_layer.Head((x, y, z), step, (a, b, c))
-    samples = fit._Samples(frame, forces, head.shifts, base_layer.Nodes(frame.bricks, head.shifts))
-    return head, np.ascontiguousarray(fit._fit_coefficients(samples, k, f0, stiffness), np.float64)
 
 
 class NativeEncoder:
@@ -272,7 +256,7 @@ class NativeEncoder:
         longest = max(self.longest_n(source) for source in sources) if longest_n is None else longest_n
         if key:  # the unit of the key frame is kept if possible
             longest = longest if longest > 1.01 * self.longest_n(key) else self.longest_n(key)
-        splines = Splines(grid, spec, longest) if has_splines else None
+        splines = Splines(grid) if has_splines else None
         work = memory(self.room(grid, spec, bricks) if work_bytes is None else work_bytes)
         out = memory(self.c.touch_segment_room(bricks, len(frames)) if out_bytes is None else out_bytes)
         arenas = (CArena(a.ctypes.data, a.size, 0, 0) for a in (work, out))

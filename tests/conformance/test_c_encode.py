@@ -1,7 +1,13 @@
-"""`c/touch_encode.h` writes the bytes that the encoder of the package writes."""
+"""`c/touch_encode.h`: stored bytes, the second decoder, and the error bound, for segments of every kind.
+
+`random_bodies.json` has digests of the bodies that the first encoder, in numba, wrote of the random segments.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import importlib
+import json
 import os
 import subprocess
 import sys
@@ -30,10 +36,9 @@ from second import make_golden
 from touchfield.codec.objects.encoder import ObjectsEncoder, encode_poses, round_poses
 from touchfield.codec.objects.layout import SegmentParts
 from touchfield.codec.support import encode_numbers, encode_support
-from touchfield.codec.touch import base_layer_fit
-from touchfield.codec.touch.base_layer_fit import fit_columns
+from touchfield.codec.touch.body import BodyReader
+from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
-from touchfield.codec.touch.frame_encoder import lattice_for, limits_for
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.vibration import encode_vibration
 from touchfield.medium import ForceField, Grid
@@ -52,9 +57,13 @@ def native(tmp_path_factory: pytest.TempPathFactory) -> NativeEncoder:
     return NativeEncoder(build(tmp_path_factory.mktemp("c"), "-O2"))
 
 
-def expected(segment: Segment) -> bytes:
-    """The body that the encoder of the package writes."""
-    return TouchEncoder(segment.grid, segment.spec).encode_segment(segment.frames).body
+BODIES = json.loads((HERE / "random_bodies.json").read_text())
+second_decoder: Any = importlib.import_module("decode_touch")
+
+
+def digest(body: bytes) -> str:
+    """What `random_bodies.json` stores of a body."""
+    return hashlib.sha256(body).hexdigest()[:16]
 
 
 def segment_arguments(segment: Segment) -> tuple[Grid, TouchSpec, list[ForceField]]:
@@ -62,43 +71,87 @@ def segment_arguments(segment: Segment) -> tuple[Grid, TouchSpec, list[ForceFiel
     return segment.grid, segment.spec, segment.frames
 
 
-def assert_same_bytes(native: NativeEncoder, segment: Segment) -> None:
-    """The same body from both encoders."""
-    assert native.segment(*segment_arguments(segment)) == expected(segment)
+def encoder_of(segment: Segment) -> TouchEncoder:
+    """The encoder of the package for a segment."""
+    return TouchEncoder(segment.grid, segment.spec)
 
 
 @pytest.mark.parametrize("seed", range(SEEDS))
 @pytest.mark.parametrize("mode", MODES)
 def test_random_fields_without_base_layer(mode: str, seed: int, native: NativeEncoder) -> None:
-    assert_same_bytes(native, random_segment(mode, seed, guess="off"))
+    body = native.segment(*segment_arguments(random_segment(mode, seed, guess="off")))
+    assert digest(body) == BODIES["without base layer"][mode][seed]
 
 
 @pytest.mark.parametrize("seed", range(SEEDS))
 @pytest.mark.parametrize("mode", MODES)
-def test_random_fields_with_columns(
-    mode: str, seed: int, native: NativeEncoder, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(base_layer_fit, "_FITS", base_layer_fit._FITS[2:])
-    assert_same_bytes(native, random_segment(mode, seed))
+def test_random_fields_with_columns(mode: str, seed: int, native: NativeEncoder) -> None:
+    body = native.segment(*segment_arguments(random_segment(mode, seed)))
+    assert digest(body) == BODIES["with columns"][mode][seed]
+
+
+def test_the_random_fields_have_base_layers_of_both_kinds(native: NativeEncoder) -> None:
+    """Else the tests above would compare frames without any."""
+    kinds = set()
+    for mode in MODES:
+        for seed in range(SEEDS):
+            segment = random_segment(mode, seed)
+            body = native.segment(*segment_arguments(segment), has_splines=True)
+            records = BodyReader(body, segment.grid, exact=False).records(len(segment.frames))
+            kinds |= {record.base_layer[0] for record in records if record.base_layer}
+    assert kinds == {0, 1}
 
 
 @pytest.mark.parametrize("seed", range(SEEDS))
 @pytest.mark.parametrize("mode", MODES)
 def test_random_fields_with_splines(mode: str, seed: int, native: NativeEncoder) -> None:
-    """The package fits the coefficients: sums of float32 depend on the vector instructions."""
+    """As the package encodes them: sums of float32, in the fit, depend on the vector instructions."""
     segment = random_segment(mode, seed)
-    assert native.segment(*segment_arguments(segment), has_splines=True) == expected(segment)
+    body = native.segment(*segment_arguments(segment), has_splines=True)
+    assert body == encoder_of(segment).encode_segment(segment.frames).body
 
 
 @pytest.mark.parametrize("seed", range(2 * SEEDS))
 def test_lossless(seed: int, native: NativeEncoder) -> None:
-    assert_same_bytes(native, lossless_segment(seed))
+    body = native.segment(*segment_arguments(lossless_segment(seed)))
+    assert digest(body) == BODIES["lossless"][seed]
 
 
 @pytest.mark.parametrize("name", GOLDEN)
-def test_golden_segments(name: str, native: NativeEncoder) -> None:
-    for segment in golden_segments(name):
-        assert native.segment(*segment_arguments(segment), has_splines=True) == expected(segment)
+def test_content_of_golden_files(name: str, native: NativeEncoder) -> None:
+    """Golden files themselves were written by an earlier encoder: other bytes, the same format."""
+    bodies = [native.segment(*segment_arguments(s), has_splines=True) for s in golden_segments(name)]
+    assert [digest(body) for body in bodies] == BODIES["golden content"][name]
+
+
+def bricks_with_force(field: ForceField) -> dict[tuple[int, ...], bytes]:
+    """The forces of bricks, as bytes; -0 equals 0."""
+    pairs = zip(field.bricks.tolist(), field.forces_n, strict=True)
+    return {tuple(brick): (forces + np.float32(0)).tobytes() for brick, forces in pairs if forces.any()}
+
+
+SMALL_VOXELS = 4000  # the second decoder takes a second for so many
+
+
+@pytest.mark.parametrize("mode", [*MODES, "lossless"])
+def test_the_second_decoder_reads_random_segments(mode: str) -> None:
+    """It agrees with the package's, for the smallest of the random grids."""
+    count = 0
+    for seed in range(40):
+        segment = lossless_segment(seed) if mode == "lossless" else random_segment(mode, seed)
+        frames = segment.frames[:2]
+        if segment.grid.voxel_count * len(frames) > SMALL_VOXELS or not any(len(f.bricks) for f in frames):
+            continue
+        encoder = encoder_of(segment)
+        body, shape = encoder.encode_segment(frames).body, segment.grid.shape
+        again = second_decoder.decode_segment(body, encoder.parameters, shape, len(frames))
+        for field, bricks in zip(
+            TouchDecoder(segment.grid, encoder.parameters).frames(body, len(frames)), again, strict=True
+        ):
+            expected = {b: (f + np.float32(0)).tobytes() for b, f in bricks.items() if f.any()}
+            assert bricks_with_force(field) == expected, seed
+        count += 1
+    assert count >= 3
 
 
 @pytest.mark.parametrize("seed", range(SEEDS))
@@ -166,16 +219,27 @@ def test_golden_bodies(name: str, native: NativeEncoder) -> None:
 @pytest.mark.parametrize("seed", range(SEEDS))
 def test_exact_samples(seed: int, native: NativeEncoder) -> None:
     segment = random_segment("mask", seed, guess="off")
-    coder, rng = TouchEncoder(segment.grid, segment.spec), np.random.default_rng(seed)
+    coder, rng = encoder_of(segment), np.random.default_rng(seed)
     coded = coder.encode_segment(segment.frames)
     samples = [random_samples(frame, rng) for frame in segment.frames]
     samples[0] = samples[0][: len(samples[0]) * (seed % 2)]
     body = coder.with_exact_samples(coded, segment.frames, samples).body
     assert native.with_exact_samples(segment.grid, segment.spec, coded.body, segment.frames, samples) == body
+    assert digest(body) == BODIES["exact samples"][seed]
+    decoded = TouchDecoder(segment.grid, coder.parameters).frames(body, len(segment.frames))
+    for field, original, numbers in zip(decoded, segment.frames, samples, strict=True):
+        for own, expected in zip(*(samples_at(f, numbers) for f in (field, original)), strict=True):
+            assert own.tobytes() == expected.tobytes()
+
+
+def samples_at(field: ForceField, numbers: np.ndarray) -> np.ndarray:
+    """The forces of samples by their numbers: 512 times that of the brick plus the sample."""
+    at: np.ndarray = field.forces_at(numbers >> 9).reshape(-1, 512, 3)[np.arange(len(numbers)), numbers & 511]
+    return at
 
 
 def test_functions_are_short() -> None:
-    for name in ("touch_model.h", "touch_encode.h"):
+    for name in ("touch_model.h", "touch_encode.h", "python/arguments.h", "python/segments.h"):
         start, lines = 0, (C / name).read_text().splitlines()
         for number, line in enumerate(lines):
             assert len(line) <= 128, f"{name}:{number + 1}"
@@ -188,9 +252,9 @@ def test_functions_are_short() -> None:
 def test_key_frame(native: NativeEncoder) -> None:
     segment = random_segment("mask", 1, guess="off")
     key_frame = segment.frames[0].scaled(1.0005)
-    coder = TouchEncoder(segment.grid, segment.spec)
-    body = coder.encode_segment(segment.frames, key_frame=key_frame).body
+    body = encoder_of(segment).encode_segment(segment.frames, key_frame=key_frame).body
     assert native.segment(segment.grid, segment.spec, segment.frames, key_frame) == body
+    assert digest(body) == BODIES["key frame"]
 
 
 @pytest.mark.parametrize(
@@ -202,6 +266,10 @@ def test_frames_of_a_static_scene(options: dict[str, Any], native: NativeEncoder
     for scale in (1.0, 1.0003, 1.0007, 1.0015, 1.003, 1.03, 2.0):
         frame = earlier.scaled(scale)
         is_static = coder.key_frame(frame, earlier) is earlier
+        error = np.linalg.norm(frame.forces_n.astype(float) - earlier.forces_n, axis=-1)
+        size = np.linalg.norm(frame.forces_n.astype(float), axis=-1)
+        allowed = np.maximum(0.02 * spec.f0_n, max(0.02 * spec.k, 0.001) * size)
+        assert is_static == (spec.mode != "nmse" and bool((error <= allowed).all()))
         assert native.is_static(spec, frame, earlier) == is_static
         found.add(is_static)
     assert found == ({False} if spec.mode == "nmse" else {True, False})
@@ -269,7 +337,8 @@ def test_noise_fits_in_the_memory_that_is_announced(options: dict[str, Any], nat
     frames = [noise(grid, 0), noise(grid, 1)]
     for guess in ("off",) if options.get("mode") == "lossless" else ("auto", "off"):
         segment = Segment(TouchSpec(guess=guess, **options), frames)
-        assert native.segment(*segment_arguments(segment), has_splines=True) == expected(segment)
+        body = native.segment(*segment_arguments(segment), has_splines=True)
+        assert body == encoder_of(segment).encode_segment(frames).body
     spec, room = segment.spec, native.room(grid, segment.spec, 216)
     assert room < 216 * 51_000 + (12 << 20 if spec.mode == "lossless" else 4 << 20)
     with pytest.raises(ValueError, match="5: no room"):
@@ -282,10 +351,9 @@ def test_columns_that_reach_far_beyond_a_frame_are_not_taken(native: NativeEncod
     forces = np.zeros((*grid.shape, 3), np.float32)
     forces[..., -8:, 2] = -np.linspace(0.95, 0.5, 8)
     forces[:8, :8, :, 2] = -np.linspace(0.001, 1, 256)
-    segment = Segment(TouchSpec(mode="nmse", step_n=0.01), [ForceField.from_dense(grid, forces)])
-    lattice = lattice_for(segment.spec, 1.0)
-    assert fit_columns(segment.frames[0], lattice, limits_for(segment.spec, lattice)) is None
-    assert_same_bytes(native, segment)
+    frame = ForceField.from_dense(grid, forces)
+    body = native.segment(grid, TouchSpec(mode="nmse", step_n=0.01), [frame])
+    assert not BodyReader(body, grid, exact=False).records(1)[0].base_layer
 
 
 def test_too_little_memory_is_reported(native: NativeEncoder) -> None:

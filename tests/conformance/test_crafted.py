@@ -13,9 +13,8 @@ from second import decoder, reading
 from test_c import CODES, COMPILER, built, run
 
 from live_makers import HEAD
-from touchfield.codec.touch.body import BodyReader
+from touchfield.codec.touch.body import FLOOR_LIMIT, RATE_LIMIT, BodyReader
 from touchfield.codec.touch.encoder import TouchEncoder
-from touchfield.codec.touch.lattice import FLOOR_LIMIT, RATE_LIMIT
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.varint import chunk, write_varint
 from touchfield.container import TouchWriter

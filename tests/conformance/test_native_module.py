@@ -1,12 +1,13 @@
-"""`touchfield._native`, built here: bit-exact frames of every golden file, without compiling kernels."""
+"""`touchfield._native`, built here: its arguments and errors, and CPython as its declarations have it."""
 
 from __future__ import annotations
 
-import math
 import subprocess
 import sys
 import sysconfig
-from collections.abc import Iterator
+import threading
+import time
+from collections.abc import Callable, Iterator
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
@@ -15,10 +16,10 @@ import numpy as np
 import pytest
 from second import CONFORMANCE, GOLDEN
 
-from touchfield.container import TouchReader
-from touchfield.errors import FormatError
-from touchfield.pipeline import native_decoder
-from touchfield.pipeline.decoding import open_file
+from touchfield.codec.touch.decoder import TouchDecoder
+from touchfield.codec.touch.encoder import TouchEncoder
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.medium import ForceField, Grid
 
 ROOT = CONFORMANCE.parent
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Werror", "-O2", "-fPIC", "-shared")
@@ -40,13 +41,12 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def native(path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """The loaded module, used in one test only."""
+def native(path: Path) -> Any:
+    """The loaded module, another one than that of the package."""
     spec = spec_from_file_location("touchfield._native", path)
     assert spec is not None and spec.loader is not None
     module = module_from_spec(spec)
     spec.loader.exec_module(module)
-    monkeypatch.setattr(native_decoder, "native_module", lambda: module)
     return module
 
 
@@ -60,11 +60,15 @@ LAYOUT = """
 #define FIELD(type, name) printf("%s.%s %zu\\n", #type, #name, offsetof(type, name))
 int main(void) {{
     PyModuleDef empty = {{PyModuleDef_HEAD_INIT, "m", NULL, -1, NULL, NULL, NULL, NULL, NULL}};
-    printf("%zu %zu %d %d\\n", sizeof empty, sizeof(PyMethodDef), METH_VARARGS, METH_O);
+    printf("%zu %zu %zu\\n", sizeof empty, sizeof(PyMethodDef), sizeof(Py_buffer));
+    printf("%d %d %d\\n", METH_VARARGS, METH_O, PyBUF_SIMPLE);
     FIELD(PyModuleDef, m_name); FIELD(PyModuleDef, m_doc); FIELD(PyModuleDef, m_size);
     FIELD(PyModuleDef, m_methods); FIELD(PyModuleDef, m_slots); FIELD(PyModuleDef, m_free);
     FIELD(PyMethodDef, ml_name); FIELD(PyMethodDef, ml_meth); FIELD(PyMethodDef, ml_flags);
     FIELD(PyMethodDef, ml_doc); FIELD(PyObject, ob_refcnt); FIELD(PyObject, ob_type);
+    FIELD(Py_buffer, buf); FIELD(Py_buffer, obj); FIELD(Py_buffer, len); FIELD(Py_buffer, itemsize);
+    FIELD(Py_buffer, readonly); FIELD(Py_buffer, ndim); FIELD(Py_buffer, format); FIELD(Py_buffer, shape);
+    FIELD(Py_buffer, strides); FIELD(Py_buffer, suboffsets); FIELD(Py_buffer, internal);
     return (int)empty.m_size + 1;
 }}
 """
@@ -117,87 +121,212 @@ def test_a_machine_without_a_compiler_needs_ziglang(monkeypatch: pytest.MonkeyPa
     assert compiler.find_compiler()[1:] == ["-m", "ziglang", "cc"]
 
 
-def voxels() -> Path:
-    """A golden file of the coder `touch`."""
-    for stream in GOLDEN:
-        with TouchReader(stream) as reader:
-            if reader.head.coder == "touch":
-                return stream
-    raise AssertionError("there is none")
-
-
-@pytest.mark.parametrize("stream", GOLDEN, ids=lambda p: p.stem)
-def test_frames_of_golden_files_are_bit_exact(
-    stream: Path, native: Any, monkeypatch: pytest.MonkeyPatch
+def test_a_build_without_a_compiler_fails_with_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    with open_file(stream) as opened:
-        is_voxels = opened.reader.head.coder == "touch"
-        assert opened.is_native == is_voxels
-        medium = opened.medium
-        frames = [medium[i] for i in range(len(medium))] if is_voxels else []
-    monkeypatch.setattr(native_decoder, "native_module", lambda: None)
-    with open_file(stream) as plain:
-        assert not plain.is_native
-        for n, frame in enumerate(frames):
-            expected = plain.medium[n]
-            np.testing.assert_array_equal(frame.bricks, expected.bricks)
-            assert frame.forces_n.tobytes() == expected.forces_n.tobytes()
+    hook = pytest.importorskip("hook")
+
+    def fail(*_: Any) -> None:
+        raise compiler.NoCompiler("no C compiler works")
+
+    monkeypatch.setattr(hook, "_PACKAGE", tmp_path)
+    monkeypatch.setattr(hook, "compile_module", fail)
+    old = tmp_path / "_native.abi3.so"
+    old.touch()
+    with pytest.raises(SystemExit, match=r"no C compiler works.*pip install ziglang"):
+        hook.NativeModule.initialize(None, "standard", {})
+    assert not old.exists()  # a module of other sources would be imported
 
 
-def test_damaged_segment_gives_the_error_of_the_python_decoder(native: Any, tmp_path: Path) -> None:
-    data = bytearray(voxels().read_bytes())
-    index = data.index(b"SEGM") + 30
-    data[index] ^= 1
-    bad = tmp_path / "bad.touch"
-    bad.write_bytes(data)
-    with open_file(bad) as stream, pytest.raises(FormatError, match="CRC-32"):
-        stream.medium[0]
+GRID = Grid((20, 17, 13), (0.001, 0.002, 0.0015), (0.0, 0.0, 0.0))
+OPTIONS = (0, 0, 0, 1, 1, 0.1, 0.05, 18.4, 0.05)
 
 
-def test_python_decodes_from_the_frame_that_the_module_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
-    with open_file(voxels()) as plain:
-        count = plain.reader.segments[0].frame_count
-        expected = [plain.medium[i] for i in range(count)]
-    frame = expected[0]
-    numbers = np.ravel_multi_index(frame.bricks.T, frame.grid.brick_shape).astype(np.uint32)
-    # in any order, with an empty brick; twice as large, to distinguish it from Python's frames
-    empty, expected[0] = (
-        np.setdiff1d(np.arange(math.prod(frame.grid.brick_shape)), numbers)[:1],
-        frame.scaled(2),
+def field_of(seed: int, grid: Grid = GRID) -> ForceField:
+    """A smooth field with some noise."""
+    x, y, z = np.indices(grid.shape)
+    depth = np.clip(z - 4 - np.sin((x + seed) / 5) - np.cos(y / 4), 0, 5)
+    noise = 1 + np.random.default_rng(seed).normal(0, 0.02, grid.shape)
+    return ForceField.from_dense(
+        grid, ((0.3 * depth * noise)[..., None] * [0.1, 0.2, -1.0]).astype(np.float32)
     )
-    forces = np.concatenate([np.zeros_like(frame.forces_n[:1]), 2 * frame.forces_n[::-1]])
-    native_frame = np.append(empty, numbers[::-1]).astype(np.uint32), forces
-
-    class Native:
-        open = frames = staticmethod(lambda *given: iter([tuple(part.tobytes() for part in native_frame)]))
-
-        @staticmethod
-        def next(frames: Iterator[Any]) -> Any:
-            for frame_bytes in frames:
-                return frame_bytes
-            raise ValueError("bytes that contradict themselves")
-
-    monkeypatch.setattr(native_decoder, "native_module", lambda: Native)
-    with open_file(voxels()) as native:
-        assert native.is_native and [native.medium[i] for i in range(count)] == expected
 
 
-def test_invalid_files_are_refused_with_a_message(native: Any) -> None:
-    assert native.open(b"something else") is None
+def arrays(frame: ForceField) -> tuple[Any, Any, None]:
+    """A frame for the module."""
+    return frame.bricks, frame.forces_n, None
+
+
+FRAMES = [field_of(i) for i in range(3)]
+SCENE = GRID.shape, GRID.spacing_m, OPTIONS
+ENCODER = TouchEncoder(GRID, TouchSpec())
+BODY = ENCODER.encode_segment(FRAMES).body
+
+
+def encode(native: Any, frames: Any, longest_n: float | None = None, fit: Any = None) -> bytes:
+    """The body of frames."""
+    body: bytes = native.encode_segment(*SCENE, frames, None, longest_n, fit)[0]
+    return body
+
+
+def decode(native: Any, body: bytes, count: int = 3, shape: tuple[int, int, int] = GRID.shape) -> list[bytes]:
+    """The forces of frames."""
+    fields = native.open_fields(shape, ENCODER.parameters, body, count)
+    return [forces for _, forces in iter(lambda: native.next_field(fields), None)]
+
+
+def assert_refused(code: int, text: str, call: Callable[[], Any]) -> None:
+    """A call raises the code and the text."""
+    with pytest.raises(ValueError, match=text) as found:
+        call()
+    assert found.value.args[0] == code and len(found.value.args) == 2
+
+
+def test_segments_are_those_of_the_package(native: Any) -> None:
+    assert encode(native, [arrays(f) for f in FRAMES]) == BODY
+    decoded = TouchDecoder(GRID, ENCODER.parameters).frames(BODY, 3)
+    assert decode(native, BODY) == [f.forces_n.tobytes() for f in decoded]
+
+
+def test_a_stated_limit_of_forces_encodes_each_frame_before_the_next_is_taken(native: Any) -> None:
+    """In a second arena, too, once a frame has more bricks than the ones before."""
+    rng, order = np.random.default_rng(1), list[str]()
+    grid = Grid((64, 64, 64), (0.001,) * 3, (0.0,) * 3)
+    fields = [
+        field_of(0, grid),
+        ForceField.from_dense(grid, rng.normal(0, 1, (*grid.shape, 3)).astype(np.float32)),
+    ]
+    small = ForceField(grid, fields[0].bricks[:2], fields[0].forces_n[:2])
+    fields = [small, fields[0], fields[1], small]
+
+    def arriving() -> Iterator[Any]:
+        for i, frame in enumerate(fields):
+            order.append(f"frame {i}")
+            yield arrays(frame)
+
+    def fit(frame: int, level: int, *_: float) -> None:
+        order.append(f"fit {frame}")
+
+    scene = grid.shape, grid.spacing_m, OPTIONS
+    body, decoded, _ = native.encode_segment(*scene, arriving(), None, 9.0, fit)
+    assert body == TouchEncoder(grid, TouchSpec()).encode_segment(fields, longest_n=9.0).body
+    assert body == native.encode_segment(*scene, [arrays(f) for f in fields], None, 9.0, None)[0]
+    assert order.index("fit 0") < order.index("frame 1") < order.index("frame 2")
+    frames = TouchDecoder(grid, ENCODER.parameters).frames(body, 4)
+    assert decoded == [frame.support_count for frame in frames]
+
+
+def test_exceptions_of_callbacks_are_passed_on(native: Any) -> None:
+    class Interrupt(Exception):
+        """Of a caller."""
+
+    def fit(*_: Any) -> None:
+        raise Interrupt("fit")
+
+    def arriving() -> Iterator[Any]:
+        yield arrays(FRAMES[0])
+        raise Interrupt("frames")
+
+    with pytest.raises(Interrupt, match="fit"):
+        encode(native, [arrays(f) for f in FRAMES], None, fit)
+    for longest_n in (None, 9.0):
+        with pytest.raises(Interrupt, match="frames"):
+            encode(native, arriving(), longest_n)
+
+
+@pytest.mark.parametrize(
+    ("spline", "text"),
+    [
+        (((1, 3, 3), 5, (1, 1, 1), np.zeros(4)), "cannot be coded"),
+        (((3, 3, 3), 0, (1, 1, 1), np.zeros(4)), "cannot be coded"),
+        (((3, 3, 3), 5, (1, 1, 1 << 20), np.zeros(4)), "cannot be coded"),
+        (((3, 3, 3), 5, (1, 1, 1), np.zeros(4)), "other nodes"),
+        (((3, 3, 3), 5, (1, 1, 1), np.zeros(9, np.uint8)), "another size"),
+    ],
+)
+def test_splines_that_do_not_fit_are_refused(spline: Any, text: str, native: Any) -> None:
+    assert_refused(6, text, lambda: encode(native, [arrays(FRAMES[0])], None, lambda *_: spline))
+
+
+def test_invalid_arguments_are_refused(native: Any) -> None:
+    bricks, forces, _ = arrays(FRAMES[0])
+    assert_refused(6, "too many samples", lambda: decode(native, BODY, 3, (0, 8, 8)))
+    assert_refused(6, "too many samples", lambda: decode(native, BODY, 3, (1 << 20, 1 << 20, 8)))
+    assert_refused(6, "number of frames", lambda: decode(native, BODY, -1))
+    assert_refused(6, "another size", lambda: encode(native, [(bricks, forces[:-1], None)]))
+    assert_refused(6, "another size", lambda: encode(native, [(bricks.tobytes()[:-1], forces, None)]))
+    assert_refused(6, "another size", lambda: encode(native, [(bricks, forces, forces)]))
+    assert_refused(6, "ascend", lambda: encode(native, [(bricks[::-1].copy(), forces, None)]))
+    assert_refused(6, "beyond the grid", lambda: encode(native, [(bricks + np.int32(9), forces, None)]))
+    assert_refused(6, "not finite", lambda: encode(native, [(bricks, forces * np.float32(np.nan), None)]))
+    assert_refused(6, "no frames", lambda: encode(native, []))
+    assert_refused(6, "no frames", lambda: encode(native, iter(()), 1.0))
+    modes = (GRID.shape, GRID.spacing_m, (4, *OPTIONS[1:]), [], None, None, None)
+    assert_refused(6, "a mode that there is not", lambda: native.encode_segment(*modes))
+    samples = [np.zeros(0, np.uint64)] * 2
+    exact = (*SCENE, BODY, [arrays(f) for f in FRAMES], samples)
+    assert_refused(6, "another number of frames", lambda: native.add_exact_samples(*exact))
+    with pytest.raises(ValueError, match="contiguous"):
+        encode(native, [(bricks, forces[:, ::2], None)])
+    for arguments in ((), (None, b"", b"", 1), (GRID.shape, 1, b"", 1), (GRID.shape, b"", b"", "1")):
+        with pytest.raises((TypeError, SystemError)):
+            native.open_fields(*arguments)
     with pytest.raises(ValueError, match="PyCapsule"):
-        native.frames(None, 0)
-    with pytest.raises(ValueError, match="a segment that there is not"):
-        native.frames(native.open(voxels().read_bytes()), 4096)
+        native.next_field(None)
 
 
-def test_decode_compiles_no_kernel(path: Path, tmp_path: Path) -> None:
-    stream = voxels()
+def test_damaged_bytes_are_refused_and_end_the_segment(native: Any) -> None:
+    assert_refused(2, "too early", lambda: decode(native, BODY[:-9]))
+    assert_refused(3, "behind the last frame", lambda: decode(native, BODY + b"x"))
+    assert_refused(
+        4, "version", lambda: native.open_fields(GRID.shape, b"\2" + ENCODER.parameters[1:], BODY, 3)
+    )
+    fields = native.open_fields(GRID.shape, ENCODER.parameters, BODY[:-9], 3)
+    with pytest.raises(ValueError, match="too early"):
+        list(iter(lambda: native.next_field(fields), None))
+    assert native.next_field(fields) is None
+
+
+def test_a_segment_that_needs_more_memory_is_decoded_from_its_start_again(native: Any) -> None:
+    """The memory at first is for some 5000 bricks; here the second frame has many more."""
+    grid = Grid((256, 256, 160), (0.001,) * 3, (0.0,) * 3)
+    few = ForceField.from_support(grid, [[3, 4, 5], [200, 4, 5]], [[0, 0, 1], [0, 2, 0]])
+    many = ForceField.from_dense(grid, np.broadcast_to(np.float32([0, 1, 2]), (*grid.shape, 3)))
+    encoder = TouchEncoder(grid, TouchSpec(effort="fast", guess="off"))
+    body = encoder.encode_segment([few, many, few]).body
+    fields = native.open_fields(grid.shape, encoder.parameters, body, 3)
+    bricks = [
+        np.frombuffer(b, np.int32).reshape(-1, 3) for b, _ in iter(lambda: native.next_field(fields), None)
+    ]
+    assert [len(b) for b in bricks] == [2, 20480, 2] and (bricks[0] == few.bricks).all()
+
+
+def test_other_threads_run_meanwhile(native: Any) -> None:
+    """A thread counts while C encodes in another one."""
+    grid = Grid((64, 64, 64), (0.001,) * 3, (0.0,) * 3)
+    noise = np.random.default_rng(1).normal(0, 1, (*grid.shape, 3)).astype(np.float32)
+    frame, done = ForceField.from_dense(grid, noise), threading.Event()
+    arguments = grid.shape, grid.spacing_m, OPTIONS, [arrays(frame)], None, None, None
+    worker = threading.Thread(target=lambda: (native.encode_segment(*arguments), done.set()))
+    worker.start()
+    count = 0
+    while not done.is_set():
+        count += 1
+        time.sleep(0.001)
+    worker.join()
+    assert count > 20
+
+
+def test_an_install_without_the_module_says_what_to_do(tmp_path: Path) -> None:
+    code = "import sys; sys.modules['touchfield._native'] = None; import touchfield.codec.touch.decoder"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode and "pip install ziglang" in done.stderr.splitlines()[-1]
+
+
+def test_decode_compiles_no_kernel(tmp_path: Path) -> None:
+    stream = next(path for path in GOLDEN if path.stem == "touch-mask")
     program = (
-        "import sys; from importlib.util import module_from_spec, spec_from_file_location\n"
-        "import touchfield\n"
-        f"spec = spec_from_file_location('touchfield._native', {str(path)!r})\n"
-        "module = module_from_spec(spec); spec.loader.exec_module(module)\n"
-        "sys.modules['touchfield._native'] = module\n"
+        "import sys\n"
         "from touchfield.cli.main import run\n"
         f"try: run(['decode', {str(stream)!r}, {str(tmp_path / 'field.npz')!r}])\n"
         "except SystemExit as end: sys.exit(end.code or 'numba' in sys.modules)"

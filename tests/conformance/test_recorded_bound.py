@@ -6,6 +6,7 @@ from the output of three decoders. All errors are in the first, a middle or the 
 
 from __future__ import annotations
 
+import ctypes
 import io
 import math
 from collections.abc import Iterator
@@ -14,12 +15,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from native_encoder import C, NativeEncoder, build
 from second import decoder
 from test_c import COMPILER, Raw, built, run
 
 import touchfield as tf
 from live_makers import HEAD
-from touchfield.codec.touch import encoder as encoder_module
 from touchfield.codec.touch.body import BodyReader
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
@@ -163,25 +164,49 @@ def test_recorded_ratio_excludes_outliers(effort: str) -> None:
     assert_recorded(body, encoder.parameters, ratios, 2)
 
 
+WRONG = """
+uint32_t touch_wrong_frame = 0;
+static const touch_field *touch_wrong(const touch_field *field, uint32_t frame) {
+    float *forces = (float *)(uintptr_t)field->forces_n;
+    uint64_t count = frame == touch_wrong_frame ? 1536 * (uint64_t)field->bricks : 0;
+    for (uint64_t i = 0; i < count; i++) forces[i] *= 1.5f;
+    return field;
+}
+"""
+CHECKED = "touch_side_of_field(&side, field, "
+
+
+@pytest.fixture(scope="module")
+def wrong_encoder(tmp_path_factory: pytest.TempPathFactory) -> NativeEncoder:
+    """An encoder that decodes one frame wrongly when it checks its body."""
+    folder = tmp_path_factory.mktemp("wrong")
+    text = (C / "touch_encode.h").read_text()
+    section = text.index("/* -- the finished segment")
+    assert text.count(CHECKED) == 1
+    text = text[:section] + WRONG + text[section:]
+    text = text.replace(CHECKED, "touch_side_of_field(&side, touch_wrong(field, n), ")
+    (folder / "touch_encode.h").write_text(text)
+    (folder / "wrong.c").write_text('#define TOUCH_ENCODE_IMPLEMENTATION\n#include "touch_encode.h"\n')
+    return NativeEncoder(build(folder, "-O1", source=folder / "wrong.c"))
+
+
+@pytest.mark.skipif(COMPILER is None, reason="there is no C compiler here")
 @pytest.mark.parametrize("index", range(FRAMES))
 @pytest.mark.parametrize("effort", ["fast", "default"])
 @pytest.mark.parametrize("mode", ["mask", "lossless"])
 def test_body_that_decodes_differently_is_not_written(
-    mode: str, effort: str, index: int, monkeypatch: pytest.MonkeyPatch
+    mode: str, effort: str, index: int, wrong_encoder: NativeEncoder
 ) -> None:
     """The check of the finished body fails for any wrong frame (effort fast: with outliers)."""
-
-    class Wrong(TouchDecoder):
-        def frames(self, body: bytes, frame_count: int) -> Iterator[ForceField]:
-            for i, frame in enumerate(super().frames(body, frame_count)):
-                yield frame.scaled(1.5) if i == index else frame
-
     frames = [field_of("huge", seed) for seed in range(FRAMES)]
-    encoder = TouchEncoder(GRID, TouchSpec(mode=mode, k=0.02, f0_n=0.0, effort=effort))
-    encoder.encode_segment(frames)
-    monkeypatch.setattr(encoder_module, "TouchDecoder", Wrong)
-    with pytest.raises(AssertionError, match="violates the error bound"):
-        encoder.encode_segment(frames)
+    spec = TouchSpec(mode=mode, k=0.02, f0_n=0.0, effort=effort)
+    wrong = ctypes.c_uint32.in_dll(wrong_encoder.c, "touch_wrong_frame")
+    wrong.value = FRAMES
+    body = TouchEncoder(GRID, spec).encode_segment(frames).body
+    assert wrong_encoder.segment(GRID, spec, frames) == body
+    wrong.value = index
+    with pytest.raises(ValueError, match=r"violates the error bound|not decoded as it was"):
+        wrong_encoder.segment(GRID, spec, frames)
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from second import reading
 
-from touchfield.codec.touch.body import FrameRecord, write_body
+from touchfield.codec.touch.body import FrameRecord, Lattice, write_body
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
-from touchfield.codec.touch.lattice import Lattice
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.varint import write_varint
 from touchfield.errors import FormatError

@@ -13,7 +13,6 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from importlib import import_module
 from typing import Final
 
 from touchfield.compute.threads import worker_count
@@ -60,11 +59,10 @@ def _main(groups: list[str]) -> None:
     if hasattr(os, "nice"):
         os.nice(_NICE)
     gc.disable()
-    from touchfield.codec.touch.warm import GROUPS
+    from touchfield.tasks.setup import GROUPS
 
-    functions = GROUPS if set(groups) <= GROUPS.keys() else import_module("touchfield.tasks.setup").GROUPS
     for group in groups:
-        functions[group]()
+        GROUPS[group]()
 
 
 if __name__ == "__main__":

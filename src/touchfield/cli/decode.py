@@ -47,7 +47,10 @@ def decode(stream: Stream, out: Annotated[Path, "FIELD.npz, or FIELD.vti for Par
     from touchfield.pipeline.decoding import write_field
 
     refuse_overwriting(out, stream)
-    with open_stream(stream) as opened, progress("decode", compiles=not opened.is_native) as report:
+    with (
+        open_stream(stream) as opened,
+        progress("decode", compiles=opened.reader.head.coder != "touch") as report,
+    ):
         written = write_field(out, opened.medium, report, opened.placement)
         summary = {
             "file": str(written),

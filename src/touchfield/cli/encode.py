@@ -38,9 +38,6 @@ from touchfield.errors import InvalidArgument, require_ending
 from touchfield.files import refuse_overwriting
 from touchfield.tasks.plan import Plan, Trial
 
-LATER = {"touch": ("passes", "columns")}
-"""For each coder the kernel groups that are compiled last, and longest, before the first field is coded."""
-
 
 @command(
     "Make",
@@ -74,10 +71,9 @@ def encode(
         )
     if target is not None and out.suffix == ".zarr":
         raise InvalidArgument(f"{target.option} works with OUT.touch, not with .zarr")
-    later = LATER.get(spec.coder, ())
     with (
         computing(device_compute),
-        progress("encode", later=later) as report,
+        progress("encode") as report,
         executor_of(workers) as executor,
     ):
         if out.suffix == ".zarr":
@@ -118,7 +114,7 @@ def filter_(
     if with_report:  # first: what it cannot be made of must not leave a file behind
         with progress("report") as report:
             measured = pipeline.filter_report(source, spec, report).summary()
-    with progress("filter", later=LATER.get(spec.coder, ()) if is_stream else ()) as report:
+    with progress("filter") as report:
         if is_stream:
             with executor_of(workers) as executor:
                 done = pipeline.encode(source, out, spec, report, executor=executor)

@@ -107,5 +107,5 @@ def warmup() -> None:
     """Compile all kernels now, so that the first real job does not wait for it."""
     from touchfield import tasks
 
-    with progress("compile", later=("passes", "measures", "filters")) as report:
+    with progress("compile", later=("measures", "filters")) as report:
         tasks.setup.warm_up(report)

@@ -16,7 +16,6 @@ from touchfield.compute.threads import Progress, silent
 from touchfield.container import TouchReader
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.medium.grid import Placement
-from touchfield.pipeline import native_decoder
 from touchfield.pipeline.decoded_frames import SegmentFrames, VibrationFrames, segment_layout
 
 if TYPE_CHECKING:
@@ -41,9 +40,6 @@ class OpenStream(ABC):
 
     is_live = False
     """True if the stream has no end, and reading a frame may wait for it."""
-
-    is_native = False
-    """True if `touchfield._native` decodes its frames instead of the compiled kernels."""
 
     def __init__(self, reader: TouchReader) -> None:
         self.reader, self.file_bytes = reader, reader.size
@@ -194,8 +190,7 @@ class VoxelStream(OpenStream):
         def decoded(segment: int) -> Iterator[ForceField]:
             return decoder.frames(reader.read_segment(segment), reader.segments[segment].frame_count)
 
-        by_native = native_decoder.decoder(reader, self.grid, decoded)
-        self.is_native, self._frames = by_native is not None, SegmentFrames(reader, by_native or decoded)
+        self._frames = SegmentFrames(reader, decoded)
 
     @property
     def medium(self) -> HapticMedium:

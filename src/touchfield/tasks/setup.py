@@ -14,13 +14,12 @@ from typing import Final
 import numpy as np
 
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.codec.touch.warm import GROUPS as TOUCH, solid
 from touchfield.compute.jit import kernel_folder
 from touchfield.compute.threads import Progress, silent, worker_count
 from touchfield.devices.drivers.registry import Check, array_kinds, library_check, point_kinds
 from touchfield.errors import InvalidArgument
 from touchfield.filters.registry import field_filters
-from touchfield.medium import HapticMedium
+from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.pipeline.comparison import compare
 from touchfield.pipeline.encoding import encode
 from touchfield.pipeline.spec import EncodeSpec
@@ -124,18 +123,27 @@ def _realtime() -> Check:
     return Check(purpose, True, "allowed")
 
 
+def _solid() -> ForceField:
+    """A solid with a wavy top, on a grid of three bricks along each axis."""
+    x, y, z = np.indices((24, 24, 24), np.float32)
+    depth = 18 + np.sin(x / 3) + np.cos(y / 4) - z
+    steep = np.stack([-np.cos(x / 3) / 3, np.sin(y / 4) / 4, np.ones_like(z)], axis=-1)
+    grid = Grid((24, 24, 24), (0.01,) * 3, (0.0,) * 3)
+    return ForceField.from_dense(grid, np.clip(0.2 * depth, 0, 2)[..., None] * steep)
+
+
 def _filters() -> None:
     for kind in field_filters().values():
-        kind.parse(kind.example)(solid())
+        kind.parse(kind.example)(_solid())
 
 
 def _measures() -> None:
-    medium = HapticMedium.from_frames([solid()] * 2, 30.0)
+    medium = HapticMedium.from_frames([_solid()] * 2, 30.0)
     measure_medium(medium, MeasureSpec(devices=("tshirt-32x32",)))
     FieldSampler(medium).force_n(0.0, np.zeros((2, 3)))
 
 
-GROUPS: Final[Mapping[str, Callable[[], None]]] = {**TOUCH, "filters": _filters, "measures": _measures}
+GROUPS: Final[Mapping[str, Callable[[], None]]] = {"filters": _filters, "measures": _measures}
 """Groups of kernels that are compiled together, each by a small run."""
 
 

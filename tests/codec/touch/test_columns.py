@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from lattice_makers import FLAT, lattice_of, limits_of
+from native_model import decode_base_layer, fit_columns as fit, lattice_of
 
-from touchfield.codec.touch import base_layer as columns
-from touchfield.codec.touch.base_layer_fit import fit_columns as fit
 from touchfield.codec.varint import write_varint
 from touchfield.errors import CorruptFile, TouchfieldError, TruncatedFile
 from touchfield.medium import ForceField, Grid
 
+COLUMNS = b"\1"  # the kind
 SHAPE, SPACING_M = (40, 36, 30), (0.001, 0.0012, 0.0008)
 GRID = Grid(SHAPE, SPACING_M, (0.0, 0.0, 0.0))
 
@@ -44,7 +43,7 @@ def permuted_field(forces: np.ndarray, axis: int, inverted: bool) -> ForceField:
 def fraction_within_mask(frame: ForceField, data: bytes) -> float:
     """Fraction of forces at which the base layer decoded from `data` is within the mask."""
     forces, unit_n = frame.to_dense(), lattice_of(frame).unit_n
-    predicted = columns.decode_columns(data, frame.grid).field(frame.grid, unit_n).to_dense()
+    predicted = decode_base_layer(data, frame.grid).field(frame.grid, unit_n).to_dense()
     length = np.linalg.norm(forces, axis=-1)
     return float(
         (np.linalg.norm(predicted - forces, axis=-1) <= np.maximum(0.05, 0.1 * length))[length > 0].mean()
@@ -54,7 +53,7 @@ def fraction_within_mask(frame: ForceField, data: bytes) -> float:
 @pytest.fixture(scope="module")
 def coded_hill() -> tuple[ForceField, bytes]:
     frame = permuted_field(solid_hill(), 2, True)
-    found = fit(frame, lattice_of(frame), limits_of(lattice_of(frame)))
+    found = fit(frame)
     assert found is not None
     return frame, found[0]
 
@@ -63,10 +62,10 @@ def coded_hill() -> tuple[ForceField, bytes]:
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_hill_has_a_base_layer_along_every_axis(axis, inverted):
     frame = permuted_field(solid_hill(), axis, inverted)
-    found = fit(frame, lattice_of(frame), limits_of(lattice_of(frame)))
+    found = fit(frame)
     assert found is not None
     data, fitted = found
-    decoded = columns.decode_columns(data, frame.grid)
+    decoded = decode_base_layer(data, frame.grid)
     assert np.array_equal(decoded.bricks, fitted.bricks)
     assert np.array_equal(decoded.vectors, fitted.vectors)
     assert fraction_within_mask(frame, data) > 0.95
@@ -75,7 +74,7 @@ def test_hill_has_a_base_layer_along_every_axis(axis, inverted):
 
 def test_two_surfaces_predict_a_blurred_step():
     frame = permuted_field(solid_hill(step=9, blurred=True), 2, True)
-    found = fit(frame, lattice_of(frame), limits_of(lattice_of(frame)))
+    found = fit(frame)
     assert found is not None
     assert fraction_within_mask(frame, found[0]) > 0.95
 
@@ -93,23 +92,23 @@ def test_fields_that_are_not_solid_have_no_base_layer(kind):
     elif kind == "a ball":
         r = np.sqrt(x * x + y * y + z * z)
         forces[...] = np.where(r < 12, 1 / np.maximum(r, 1), 0)[..., None] * np.stack([x, y, z], axis=-1)
-    assert fit(ForceField.from_dense(GRID, forces), FLAT, limits_of(FLAT)) is None
+    assert fit(ForceField.from_dense(GRID, forces)) is None
 
 
 @pytest.mark.parametrize("f0_n", [0.0, 1e-9, 10.0])
 def test_any_f0_is_accepted(f0_n):
     frame = permuted_field(solid_hill(), 2, True)
-    found = fit(frame, lattice_of(frame), limits_of(lattice_of(frame), f0_n=f0_n))
+    found = fit(frame, f0_n=f0_n)
     assert (found is None) == (f0_n == 10.0)  # no force exceeds 10 N
     if found is not None:
-        assert np.array_equal(columns.decode_columns(found[0], frame.grid).vectors, found[1].vectors)
+        assert np.array_equal(decode_base_layer(found[0], frame.grid).vectors, found[1].vectors)
 
 
 def test_truncated_bytes_are_refused(coded_hill):
     frame, data = coded_hill
-    for size in (*range(14), len(data) // 2):
+    for size in (*range(15), len(data) // 2):
         with pytest.raises((TruncatedFile, CorruptFile)):
-            columns.decode_columns(data[:size], frame.grid)
+            decode_base_layer(data[:size], frame.grid)
 
 
 @settings(deadline=None, max_examples=60)
@@ -118,9 +117,9 @@ def test_changed_bytes_give_a_field_or_a_named_error(coded_hill, data):
     frame, code = coded_hill
     changed = bytearray(code)
     for _ in range(data.draw(st.integers(1, 4))):
-        changed[data.draw(st.integers(0, len(changed) - 1))] = data.draw(st.integers(0, 255))
+        changed[data.draw(st.integers(1, len(changed) - 1))] = data.draw(st.integers(0, 255))
     try:
-        decoded = columns.decode_columns(bytes(changed), frame.grid)
+        decoded = decode_base_layer(bytes(changed), frame.grid)
     except TouchfieldError:
         return
     assert np.abs(decoded.vectors, dtype=np.int64).max(initial=0) < 1 << 17
@@ -131,20 +130,24 @@ def test_a_box_of_more_tiles_than_bytes_is_refused():
     grid = Grid((512, 512, 8), (0.001,) * 3, (0.0,) * 3)
     head = b"".join(map(write_varint, (4, 0, 0, 63, 63, *(1,) * 7)))
     with pytest.raises(TruncatedFile, match="tiles"):
-        columns.decode_columns(head + bytes(500), grid)
+        decode_base_layer(COLUMNS + head + bytes(500), grid)
 
 
 @pytest.mark.parametrize("box", [(5, 0, 0, 0), (4, 0, 1, 0), (0, 4, 0, 1)])
 def test_a_box_beyond_the_grid_is_refused(box):
     head = b"".join(map(write_varint, (4, *box, *(1,) * 7)))
     with pytest.raises(CorruptFile):
-        columns.decode_columns(head + bytes(50), GRID)
+        decode_base_layer(COLUMNS + head + bytes(50), GRID)
 
 
 def test_columns_too_deep_are_refused():
-    grid = Grid((8, 8, columns.MAX_DEPTH + 1), (0.001,) * 3, (0.0,) * 3)
-    with pytest.raises(CorruptFile, match="grid"):
-        columns.decode_columns(b"".join(map(write_varint, (4, 0, 0, 0, 0, *(1,) * 7))) + bytes(50), grid)
+    head = COLUMNS + b"".join(map(write_varint, (4, 0, 0, 0, 0, *(1,) * 7)))
+    for depth, error, text in (
+        (1 << 14, TruncatedFile, "code that ends"),
+        ((1 << 14) + 1, CorruptFile, "columns of too many samples"),
+    ):
+        with pytest.raises(error, match=text):
+            decode_base_layer(head + bytes(2000), Grid((8, 8, depth), (0.001,) * 3, (0.0,) * 3))
 
 
 def test_more_bricks_than_bytes_are_refused():
@@ -152,8 +155,8 @@ def test_more_bricks_than_bytes_are_refused():
     forces = np.zeros((8, 8, 8000, 3), np.float32)
     forces[..., 2] = np.clip(0.04 * (7990 - np.arange(8000)), 0, 2)
     frame = ForceField.from_dense(Grid((8, 8, 8000), SPACING_M, (0.0,) * 3), forces)
-    found = fit(frame, lattice_of(frame), limits_of(lattice_of(frame)))
+    found = fit(frame)
     assert found is not None
-    assert np.array_equal(columns.decode_columns(found[0], frame.grid).vectors, found[1].vectors)
+    assert np.array_equal(decode_base_layer(found[0], frame.grid).vectors, found[1].vectors)
     with pytest.raises(TruncatedFile, match="bricks"):
-        columns.decode_columns(found[0].rstrip(b"\0"), frame.grid)
+        decode_base_layer(found[0].rstrip(b"\0"), frame.grid)

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from field_makers import GRID, KINDS, field_of
 from hypothesis import given, strategies as st
+from native_model import Layer, compare_frames, fraction_within_bound
 
-from touchfield.codec.touch.error_bound import compare_frames, fraction_within_bound
-from touchfield.codec.touch.lattice import FixedField
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.medium import ForceField
 from touchfield.perception.mask import violations
@@ -94,10 +93,11 @@ def test_lossless_means_every_bit() -> None:
     b = a.copy()
     b[0, 1, 2, 3, 1] = -0.0
     fields = [ForceField(GRID, np.zeros((1, 3), np.int32), f) for f in (a, b)]
-    assert not len(compare_frames(fields[0], fields[0], spec).keys)
-    assert compare_frames(fields[0], fields[1], spec).samples.tolist() == [64 + 16 + 3]
-    assert compare_frames(fields[0], ForceField.empty(GRID), spec).samples.tolist() == [64 + 16 + 3]
-    assert compare_frames(ForceField.empty(GRID), fields[0], spec).samples.tolist() == [64 + 16 + 3]
+    assert not compare_frames(fields[0], fields[0], spec).violations
+    assert compare_frames(fields[0], fields[1], spec).violations
+    assert compare_frames(fields[0], ForceField.empty(GRID), spec).violations
+    assert compare_frames(ForceField.empty(GRID), fields[0], spec).violations
+    assert compare_frames(fields[0], fields[0], spec).decoded == 1
 
 
 def test_agreement_is_a_fraction_of_voxels() -> None:
@@ -108,13 +108,9 @@ def test_agreement_is_a_fraction_of_voxels() -> None:
     vectors[0, 1, 1, 1] = 105, 0, 0
     vectors[0, 1, 1, 2] = 150, 0, 0
     vectors[1, 0, 0, 0] = 40, 0, 0
-    base_layer = FixedField(np.array([[0, 0, 0], [0, 0, 1]], np.int32), vectors)
+    bricks = np.array([[0, 0, 0], [0, 0, 1]], np.int32)
+    prediction = Layer(bricks, vectors).field(GRID, 0.01)
     # of four voxels with a force in either field, only the first is within the mask
-    assert fraction_within_bound(original, base_layer, 0.01, MASK) == 0.25
-    assert fraction_within_bound(original, base_layer, 0.01, replace(MASK, mode="nmse", step_n=0.11)) == 0.25
-    assert (
-        fraction_within_bound(
-            ForceField.empty(GRID), FixedField(base_layer.bricks[:0], vectors[:0]), 0.01, MASK
-        )
-        == 1.0
-    )
+    assert fraction_within_bound(original, prediction, MASK) == 0.25
+    assert fraction_within_bound(original, prediction, replace(MASK, mode="nmse", step_n=0.11)) == 0.25
+    assert fraction_within_bound(ForceField.empty(GRID), ForceField.empty(GRID), MASK) == 1.0

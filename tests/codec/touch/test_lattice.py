@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 import pytest
 from field_makers import GRID, field_of, round_trip
 from hypothesis import given, strategies as st
-from numba import njit
+from native_model import StepTable, axes_and_vector, lattice_for, root
 
-from touchfield.codec.touch.body import write_body
-from touchfield.codec.touch.frame_encoder import lattice_for
-from touchfield.codec.touch.kernels import workspace as kernels
-from touchfield.codec.touch.kernels.workspace import AXES, ROWS, VECTOR
-from touchfield.codec.touch.lattice import MIN_FLOOR, MIN_RATE, Lattice, warp_of
+from touchfield.codec.touch.body import MIN_FLOOR, MIN_RATE, BodyReader, Lattice, write_body
+from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import CorruptFile
+from touchfield.medium import ForceField
 
 LATTICES = ((21, 0), (1, 64), (1, 131071), (700, 7405), (65535, 0), (65535, 131071), (37, 1))
 SPECS = (
@@ -30,28 +28,6 @@ SPECS = (
 )
 
 
-@njit
-def level_of(a: Any, border: Any) -> Any:
-    return kernels.level_of(a, border)
-
-
-@njit
-def amplitude_of(level: Any, border: Any) -> Any:
-    return kernels.amplitude_of(level, border)
-
-
-@njit
-def root(n: Any) -> Any:
-    return kernels.root(n)
-
-
-@njit
-def axes_and_vector(p: Any, along: Any, s1: Any, s2: Any, rows: Any) -> None:
-    rows[kernels.CENTRE] = p
-    kernels.axes_along(rows, kernels.length_of(p[0], p[1], p[2]))
-    kernels.rebuild(along, s1, s2, rows)
-
-
 @given(st.integers(0, (1 << 52) - 1), st.integers(0, (1 << 26) - 1))
 def test_roots_are_exact(n: int, s: int) -> None:
     for m in (n, s * s, max(0, s * s - 1), s * s + 2 * s):
@@ -61,16 +37,17 @@ def test_roots_are_exact(n: int, s: int) -> None:
 @pytest.mark.parametrize(("floor", "rate"), LATTICES)
 def test_lengths_round_trip_through_the_warp(floor: int, rate: int) -> None:
     """Lengths round-trip within 1/256 of a step; the map is odd; a step apart stays about a step apart."""
-    border = warp_of(floor, rate)
+    table = StepTable(floor, rate)
+    border = table.border
     assert border[0] == 0 and (np.diff(border) > 0).all() and border[-1] > 1 << 26
     rng = np.random.default_rng(floor)
     for a in (0, 1, 5, 31, 32, 1000, 65536, (1 << 18) - 1, *rng.integers(1 << 18, size=50).tolist()):
-        level, step = level_of(a, border), max(floor, a * rate >> 16, 1)
-        restored = amplitude_of(level, border)
+        level, step = table.level_of(a), max(floor, a * rate >> 16, 1)
+        restored = table.length_of(level)
         assert abs(restored - a) <= step / 200 + 1
-        assert amplitude_of(-level, border) == -restored
-        assert level_of(min(a + step, (1 << 18) - 1), border) >= level
-    assert abs(amplitude_of(1 << 40, border)) <= border[-1] >> 8
+        assert table.length_of(-level) == -restored
+        assert table.level_of(min(a + step, (1 << 18) - 1)) >= level
+    assert abs(table.length_of(1 << 40)) <= border[-1] >> 8
 
 
 @given(st.lists(st.integers(-(1 << 17) + 1, (1 << 17) - 1), min_size=3, max_size=3), st.integers(0, 17))
@@ -78,16 +55,15 @@ def test_axes_are_of_unit_length_and_across(vector: list[int], shift: int) -> No
     p = np.array(vector, np.int64) >> shift
     if not p.any():
         p[2] = 1
-    rows = np.zeros((ROWS, 3), np.int64)
-    axes_and_vector(p, 10_000, -300, 70, rows)
-    axes = rows[AXES : AXES + 3] / 16384
+    scaled, rebuilt = axes_and_vector(p.tolist(), 10_000, -300, 70)
+    axes = scaled / 16384
     exact = p / np.linalg.norm(p)
     rough = 2e-4 + 1 / np.linalg.norm(p)  # the length is rounded to an integer
     assert np.abs(axes[0] - exact).max() < rough
     assert np.abs(axes @ axes.T - np.eye(3)).max() < 4 * rough
-    assert np.abs(rows[VECTOR] - np.array([10_000, -300, 70]) @ axes).max() <= 0.5 + 1e-6
-    axes_and_vector(p, 1 << 30, 1 << 30, -(1 << 30), rows)
-    assert np.abs(rows[VECTOR]).max() <= kernels.LIMIT
+    assert np.abs(rebuilt - np.array([10_000, -300, 70]) @ axes).max() <= 0.5 + 1e-6
+    _, largest = axes_and_vector(p.tolist(), 1 << 30, 1 << 30, -(1 << 30))
+    assert np.abs(largest).max() < 1 << 17
 
 
 @pytest.mark.parametrize("longest", [0.0, 1e-42, 1e-3, 3.3, 1e30])
@@ -96,8 +72,9 @@ def test_lattices_contain_the_longest_force(longest: float, spec: TouchSpec) -> 
     lattice = lattice_for(spec, longest)
     assert lattice.unit_n == np.float32(lattice.unit_n) > 0
     assert longest <= lattice.unit_n * 65536 * (1 + 1e-6)
-    body = write_body(lattice, [], None)  # the reader validates it
-    assert list(round_trip([field_of("one", 1)], spec)[1].frames(body, 0)) == []
+    body = TouchEncoder(GRID, spec).encode_segment([ForceField.empty(GRID)], longest_n=longest).body
+    stored = BodyReader(body, GRID, exact=False).lattice  # the reader validates it
+    assert stored == Lattice(*(getattr(lattice, field.name) for field in fields(Lattice)))
 
 
 def test_lattices_fit_the_mask() -> None:
@@ -117,9 +94,9 @@ def test_lattices_fit_the_mask() -> None:
 )
 def test_lattice_tables_are_short(options: dict[str, Any], longest: float) -> None:
     lattice = lattice_for(replace(TouchSpec(step_n=1e-9), **options), longest)
-    assert 1000 < len(warp_of(lattice.floor, lattice.rate)) <= 200_000
+    assert 1000 < len(StepTable(lattice.floor, lattice.rate).border) <= 200_000
     for floor, rate in ((MIN_FLOOR, 0), (MIN_FLOOR, 3), (1, MIN_RATE)):
-        assert len(warp_of(floor, rate)) <= 200_000
+        assert len(StepTable(floor, rate).border) <= 200_000
 
 
 def test_lattice_with_a_long_table_is_refused() -> None:

@@ -7,13 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lattice_makers import lattice_of, limits_of
+from native_model import COLUMNS, Layer, decode_base_layer, fit_columns, fit_spline
 from test_columns import permuted_field, solid_hill
 from test_spline import ball
 
-from touchfield.codec.touch.base_layer import decode_columns, decode_spline
-from touchfield.codec.touch.base_layer_fit import fit_columns, fit_spline
-from touchfield.codec.touch.lattice import FixedField
 from touchfield.codec.varint import write_varint
 from touchfield.errors import TouchfieldError
 from touchfield.medium import Grid
@@ -25,7 +22,7 @@ from reading import FaultyFile
 from touch_frame import Units
 
 
-def same_units(decoded: FixedField, reference: Units) -> bool:
+def same_units(decoded: Layer, reference: Units) -> bool:
     assert [tuple(b) for b in decoded.bricks.tolist()] == reference.bricks
     supported = np.argwhere(decoded.vectors.any(axis=-1))
     positions = 8 * decoded.bricks[supported[:, 0]] + supported[:, 1:]
@@ -39,10 +36,10 @@ def same_units(decoded: FixedField, reference: Units) -> bool:
 @pytest.mark.parametrize("stiffness", [300.0, 900.0])
 def test_a_spline(stiffness):
     frame = ball(stiffness)
-    found = fit_spline(frame, lattice_of(frame), limits_of(lattice_of(frame)))
+    found = fit_spline(frame)
     assert found is not None
     assert same_units(
-        decode_spline(found[0], frame.grid), reference_base_layer.spline(found[0], frame.grid.shape)
+        decode_base_layer(found[0], frame.grid), reference_base_layer.spline(found[0][1:], frame.grid.shape)
     )
 
 
@@ -50,10 +47,10 @@ def test_a_spline(stiffness):
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_columns(axis, inverted):
     frame = permuted_field(solid_hill(step=9, blurred=True), axis, inverted)
-    found = fit_columns(frame, lattice_of(frame), limits_of(lattice_of(frame)))
+    found = fit_columns(frame)
     assert found is not None
     assert same_units(
-        decode_columns(found[0], frame.grid), reference_base_layer.columns(found[0], frame.grid.shape)
+        decode_base_layer(found[0], frame.grid), reference_base_layer.columns(found[0][1:], frame.grid.shape)
     )
 
 
@@ -68,6 +65,7 @@ def test_columns_of_any_bytes(seed):
         reference = reference_base_layer.columns(data, shape)
     except FaultyFile:
         with pytest.raises(TouchfieldError):
-            decode_columns(data, Grid(shape, (0.001,) * 3, (0.0,) * 3))
+            decode_base_layer(bytes([COLUMNS]) + data, Grid(shape, (0.001,) * 3, (0.0,) * 3))
     else:
-        assert same_units(decode_columns(data, Grid(shape, (0.001,) * 3, (0.0,) * 3)), reference)
+        decoded = decode_base_layer(bytes([COLUMNS]) + data, Grid(shape, (0.001,) * 3, (0.0,) * 3))
+        assert same_units(decoded, reference)

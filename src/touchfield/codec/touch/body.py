@@ -12,22 +12,29 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-import numpy as np
-
-from touchfield.arrays import Int64s
 from touchfield.codec.segment import RATIO_STEPS, BitAccount, FrameCost, FrameKind, MaxError
-from touchfield.codec.touch.lattice import Lattice
 from touchfield.codec.touch.spec import EFFORTS, MODES, SUPPORTS, TouchSpec
 from touchfield.codec.varint import Parts, chunk, write_varint
 from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
-from touchfield.medium import ForceField, Grid
-from touchfield.medium.field import brick_keys, bricks_of, field_without_empty_bricks
+from touchfield.medium import Grid
 
-_WHERE: Final = "SEGM.body"
-_OUTLIERS_WHERE: Final = "SEGM.body outliers"
+WHERE: Final = "SEGM.body"
+MIN_FLOOR: Final = 21
+MIN_RATE: Final = 64
+"""A lattice has a floor of at least `MIN_FLOOR` units or a rate of at least `MIN_RATE`.
+
+This bounds its table of warped lengths to 200,000 entries for any file: 2^22 / floor where it is uniform, and
+2^20 / rate (1 + ln(4 rate / floor)) where it is not.
+"""
+
+FLOOR_LIMIT: Final = 1 << 16
+RATE_LIMIT: Final = 1 << 17
+
+# smallest normal float32: products with it are exact also on machines that flush subnormal numbers to zero
+SMALLEST_UNIT_N: Final = 2.0**-126
+_MAX_UNIT_N: Final = 2.0**104
+
 _VERSION: Final = 1  # of the parameters
-_SAMPLES: Final = 512
-_VECTOR: Final = 12
 _MAX_ERROR_FLAG: Final = 1
 _INTER, _BASE_LAYER, _OUTLIERS = 1, 2, 4
 _MASK: Final = ("k", "f0_n")
@@ -42,6 +49,42 @@ _MASKING_FLAG: Final = 32
 def numbers_of(spec: TouchSpec) -> tuple[str, ...]:
     """Names of the numeric options that the mode of a spec uses."""
     return _NUMBERS[spec.mode] + (_MASKING if spec.masking else ())
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Steps of the residual along and across the prediction.
+
+    At a force of `a` units the step along it is max(`floor`, `rate` * a / 65536), and across it
+    max(`cross_floor`, `cross_rate` * a / 65536); at least 1. Rates of 0 make it uniform.
+    """
+
+    unit_n: float  # newtons of one unit; a float32
+    floor: int  # units, 1 to 65535
+    rate: int  # 0 to 131071: steps of up to twice the force
+    cross_floor: int
+    cross_rate: int
+
+    def to_bytes(self) -> bytes:
+        """The lattice in the body of a segment."""
+        steps = self.floor, self.rate, self.cross_floor, self.cross_rate
+        return struct.pack("<f", self.unit_n) + b"".join(map(write_varint, steps))
+
+    @classmethod
+    def read(cls, parts: Parts) -> Lattice:
+        """Read what `to_bytes` writes; CorruptFile if a number is out of bounds."""
+        (unit_n,) = struct.unpack("<f", parts.take(4, "unit"))
+        if not SMALLEST_UNIT_N <= unit_n <= _MAX_UNIT_N:
+            raise CorruptFile("SEGM.body unit", f"{unit_n} N", "2^-126 to 2^104 N")
+        floor, rate = parts.varint("floor", FLOOR_LIMIT, 1), parts.varint("rate", RATE_LIMIT)
+        cross_floor, cross_rate = (
+            parts.varint("cross floor", FLOOR_LIMIT, 1),
+            parts.varint("cross rate", RATE_LIMIT),
+        )
+        if floor < MIN_FLOOR and rate < MIN_RATE:
+            found = f"a floor of {floor} with a rate of {rate}"
+            raise CorruptFile("SEGM.body lattice", found, f"{MIN_FLOOR} or {MIN_RATE} at least")
+        return cls(unit_n, floor, rate, cross_floor, cross_rate)
 
 
 @dataclass(frozen=True)
@@ -79,20 +122,6 @@ class FrameRecord:
         return FrameCost(FrameKind(self.inter), bits)
 
 
-def bit_fractions(bits: tuple[float, float, float]) -> tuple[int, int]:
-    """Fractions of a payload for support and amplitude, in 1/255.
-
-    `bits` are the bits of support, amplitude and direction. The fractions are informative only, so any value
-    is accepted: the bits are estimates, and for a payload of a few bytes they may sum to more than it has,
-    which leaves a negative rest for one of the three.
-    """
-    total = sum(bits)
-    if not 0 < total < math.inf:
-        return 255, 0
-    support = min(max(round(255 * bits[0] / total), 0), 255)
-    return support, min(max(round(255 * bits[1] / total), 0), 255 - support)
-
-
 def write_body(lattice: Lattice | None, records: Sequence[FrameRecord], max_error: MaxError | None) -> bytes:
     """Write the body of a segment; `lattice` is None in mode "lossless"."""
     parts = [bytes([_MAX_ERROR_FLAG if max_error else 0])]
@@ -116,7 +145,7 @@ class BodyReader:
         self._parts, self._exact = Parts(body), exact
         (flags,) = self._parts.take(1, "flags")
         if flags & ~_MAX_ERROR_FLAG:
-            raise CorruptFile(f"{_WHERE} flags", f"{flags:#x}", "bit 0 only")
+            raise CorruptFile(f"{WHERE} flags", f"{flags:#x}", "bit 0 only")
         self.lattice = None if exact else Lattice.read(self._parts)
         self.max_error: MaxError | None = None
         if flags & _MAX_ERROR_FLAG:
@@ -128,8 +157,8 @@ class BodyReader:
     def records(self, frame_count: int) -> list[FrameRecord]:
         """The frames, not decoded; the body must end with the last one."""
         if self.max_error is not None and self.max_error.frame >= frame_count:
-            raise CorruptFile(f"{_WHERE} worst frame", str(self.max_error.frame), f"below {frame_count}")
-        where, records = f"{_WHERE} frame", list[FrameRecord]()
+            raise CorruptFile(f"{WHERE} worst frame", str(self.max_error.frame), f"below {frame_count}")
+        where, records = f"{WHERE} frame", list[FrameRecord]()
         for i in range(frame_count):
             flags, support, amplitude = self._parts.take(3, "frame")
             if flags > (_INTER if self._exact else _INTER | _BASE_LAYER | _OUTLIERS):
@@ -185,68 +214,3 @@ def read_parameters(data: bytes, where: str) -> TouchSpec:
         return replace(spec, **numbers)
     except InvalidArgument as error:
         raise CorruptFile(where, f"{error.where} = {error.found}", error.expected) from None
-
-
-def encode_outliers(original: ForceField, keys: Int64s, samples: Int64s) -> bytes:
-    """Code the exact forces of a field at samples of bricks (docs/format/touch.md).
-
-    `keys` and `samples`: int64 [m] each, ascending.
-    """
-    parts, previous = [], 0
-    bricks, slot = np.unique(keys, return_inverse=True)
-    vectors = original.forces_at(bricks).reshape(-1, _SAMPLES, 3)[slot, samples].astype("<f4")
-    for key, sample, vector in zip(keys.tolist(), samples.tolist(), vectors, strict=True):
-        data = vector.tobytes() if any(vector.tobytes()) else b""
-        parts += [write_varint(key - previous), write_varint(2 * sample + (not data)), data]
-        previous = key
-    return b"".join(parts)
-
-
-def outlier_numbers(grid: Grid, data: bytes) -> Int64s:
-    """Numbers of the samples of coded outliers, int64 [m], ascending.
-
-    A number is 512 times the key of the brick plus the index of the sample within it.
-    """
-    keys, samples, _ = _read_outliers(grid, data)
-    return 512 * np.array(keys, np.int64) + np.array(samples, np.int64)
-
-
-def apply_outliers(field: ForceField, data: bytes) -> ForceField:
-    """Replace the forces of a field at coded outliers.
-
-    Bricks without any force are removed. CorruptFile or TruncatedFile if the bytes are not those of
-    `encode_outliers`.
-    """
-    grid = field.grid
-    keys, samples, forces = _read_outliers(grid, data)
-    vectors = np.frombuffer(forces, "<f4").reshape(-1, 3)
-    if not np.isfinite(vectors).all():
-        raise CorruptFile(_OUTLIERS_WHERE, "a force that is not finite", "finite newtons")
-    local = np.stack(np.unravel_index(samples, (8, 8, 8)), axis=-1)
-    if (8 * bricks_of(grid, np.array(keys, np.int64)) + local >= np.asarray(grid.shape)).any():
-        raise CorruptFile(_OUTLIERS_WHERE, "a sample beyond the grid", f"samples below {grid.shape}")
-    union = np.union1d(brick_keys(grid, field.bricks), keys)
-    result = field.forces_at(union)
-    result.reshape(-1, _SAMPLES, 3)[np.searchsorted(union, keys), samples] = vectors
-    return field_without_empty_bricks(grid, bricks_of(grid, union), result)
-
-
-def _read_outliers(grid: Grid, data: bytes) -> tuple[list[int], list[int], bytes]:
-    """Keys of bricks, samples within them, and bytes of the forces.
-
-    CorruptFile or TruncatedFile if the bytes are invalid.
-    """
-    keys, samples = list[int](), list[int]()
-    parts, forces, key, sample = Parts(data, _OUTLIERS_WHERE), bytearray(), 0, -1
-    while not parts.is_ended:
-        gap = parts.varint("brick", math.prod(grid.brick_shape) - key)
-        coded = parts.varint("sample", 2 * _SAMPLES)
-        if keys and gap == 0 and coded >> 1 <= sample:
-            raise CorruptFile(
-                _OUTLIERS_WHERE, f"sample {coded >> 1} after sample {sample}", "ascending samples"
-            )
-        key, sample = key + gap, coded >> 1
-        keys.append(key)
-        samples.append(sample)
-        forces += bytes(_VECTOR) if coded & 1 else parts.take(_VECTOR, "force")
-    return keys, samples, bytes(forces)

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
+import numpy as np
+
+from touchfield.codec.native import decoding_errors, native
 from touchfield.codec.segment import FrameCost, MaxError
-from touchfield.codec.touch.body import BodyReader, apply_outliers, numbers_of, read_parameters
-from touchfield.codec.touch.lattice import FixedField
+from touchfield.codec.touch.body import WHERE, BodyReader, numbers_of, read_parameters, write_parameters
 from touchfield.medium import ForceField, Grid
-
-if TYPE_CHECKING:
-    from touchfield.codec.touch.frame import DecodedFrame
 
 NAME: Final = "touch"
 
@@ -27,34 +26,27 @@ class TouchDecoder:
 
     def __init__(self, grid: Grid, parameters: bytes, where: str = "HEAD.coder_parameters") -> None:
         self._grid, self.spec = grid, read_parameters(parameters, where)
+        self._parameters = write_parameters(self.spec)
 
     def frames(self, body: bytes, frame_count: int) -> Iterator[ForceField]:
         """Yield the frames of a segment in order.
 
         CorruptFile or TruncatedFile if the bytes are invalid.
         """
-        from touchfield.codec.touch.base_layer import decode_base_layer
-        from touchfield.codec.touch.frame import decode_exact, decode_frame, new_memory
-
-        reader = self._reader(body)
-        lattice, memory = reader.lattice, new_memory()
-        previous: FixedField | None = None
-        decoded: DecodedFrame | None = None
-        for record in reader.records(frame_count):
-            if lattice is None:
-                decoded = decode_exact(record.payload, self._grid, decoded if record.inter else None)
-                yield decoded.field
-                continue
-            if not record.inter:
-                memory = new_memory()
-            reference = previous if record.inter else None
-            if record.base_layer:
-                reference = decode_base_layer(record.base_layer, self._grid)
-            previous = decode_frame(record.payload, self._grid, lattice, reference, memory)
-            field = previous.field(self._grid, lattice.unit_n)
-            if record.outliers:
-                field = apply_outliers(field, record.outliers)
-            yield field
+        self._reader(body).records(frame_count)  # names the part of the body that is wrong
+        with decoding_errors(WHERE):
+            fields = native.open_fields(self._grid.shape, self._parameters, body, frame_count)
+        while True:
+            with decoding_errors(WHERE):
+                frame = native.next_field(fields)
+            if frame is None:
+                return
+            bricks, forces = frame
+            yield ForceField(
+                self._grid,
+                np.frombuffer(bricks, np.int32).reshape(-1, 3),
+                np.frombuffer(forces, np.float32).reshape(-1, 8, 8, 8, 3),
+            )
 
     def costs(self, body: bytes, frame_count: int) -> list[FrameCost]:
         """Cost of each frame of a segment, without decoding it."""

@@ -39,10 +39,10 @@ class TouchSpec:
     """
     step_n: float = option(0.05, "mode nmse: step of the lattice, newtons. [default: 0.05]")
     """Step of the uniform lattice of mode "nmse", newtons."""
-    effort: str = option("default", "default, or fast: 1.2 to 1.6 times as quick, decodes nothing to check.")
+    effort: str = option("default", "default, or fast: up to 1.7 times as quick, decodes nothing to check.")
     """Either "fast" or "default"; both write the same bytes and keep the error bound. "default" decodes its
     own bytes to check the bound. "fast" checks the encoder's reconstruction, which a decoder reproduces bit
-    for bit, and codes 1.2 to 1.6 times as quickly."""
+    for bit, and codes up to 1.7 times as quickly."""
     support: str = option("movable", "movable (where |F| is at most F_0), or exact. [default: movable]")
     """Either "movable" (a force of at most F_0 may vanish or appear) or "exact" (the support is kept)."""
     masking: float = option(0.0, "fraction of the mean surrounding force that hides errors. [default: 0]")

@@ -1,0 +1,76 @@
+"""The compiled module `touchfield._native` (``c/``), and its errors as those of this package."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final
+
+from touchfield.errors import (
+    CorruptFile,
+    InvalidArgument,
+    TouchfieldError,
+    TruncatedFile,
+    UnsupportedVersion,
+)
+
+try:
+    from touchfield import _native as native
+except ImportError as error:
+    raise TouchfieldError(
+        "touchfield._native, the compiled part of touchfield",
+        f"that it cannot be imported ({error})",
+        "a module that was compiled for this machine",
+        "Install a wheel of touchfield; or first a C compiler (or `pip install ziglang`), then touchfield",
+    ) from error
+
+__all__ = ["argument_errors", "decoding_errors", "native"]
+
+_TRUNCATED, _CORRUPT, _VERSION, _MEMORY, _ARGUMENT = range(2, 7)  # codes of touch.h
+_FORMAT_ERRORS: Final = {
+    _TRUNCATED: (TruncatedFile, "more bytes"),
+    _CORRUPT: (CorruptFile, "bytes as docs/format describes them"),
+    _VERSION: (UnsupportedVersion, "a version that this touchfield reads"),
+}
+
+
+@contextmanager
+def decoding_errors(where: str) -> Iterator[None]:
+    """Turn errors of the module into `FormatError`, MemoryError or InvalidArgument that names `where`."""
+    try:
+        yield
+    except ValueError as error:
+        code, text = _code_of(error)
+        if code not in _FORMAT_ERRORS:
+            raise _other_error(code, where, text) from None
+        kind, expected = _FORMAT_ERRORS[code]
+        raise kind(where, text, expected) from None
+
+
+@contextmanager
+def argument_errors(where: str) -> Iterator[None]:
+    """Turn errors of the module into InvalidArgument or MemoryError.
+
+    AssertionError for one that no argument can cause.
+    """
+    try:
+        yield
+    except ValueError as error:
+        code, text = _code_of(error)
+        raise _other_error(code, where, text) from None
+
+
+def _code_of(error: ValueError) -> tuple[int, str]:
+    """Code and text of an error of the module; raises `error` itself if it is another one."""
+    match error.args:
+        case (int(code), str(text)):
+            return code, text
+    raise error
+
+
+def _other_error(code: int, where: str, text: str) -> Exception:
+    if code == _MEMORY:
+        return MemoryError(f"{where}: {text}")
+    if code == _ARGUMENT:
+        return InvalidArgument(where, text)
+    return AssertionError(f"{where}: {text}")

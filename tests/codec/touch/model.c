@@ -1,0 +1,137 @@
+/* Parts of the coder by themselves, for tests (native_model.py). */
+#define TOUCH_ENCODE_IMPLEMENTATION
+#include "touch_encode.h"
+
+int64_t model_root(int64_t n);
+int64_t model_border(int64_t floor, int64_t rate, touch_arena arena, touch_steps *out);
+int64_t model_level_of(const touch_steps *steps, int64_t length);
+int64_t model_length_of(const touch_steps *steps, int64_t level);
+void model_basis(const int32_t centre[3], int64_t along, int64_t b, int64_t c, int64_t axes[9], int32_t vector[3]);
+void model_lattice(const touch_options *options, double longest_n, double out[7]);
+void model_fractions(const double bits[3], uint8_t out[2]);
+int model_compare(const touch_grid *grid, const touch_options *options, const touch_source *original,
+                  const touch_source *decoded, int is_prediction, touch_arena arena, touch_comparison *out);
+
+int64_t model_root(int64_t n) { return touch_isqrt(n); }
+
+int64_t model_border(int64_t floor, int64_t rate, touch_arena arena, touch_steps *out) {
+    memset(out, 0, sizeof *out), out->floor = floor, out->rate = rate;
+    return touch_step_table(out, &arena) ? out->borders : -1;
+}
+
+int64_t model_level_of(const touch_steps *steps, int64_t length) { return touch_level_of(steps, length); }
+
+int64_t model_length_of(const touch_steps *steps, int64_t level) { return touch_length_of(steps, level); }
+
+void model_basis(const int32_t centre[3], int64_t along, int64_t b, int64_t c, int64_t axes[9], int32_t vector[3]) {
+    touch_voxel v;
+    touch_basis(centre, touch_length(centre), v.basis), memcpy(axes, v.basis, sizeof v.basis);
+    touch_place(&v, along, b, c, vector);
+}
+
+/* The lattice of a segment, and the bound of its passes in units: unit_n, floor, rate, across; k, f0. */
+void model_lattice(const touch_options *options, double longest_n, double out[7]) {
+    touch_steps s;
+    touch_choose_steps(options, longest_n, &s);
+    touch_bound bound = touch_pass_bound(options, &s);
+    out[0] = (double)s.unit_n, out[1] = (double)s.floor, out[2] = (double)s.rate, out[3] = (double)s.cross_floor;
+    out[4] = (double)s.cross_rate, out[5] = bound.k, out[6] = bound.f0;
+}
+
+void model_fractions(const double bits[3], uint8_t out[2]) {
+    touch_sink s;
+    s.bytes = out, s.size = 0, s.capacity = 2;
+    touch_put_fractions(&s, bits);
+}
+
+/* 1; 0: no memory. Mode LOSSLESS compares every bit: 1 violation stands for any. */
+int model_compare(const touch_grid *grid, const touch_options *options, const touch_source *original,
+                  const touch_source *decoded, int is_prediction, touch_arena arena, touch_comparison *out) {
+    touch_bound bound = touch_frame_bound(options, is_prediction);
+    touch_side side;
+    uint32_t *slot = (uint32_t *)touch_take(&arena, decoded->bricks, 4);
+    side.count = decoded->bricks, side.key = touch_source_keys(decoded, &arena), side.forces_n = decoded->forces_n;
+    for (uint32_t i = 0; i < decoded->bricks; i++) slot[i] = i;
+    side.slot = slot;
+    if (options->mode != TOUCH_LOSSLESS) return touch_compare(original, &side, &bound, grid, 1, out, &arena);
+    memset(out, 0, sizeof *out);
+    out->violations = !touch_is_identical(original, &side, &out->decoded, &arena);
+    return 1;
+}
+
+typedef struct { /* a base layer */
+    const uint8_t *bytes;
+    uint64_t size, bricks;
+    const uint64_t *key;
+    const touch_vector *v;
+} model_layer;
+
+int model_columns(const touch_grid *grid, const touch_source *frame, double unit_n, double k, double f0, touch_arena arena,
+                  model_layer *out);
+int model_spline(const touch_grid *grid, const touch_source *frame, const touch_spline *spline, touch_arena arena,
+                 model_layer *out);
+int model_read(const touch_grid *grid, touch_bytes data, touch_arena arena, model_layer *out, const char **text);
+
+static int layer_of(int found, const touch_sink *s, const touch_units *units, const touch_cursor *error, model_layer *out) {
+    out->bytes = s->bytes, out->size = s->size, out->bricks = units->list.count, out->key = units->list.key;
+    out->v = units->v;
+    return error->code ? -error->code : found;
+}
+
+static touch_tables *tables_of(touch_arena *arena) {
+    touch_tables *tables = (touch_tables *)touch_take(arena, 1, sizeof *tables);
+    touch_fill_tables(tables);
+    return tables;
+}
+
+/* 1; 0: there are none; below 0: minus a code. */
+int model_columns(const touch_grid *grid, const touch_source *frame, double unit_n, double k, double f0, touch_arena arena,
+                  model_layer *out) {
+    touch_cursor error = touch_cursor_of(0, 0);
+    touch_sink s;
+    touch_units units;
+    memset(&s, 0, sizeof s), memset(&units, 0, sizeof units);
+    const touch_tables *tables = tables_of(&arena);
+    int found = touch_fit_columns(grid, tables, frame, (float)unit_n, k, f0, &s, &units, &arena, &error);
+    return layer_of(found, &s, &units, &error, out);
+}
+
+int model_spline(const touch_grid *grid, const touch_source *frame, const touch_spline *spline, touch_arena arena,
+                 model_layer *out) {
+    touch_cursor error = touch_cursor_of(0, 0);
+    touch_sink s;
+    touch_units units;
+    memset(&s, 0, sizeof s), memset(&units, 0, sizeof units);
+    const touch_tables *tables = tables_of(&arena);
+    return layer_of(touch_put_spline(grid, tables, frame, spline, &s, &units, &arena, &error), &s, &units, &error, out);
+}
+
+/* A base layer with its kind in front, read: 1, or minus a code. */
+int model_read(const touch_grid *grid, touch_bytes data, touch_arena arena, model_layer *out, const char **text) {
+    touch_cursor error = touch_cursor_of(0, 0), c = touch_cursor_of(data.bytes, data.size);
+    touch_sink s;
+    touch_units units;
+    memset(&s, 0, sizeof s), memset(&units, 0, sizeof units);
+    const touch_tables *tables = tables_of(&arena);
+    uint64_t kind = touch_u(&c, 1);
+    if (touch_need(&c, kind <= 1, "a kind that there is not"))
+        (kind ? touch_read_columns : touch_read_spline)(c, grid, tables, &units, &arena, &error);
+    else error = c;
+    *text = error.code ? error.what : "";
+    return layer_of(1, &s, &units, &error, out);
+}
+
+void model_scan(int order, const touch_grid *grid, const int32_t brick[3], int32_t sample[512], int32_t to[3],
+                int32_t inside[6]);
+
+/* Of an order of the scan: the sample of the grid of each sample of a brick; a brick of the grid in the scan; and the
+   samples of that brick which lie within the grid, low and high. */
+void model_scan(int order, const touch_grid *grid, const int32_t brick[3], int32_t sample[512], int32_t to[3],
+                int32_t inside[6]) {
+    touch_scan s = touch_scan_of(order, grid);
+    int low[3], high[3];
+    for (int n = 0; n < 512; n++) sample[n] = touch_grid_sample(&s, n >> 6, n >> 3 & 7, n & 7);
+    touch_position(touch_scan_key(&s, touch_key(brick[0], brick[1], brick[2])), to);
+    touch_scan_inside(&s, grid, to, low, high);
+    for (int n = 0; n < 3; n++) inside[n] = low[n], inside[3 + n] = high[n];
+}
