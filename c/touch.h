@@ -143,8 +143,8 @@ int touch_decode_support(const touch_grid *grid, touch_bytes code, const touch_s
                          touch_samples *out, const char **text);
 /* So many whole numbers, each below 2^30. */
 int touch_decode_numbers(touch_bytes code, uint64_t count, touch_arena *arena, int64_t *numbers, const char **text);
-/* The body of VIBR of `count` frames (docs/format/vibration.md), into `out[count]`. More than `max_samples` in all frames
-   together are TOUCH_TOO_MANY. */
+/* The body of VIBR of `count` frames (docs/format/vibration.md), into `out`, which takes touch_vibration_frames. More than
+   `max_samples` in all frames together are TOUCH_TOO_MANY. */
 int touch_decode_vibration(const touch_grid *grid, touch_bytes body, uint32_t count, uint64_t max_samples,
                            touch_arena *arena, touch_vibration_steps *out, const char **text);
 /* So many poses of a body, 1 or more, [count][7] in steps (docs/format/objects.md). `one`: the steps of a quaternion that
@@ -155,6 +155,8 @@ int touch_decode_poses(touch_bytes code, uint32_t count, int64_t one, touch_aren
    frames. Numbers and poses take TOUCH_FIXED_ROOM. */
 uint64_t touch_support_room(const touch_grid *grid, uint64_t size, uint64_t bricks_before);
 uint64_t touch_vibration_room(const touch_grid *grid, uint64_t size, uint32_t count);
+/* As many of `count` frames as a body of `size` bytes may have, and one more where it has fewer. */
+uint32_t touch_vibration_frames(uint64_t size, uint32_t count);
 
 #ifdef __cplusplus
 }
@@ -1567,9 +1569,14 @@ uint64_t touch_support_room(const touch_grid *grid, uint64_t size, uint64_t bric
     return TOUCH_FIXED_ROOM + 1536 * touch_listed_bricks(grid, 1, size) + 768 * bricks_before;
 }
 
+uint32_t touch_vibration_frames(uint64_t size, uint32_t count) {
+    return size + 5 < count ? (uint32_t)(size + 5) : count; /* each counts as 16 of 64 + 16 * size bricks */
+}
+
 uint64_t touch_vibration_room(const touch_grid *grid, uint64_t size, uint32_t count) {
-    uint64_t all = touch_listed_bricks(grid, count ? count : 1, size), one = touch_listed_bricks(grid, 1, size);
-    return TOUCH_FIXED_ROOM + 512 * (uint64_t)count + 19200 * (all + one) + 10496 * one; /* kept, and work */
+    uint64_t frames = touch_vibration_frames(size, count);
+    uint64_t all = touch_listed_bricks(grid, frames ? frames : 1, size), one = touch_listed_bricks(grid, 1, size);
+    return TOUCH_FIXED_ROOM + 512 * frames + 19200 * (all + one) + 10496 * one; /* kept, and work */
 }
 
 int touch_decode_support(const touch_grid *grid, touch_bytes code, const touch_samples *before, touch_arena *arena,
@@ -1631,7 +1638,8 @@ int touch_decode_vibration(const touch_grid *grid, touch_bytes body, uint32_t co
                            touch_arena *arena, touch_vibration_steps *out, const char **text) {
     touch_cursor error = touch_cursor_of(0, 0), c = touch_cursor_of(body.bytes, body.size);
     const touch_tables *tables = touch_tables_in(arena);
-    touch_vibrating *frames = (touch_vibrating *)touch_take_zero(arena, count, sizeof *frames);
+    uint32_t possible = touch_vibration_frames(body.size, count);
+    touch_vibrating *frames = (touch_vibrating *)touch_take_zero(arena, possible, sizeof *frames);
     if (!tables || !frames) touch_fail(&error, TOUCH_MEMORY, "no room for a vibration");
     if (!error.code && touch_read_vibration(c, tables, grid, count, max_samples, frames, arena, &error))
         touch_settle_vibration(frames, count, arena, &error);
