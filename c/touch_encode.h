@@ -1768,6 +1768,21 @@ static int touch_merge_outliers(touch_comparison *c, touch_cursor chunk, const t
     return 1;
 }
 
+/* Samples ascend, and lie within the grid. */
+static int touch_check_samples(const touch_grid *grid, const touch_exact_samples *exact, touch_cursor *error) {
+    uint64_t by = (grid->shape[1] + 7) >> 3, bz = (grid->shape[2] + 7) >> 3;
+    for (uint64_t i = 0; i < exact->samples; i++) {
+        uint64_t brick = exact->sample[i] >> 9, sample = exact->sample[i] & 511;
+        int is_inside = 8 * (brick / (by * bz)) + (sample >> 6) < grid->shape[0] &&
+                        8 * (brick / bz % by) + (sample >> 3 & 7) < grid->shape[1] &&
+                        8 * (brick % bz) + (sample & 7) < grid->shape[2];
+        if (!is_inside) return touch_fail(error, TOUCH_ARGUMENT, "a sample beyond the grid");
+        if (i && exact->sample[i] <= exact->sample[i - 1])
+            return touch_fail(error, TOUCH_ARGUMENT, "samples that do not ascend");
+    }
+    return 1;
+}
+
 /* The record of a frame with more outliers. */
 static int touch_put_record(touch_writer *w, touch_cursor *c, const touch_source *frame, const touch_exact_samples *exact,
                             touch_cursor *error) {
@@ -1807,7 +1822,8 @@ int touch_encode_with_exact(touch_encoder *encoder, const touch_grid *grid, cons
     if (!touch_begin_fields(&f, &c, count, &w->work, &error)) return touch_report(encoder, &error);
     w->steps = f.steps, w->mark = w->work.used;
     for (uint32_t i = 0; i < count; i++)
-        if (!touch_put_record(w, &c, frames + i, exact + i, &error)) return touch_report(encoder, &error);
+        if (!touch_check_samples(grid, exact + i, &error) || !touch_put_record(w, &c, frames + i, exact + i, &error))
+            return touch_report(encoder, &error);
     touch_need(&error, c.at == c.end, "bytes behind the last frame of a segment");
     return error.code ? touch_report(encoder, &error) : touch_encode_finish(encoder, frames, segment);
 }

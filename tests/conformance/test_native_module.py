@@ -266,6 +266,16 @@ def test_invalid_arguments_are_refused(native: Any) -> None:
     samples = [np.zeros(0, np.uint64)] * 2
     exact = (*SCENE, BODY, [arrays(f) for f in FRAMES], samples)
     assert_refused(6, "another number of frames", lambda: native.add_exact_samples(*exact))
+    for numbers, text in (
+        ([3, 3], "do not ascend"),
+        ([7, 2], "do not ascend"),
+        ([5 * 512 + 7], "beyond the grid"),  # z = 8 + 7
+        ([18 * 512], "beyond the grid"),
+        ([1 << 63], "beyond the grid"),
+    ):
+        own = [np.array(numbers, np.uint64), *samples]
+        exact = (*SCENE, BODY, [arrays(f) for f in FRAMES], own)
+        assert_refused(6, text, lambda exact=exact: native.add_exact_samples(*exact))
     with pytest.raises(ValueError, match="contiguous"):
         encode(native, [(bricks, forces[:, ::2], None)])
     for arguments in ((), (None, b"", b"", 1), (GRID.shape, 1, b"", 1), (GRID.shape, b"", b"", "1")):

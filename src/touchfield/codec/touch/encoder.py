@@ -84,8 +84,8 @@ class TouchEncoder:
 
         `frames` are those that were coded. `samples`: int64 [m] for each frame; a sample is numbered 512
         times the key of its brick plus its index within the brick. These samples are sent as outliers, from
-        which nothing is predicted, so that everything else decodes as before. InvalidArgument in mode
-        "lossless", in which every sample is exact.
+        which nothing is predicted, so that everything else decodes as before. InvalidArgument if one lies
+        beyond the grid, and in mode "lossless", in which every sample is exact.
         """
         if self._spec.mode == "lossless":
             raise InvalidArgument("exact samples", "them in mode lossless", "a mode that loses something")
