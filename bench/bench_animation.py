@@ -1,4 +1,4 @@
-"""Time to compute the force fields of an animated mesh, against Open3D and libigl.
+"""Measures the time to compute the force fields of an animated mesh, against Open3D and libigl.
 
     python bench/bench_animation.py [--quick] [--path FOX.glb] [--samples N]
 

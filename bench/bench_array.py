@@ -1,4 +1,5 @@
-"""Conversion of fields to actuator drives, and latency of `FieldSampler.at`.
+"""Measures the time to convert fields to drives of actuators, and the latency of the force query
+`FieldSampler.at`.
 
     python bench/bench_array.py [--quick] [--frames N]
 

@@ -1,4 +1,5 @@
-"""Live broadcast on one machine: delay, packet loss, receivers, range requests.
+"""Measures live broadcast on one machine: delay, packet loss, number of receivers, and requests for ranges of
+bytes.
 
     python bench/bench_broadcast.py [--quick] [--seconds 600] [--receivers 200] [--messages 8000] [--mib 1024]
                                     [--silent 10000]

@@ -1,4 +1,4 @@
-"""`c/touch.h`: decoding speed, query time, and a first decoding.
+"""Measures the decoder in C, `c/touch.h`: frames per second, time of a force query, and a first decoding.
 
     python bench/bench_c.py [--quick]
 

@@ -1,4 +1,4 @@
-"""Worker processes: speed-up by a second worker; a workspace of 8 x 10^9 samples.
+"""Measures how much faster two worker processes encode than one, and encodes a workspace of 8 x 10^9 samples.
 
     python bench/bench_cluster.py [--quick]
 

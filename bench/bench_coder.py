@@ -1,4 +1,4 @@
-"""Throughput, size and error of coder `paper` on a real depth scene.
+"""Measures speed, size and error of coder `paper`, the coder that the paper describes, on a real depth scene.
 
     python bench/bench_coder.py [--quick] [--source SOURCE] [--nw N]
 

@@ -1,4 +1,5 @@
-"""GPU kernels against the CPU: a depth frame on 1000^3 samples, and force queries.
+"""Measures compiled loops on a GPU against the CPU: forces of a depth frame on 1000^3 samples, and force
+queries.
 
     python bench/bench_cuda.py [--quick] [--points N]
 

@@ -1,4 +1,4 @@
-"""Deformation at the receiver (paper section 6.3): error, size, time, stability.
+"""Measures deformation at the receiver (paper section 6.3): error, size, time, stability.
 
     python bench/bench_deformation.py [--nw N] [--every N] [--quick]
 

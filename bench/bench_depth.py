@@ -1,4 +1,4 @@
-"""Depth map to sparse force field, against NumPy and NVIDIA Warp on the CPU.
+"""Measures the time from a depth map to a sparse force field, against NumPy and NVIDIA Warp on the CPU.
 
     python bench/bench_depth.py [--quick] [--large N]
 

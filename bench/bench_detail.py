@@ -1,4 +1,4 @@
-"""Levels of detail against a low-pass pyramid: mask violations, holes and peaks.
+"""Compares levels of detail of a field with a low-pass pyramid: errors that a hand can feel, holes and peaks.
 
     python bench/bench_detail.py [--nw N] [--quick]
 

@@ -1,4 +1,4 @@
-"""Perona-Malik diffusion and force shading, against NumPy and MedPy.
+"""Measures the time of Perona-Malik diffusion and force shading of fields, against NumPy and MedPy.
 
     python bench/bench_diffusion.py [--quick] [--samples N]
 

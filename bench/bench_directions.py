@@ -1,4 +1,4 @@
-"""Quantisation of directions and amplitudes (paper 5.2), against NumPy.
+"""Measures the time to quantise directions and amplitudes of forces (paper 5.2), against NumPy.
 
     python bench/bench_directions.py [--quick] [--count N]
 

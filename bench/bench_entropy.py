@@ -1,4 +1,5 @@
-"""Lossless coding: Huffman codes, hold runs, and supports against zlib and LZMA.
+"""Measures the lossless codes of coder `paper` and of the support (the samples that have a force), against
+zlib and LZMA.
 
     python bench/bench_entropy.py [--quick] [--symbols N]
 

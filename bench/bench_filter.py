@@ -1,4 +1,4 @@
-"""The device filter on sparse bricks, against SciPy on the dense array.
+"""Measures the device filter on sparse fields, against SciPy on the dense array.
 
     python bench/bench_filter.py [--quick] [--samples N]
 

@@ -1,4 +1,5 @@
-"""Fusion of depth sequences into a static world: changes, bytes, accuracy, speed.
+"""Measures the fusion of depth sequences into one static world: changes between frames, bytes, accuracy,
+speed.
 
     python bench/bench_fusion.py [--quick] [--frames N] [--rounds N]
 

@@ -1,4 +1,4 @@
-"""Gaussian smoothing (sigma 2 samples, radius 8), against SciPy and OpenCV.
+"""Measures Gaussian smoothing of fields (sigma 2 samples, radius 8), against SciPy and OpenCV.
 
     python bench/bench_gaussian.py [--quick] [--samples N]
 

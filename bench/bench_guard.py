@@ -1,4 +1,5 @@
-"""Regression guard: processor time of each kernel relative to a frozen loop.
+"""Guards against slower code: measures the processor time of each kernel (compiled inner loop), relative to a
+stored loop that never changes.
 
     python bench/bench_guard.py [--quick] [--only NAME,NAME] [--store]
 

@@ -1,4 +1,5 @@
-"""Entropy of 10^8 int16 symbols, against one read of them and `numpy.bincount`.
+"""Measures the time to compute the entropy of 10^8 int16 symbols, against one read of them and
+`numpy.bincount`.
 
     python bench/bench_information.py [--quick] [--count N]
 

@@ -1,4 +1,5 @@
-"""Coding limits (`measure.limits`): throughput, against bits of zlib and LZMA.
+"""Measures how fast coding limits (`measure.limits`) are computed, and compares their bits with those of zlib
+and LZMA.
 
     python bench/bench_limits.py [--quick] [--nw N]
 

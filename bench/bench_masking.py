@@ -1,4 +1,5 @@
-"""Spatial masking in coder `touch` (paper section 4.2): bytes and vibration.
+"""Measures what spatial masking, by which strong forces hide errors nearby, changes in coder `touch` (paper
+section 4.2): bytes and vibration.
 
     python bench/bench_masking.py [--nw N ...] [--quick]
 

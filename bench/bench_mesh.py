@@ -1,4 +1,4 @@
-"""Signed distance band of a mesh, against five libraries.
+"""Measures the time to compute signed distances in a band around a mesh, against five libraries.
 
     python bench/bench_mesh.py [--quick] [--samples N]
 

@@ -1,4 +1,4 @@
-"""Vibration that coder `touch` adds for a moving and for a still hand.
+"""Measures the vibration that errors of coder `touch` cause to a hand that moves or rests.
 
     python bench/bench_motion.py [--quick] [--effort NAME] [--largest N]
 

@@ -1,4 +1,4 @@
-"""Seven moving objects, against SciPy: a voxelised frame, one query, many queries.
+"""Measures fields of seven moving objects, against SciPy: a whole frame, one force query, many queries.
 
     python bench/bench_objects.py [--quick] [--queries N]
 

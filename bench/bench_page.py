@@ -1,4 +1,4 @@
-"""The page of `touchfield view` in headless Chromium: waiting times, size, memory.
+"""Measures the page of `touchfield view` in headless Chromium: waiting times, size, memory.
 
     python bench/bench_page.py [--quick] [--minutes N] [--rounds N]
 

@@ -1,4 +1,5 @@
-"""Fewest points that rebuild a field (paper section 6.2): modes, and a kernel.
+"""Finds the fewest points from which a field can be rebuilt (paper section 6.2), by modes and by
+interpolation.
 
     python bench/bench_points.py [--quick] [--most N]
 

@@ -1,4 +1,4 @@
-"""The coder of pose tracks, against zlib and LZMA: bytes per pose and speed.
+"""Measures the coder of body motions (tracks of poses), against zlib and LZMA: bytes per pose and speed.
 
     python bench/bench_poses.py [--quick] [--frames N]
 

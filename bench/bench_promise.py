@@ -1,4 +1,4 @@
-"""Test of the error bound max(F_0, k |F|) on every available input.
+"""Tests the error bound of coder `touch`, max(F_0, k |F|), on every available input.
 
     python bench/bench_promise.py [--quick] [--frames N] [--nw N]
 

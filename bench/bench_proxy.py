@@ -1,4 +1,5 @@
-"""Proxy rendering against the plain field: contact, accuracy, energy, vibration.
+"""Compares rendering by a proxy, a point that stays on the surface, with the plain field: contact, accuracy,
+energy, vibration.
 
     python bench/bench_proxy.py [--quick] [--seconds S] [--walks N]
 

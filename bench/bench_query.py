@@ -1,4 +1,4 @@
-"""Force queries of a field of 128^3 samples and of objects, against SciPy.
+"""Measures force queries at points of a field of 128^3 samples and of moving objects, against SciPy.
 
     python bench/bench_query.py [--quick] [--points N]
 

@@ -1,4 +1,5 @@
-"""Reduction of a medium (paper section 6.1): modes, their bytes, and culling.
+"""Measures the reduction of a medium (paper section 6.1): modes, their bytes, and removal of samples out of
+reach.
 
     python bench/bench_reduction.py [--quick] [--frames N] [--paths N]
 

@@ -1,4 +1,4 @@
-"""Rigged models, rigid links and a smooth skin: time to fields and to a file.
+"""Measures the time from rigged models (rigid links, and a smooth skin) to fields and to a file.
 
     python bench/bench_rig.py [--quick] [--frames N]
 

@@ -1,4 +1,5 @@
-"""The servo loop: rate, jitter, lateness and underruns, by scheduling and load.
+"""Measures the servo loop, which renders forces at 1 kHz or more: rate, jitter, lateness and missing frames,
+by scheduling and load.
 
     python bench/bench_servo.py [--quick] [--seconds 150] [--others 45]
 

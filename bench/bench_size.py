@@ -1,4 +1,4 @@
-"""Size of the code base: lines and files of each package, and long functions.
+"""Counts lines and files of each package of the code base, and long functions.
 
     python bench/bench_size.py [--quick]
 

@@ -1,4 +1,5 @@
-"""A hand and a device in closed loop on a wall: limit cycles, energy, stiffness.
+"""Simulates a hand and a device in closed loop on a wall, and finds when it is stable: limit cycles, energy,
+stiffness.
 
     python bench/bench_stability.py [--quick] [--every N]
 

@@ -1,4 +1,4 @@
-"""Bytes and NMSE of each stage of the paper's coder (``--coder paper --stage X``).
+"""Measures bytes and NMSE of each variant of coder `paper` (``--coder paper --stage X``).
 
     python bench/bench_stages.py [--quick] [--nw N]
 

@@ -1,4 +1,4 @@
-"""Start-up time: import, a first `touchfield encode`, and a second.
+"""Measures start-up times: import, a first `touchfield encode`, and a second.
 
     python bench/bench_startup.py [--quick]
 

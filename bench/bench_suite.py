@@ -1,4 +1,4 @@
-"""Time of `make test` without compiled kernels, as in a new clone.
+"""Measures the time of `make test` without compiled kernels, as in a new clone.
 
     python bench/bench_suite.py [--quick]
 

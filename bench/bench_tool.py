@@ -1,4 +1,4 @@
-"""Time of a servo tick with a tool of many points.
+"""Measures the time of a tick of the servo with a tool of many points in place of a single point.
 
     python bench/bench_tool.py [--quick] [--points N] [--seconds S]
 

@@ -1,4 +1,5 @@
-"""A stored torque field: its bytes, and its error when the hand tilts the tool.
+"""Measures whether storing a torque at each sample is worth it: its bytes, and its error when the hand tilts
+the tool.
 
     python bench/bench_torque.py [--nw N] [--quick]
 

@@ -1,4 +1,5 @@
-"""Vibration (paper section 6.4): splitting, reduction, and rendered textures.
+"""Measures vibration (paper section 6.4): accuracy of its splitting from force, its reduction, and rendered
+textures.
 
     python bench/bench_vibrotactile.py [--quick] [--seconds S]
 

@@ -1,4 +1,4 @@
-"""A field as a zarr store, against ``.npz``: time to write and read, and bytes.
+"""Compares a field as a zarr store with ``.npz``: time to write and read, and bytes.
 
     python bench/bench_zarr.py [--nw N] [--runs N] [--quick]
 

@@ -1,5 +1,6 @@
-/* Nanoseconds of single queries of the force: c_query FILE.touch COUNT. Prints the median and the 99.9th percentile,
-   less what reading the clock takes, at random points within the lattice of the first frame. */
+/* Measures nanoseconds of single queries of the force, for `bench_c`: c_query FILE.touch COUNT. Prints the median
+   and the 99.9th percentile, less what reading the clock takes, at random points within the lattice of the first
+   frame. */
 #define TOUCH_IMPLEMENTATION
 #include "touch.h"
 

@@ -1,4 +1,4 @@
-"""Frames per second of Open3D and VDBFusion on the depth maps of `bench_fusion`.
+"""Measures frames per second of Open3D and VDBFusion on the depth maps of `bench_fusion`.
 
     PYTHON fusion_peers.py DEPTHS.npz
 

@@ -1,4 +1,5 @@
-"""A synthetic Kinect sequence with a known surface: wall, floor, ball and box."""
+"""Makes a synthetic Kinect sequence whose surface is known exactly (wall, floor, ball and box), to measure
+the accuracy of fusion."""
 
 from __future__ import annotations
 

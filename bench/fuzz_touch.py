@@ -1,4 +1,4 @@
-"""Fuzzing of the decoder of coder `touch`: errors, memory and time.
+"""Fuzzes the decoder of coder `touch`: decodes damaged segments, and checks errors, memory and time.
 
     python bench/fuzz_touch.py [--seconds N] [--seed S] [--only NAME ...] [--bounds] [--replay SEED CASE]
 

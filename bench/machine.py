@@ -1,4 +1,4 @@
-"""Shared code of the benchmarks: command line, tables, bars, stored results."""
+"""Code that all benchmarks share: command line, tables, pass or fail of limits (*bars*), stored results."""
 
 from __future__ import annotations
 

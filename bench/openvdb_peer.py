@@ -1,4 +1,4 @@
-"""Signed distances by OpenVDB for `bench_mesh`, in a separate process.
+"""Computes signed distances by OpenVDB for `bench_mesh`, in a separate process.
 
     PYTHON bench/openvdb_peer.py INPUT.npz OUTPUT.npz RUNS
 

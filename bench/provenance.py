@@ -1,4 +1,5 @@
-"""Code, commit and machine load of a measured result.
+"""Finds what a measured result depends on (code, commit, machine load), so that results of older code are
+known to be stale.
 
 The code of a result is every source file that the processes of its benchmark loaded, the data files of loaded
 packages (device profiles, the page), and the files that the benchmark names (such as C that it compiles).

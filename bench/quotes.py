@@ -1,4 +1,5 @@
-"""Figures that README and the docs quote from the stored results.
+"""Checks that README and the docs quote the same figures as the stored results of benchmarks, and updates
+them.
 
     python bench/quotes.py [--write]
 

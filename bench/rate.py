@@ -1,4 +1,4 @@
-"""Rate and distortion of coder `touch`, coder `paper` and general-purpose coders.
+"""Compares bytes and error of coder `touch` with coder `paper` and general-purpose coders.
 
     python bench/rate.py [--quick] [--nw 5 6 7] [--fields NAME ...] [--efforts NAME ...] [--only WHAT ...]
                          [--keep FOLDER]

@@ -1,4 +1,4 @@
-"""Force fields of `rate.py`: depth sequences, meshes and falling bodies.
+"""Makes the force fields of `rate.py`, from depth sequences, meshes and falling bodies.
 
 All are made for the Phantom Omni. A *band* is a wall of 4 voxels (of the mean spacing) behind the surface of
 a depth sequence. A *height* field is the same sequence read as a height map, with everything behind the

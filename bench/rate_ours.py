@@ -1,4 +1,4 @@
-"""The package's coders in `rate.py`, and the search for the bytes at equal error."""
+"""Runs the package's coders for `rate.py`, and searches for the bytes that each takes at equal error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""General-purpose coders of `rate.py`: the peers of coder `touch`.
+"""Runs general-purpose coders (such as xz, JPEG XL, zfp) for `rate.py`, to compare coder `touch` with them.
 
 Lossless coders (xz, zstd -19, brotli, zpaq -m5, JPEG XL, Draco) receive quantised forces as symbols. The byte
 coders among them receive several layouts, of which the best counts: all samples of the box, or a mask and the

@@ -1,4 +1,4 @@
-"""Picture of `rate.py`: bytes against error, and bytes at the error bound."""
+"""Draws the picture of `rate.py`: bytes against error, and bytes at the error bound."""
 
 from __future__ import annotations
 

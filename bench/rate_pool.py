@@ -1,4 +1,4 @@
-"""Jobs of `rate.py`: one job per field and part, one process per core, cached.
+"""Runs the measurements of `rate.py` in parallel, one for each field and part, and caches their figures.
 
 The key of a cached figure contains what it depends on: the frames, the options, and the source of the coder.
 After a change of the package's coders only these are measured again, not the peers. Speeds are never cached.

@@ -1,4 +1,5 @@
-"""Coded depth maps as a peer: JPEG XL, and the field computed by the receiver.
+"""Measures the alternative for `rate.py` of sending depth maps by JPEG XL, from which the receiver computes
+the field.
 
 The receiver gets depth maps, rounded to multiples of a step, and computes the field by touchfield's own code.
 The depth map is used at full size or reduced by 2, 4 or 8 with a block median. Each map is coded both

@@ -1,4 +1,4 @@
-"""Quantisation of forces to integers for the lossless coders of `rate_peers`.
+"""Quantises forces to integers for the lossless coders of `rate_peers`.
 
 Forces are quantised uniformly in newtons for an equal mean error. For the error bound |e| <= max(F_0, k |F|)
 there are two quantisers, each of which was best on some field:

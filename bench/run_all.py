@@ -1,4 +1,4 @@
-"""Run every benchmark; each prints its tables and stores its last run.
+"""Runs every benchmark; each prints its tables and stores its last run.
 
     python bench/run_all.py [--quick] [--only NAME,NAME] [--jobs N] [--limit-s SECONDS]
     python bench/run_all.py --stale | --rerun-stale | --verdicts | --store-quick

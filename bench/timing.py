@@ -1,4 +1,4 @@
-"""Timing of one call alone, or of several calls alternately."""
+"""Measures the time of one call alone, or of several calls alternately."""
 
 from __future__ import annotations
 

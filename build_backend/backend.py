@@ -1,4 +1,5 @@
-"""Build backend (PEP 517): hatchling, and a C compiler from PyPI on machines that have none.
+"""Build backend (PEP 517) of the package: calls hatchling, and asks for a C compiler from PyPI on machines
+that have none.
 
 Only the requirements are ours. Compiling is the build hook's part (``hook.py``).
 """

@@ -1,4 +1,4 @@
-"""Find a C compiler and compile `touchfield._native` from ``c/python/module.c``.
+"""Finds a C compiler and compiles `touchfield._native` from ``c/python/module.c``.
 
 The compiler is the one that ``CC`` names, else ``cc``, ``gcc`` or ``clang``, else the package `ziglang`, a
 compiler in a wheel. It must compile a file that includes the headers that the module needs: some systems have

@@ -1,4 +1,5 @@
-"""Hatch's build hook: compile `touchfield._native` and name the wheel after its platform."""
+"""Hook that hatchling calls when it builds a wheel: compiles `touchfield._native` and names the wheel after
+its platform."""
 
 from __future__ import annotations
 

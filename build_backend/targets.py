@@ -1,4 +1,5 @@
-"""Targets of `make wheels`: zig's name of each, and the platform tag of its wheel."""
+"""Lists the platforms of `make wheels`: for each, the name by which the compiler zig knows it, and the tag in
+the wheel's name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Build the wheels of all targets and check each: python build_backend/wheels.py FOLDER
+"""Builds the wheels of all platforms and checks each: python build_backend/wheels.py FOLDER
 
 The stable ABI is checked by abi3audit, and the glibc version of Linux wheels by auditwheel.
 """

@@ -1,6 +1,7 @@
-/* Decode a file to raw numbers, for tests: touch_decode FILE.touch OUT.
-   Of each frame: fields as u32 bricks and each with its number and 1536 floats, then likewise what vibrates; of
-   objects the forces at the points of the grid, as floats. Ends with the code of touch.h, and its words. */
+/* Decodes a file to raw numbers, for tests: touch_decode FILE.touch OUT
+   Writes for each frame the force field (the count of its bricks as u32, then each brick's number and 1536 floats), and
+   the vibration in the same way; for objects, the forces at the points of the grid, as floats. OUT ends with the error
+   code of touch.h and its text. */
 #define TOUCH_IMPLEMENTATION
 #include "touch.h"
 

@@ -1,6 +1,6 @@
-/* Mutated files into the decoder: touch_fuzz SEED MILLIONS_OF_BYTES FILE.touch...
-   To be built with -fsanitize=address,undefined and -DFUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION, which passes over
-   CRC-32s, so that what is behind them is met. Prints how many inputs were refused, and with what code. */
+/* Fuzzes the decoder with mutated files: touch_fuzz SEED MILLIONS_OF_BYTES FILE.touch... Compile it with
+   -fsanitize=address,undefined and -DFUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION, which skips the check of CRC-32s, so
+   that the code behind them runs. Prints how many inputs were refused, and with what error code. */
 #include <stddef.h>
 #include <stdint.h>
 

@@ -1,5 +1,7 @@
-/* Write a file from raw numbers, an example of touch_write.h: touch_write RAW OUT.touch NX NY NZ SPACING_M K F0_N
-   RAW has frames of NX x NY x NZ forces, three floats each, newtons, x slowest; OUT.touch plays 30 of them a second. */
+/* Writes a file from raw numbers, as an example of touch_write.h:
+   touch_write RAW OUT.touch NX NY NZ SPACING_M K F0_N
+   RAW contains frames of NX x NY x NZ forces, three floats each, in newtons, x slowest; OUT.touch has 30 frames a
+   second. */
 #define TOUCH_ENCODE_IMPLEMENTATION
 #include "touch_write.h"
 

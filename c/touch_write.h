@@ -1,4 +1,5 @@
-/* touch_write.h: whole `.touch` files of coder `touch` from frames, in C99 beside touch_encode.h.
+/* touch_write.h: writes whole `.touch` files of coder `touch` from frames of forces, in C99. It needs
+   touch_encode.h beside it.
 
    In one source file, in place of touch_encode.h:   #define TOUCH_ENCODE_IMPLEMENTATION
                                                      #include "touch_write.h"

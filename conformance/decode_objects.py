@@ -1,5 +1,5 @@
-"""The part of the second decoder for coder `objects`: docs/format/objects.md, step by step, in Python and
-numpy.
+"""Decodes coder `objects` (moving bodies) for the conformance decoder, step by step as docs/format/objects.md
+says, in Python and numpy. `decoder.py` calls it.
 """
 
 import math

@@ -1,5 +1,5 @@
-"""The part of the second decoder for coder `paper`: docs/format/paper.md, step by step, in plain Python and
-numpy.
+"""Decodes coder `paper` for the conformance decoder, step by step as docs/format/paper.md says, in plain
+Python and numpy. `decoder.py` calls it.
 """
 
 import math

@@ -1,5 +1,5 @@
-"""The part of the second decoder for coder `touch`: docs/format/touch.md, step by step, in plain Python and
-numpy.
+"""Decodes coder `touch` for the conformance decoder, step by step as docs/format/touch.md says, in plain
+Python and numpy. `decoder.py` calls it.
 
 `decode_touch_guess` makes guesses and `decode_touch_exact` the frames of the exact mode.
 """

@@ -1,5 +1,5 @@
-"""The part of the second decoder for the exact mode of coder `touch`: docs/format/touch-exact.md, step by
-step.
+"""Decodes the exact (lossless) mode of coder `touch` for the conformance decoder, step by step as
+docs/format/touch-exact.md says. `decode_touch.py` calls it.
 """
 
 from functools import cache

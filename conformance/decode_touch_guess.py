@@ -1,5 +1,5 @@
-"""The part of the second decoder for base layers of coder `touch`: docs/format/touch-base-layer.md, step by
-step.
+"""Decodes base layers of coder `touch`, smooth approximations that the encoder sends before the differences,
+step by step as docs/format/touch-base-layer.md says. `decode_touch.py` calls it.
 """
 
 from itertools import combinations, product

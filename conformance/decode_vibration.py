@@ -1,5 +1,5 @@
-"""The part of the second decoder for VIBR, docs/format/vibration.md: what vibrates, how strongly and how
-fast.
+"""Decodes vibration records (VIBR) for the conformance decoder, as docs/format/vibration.md says: which
+samples vibrate, how strongly and how fast.
 """
 
 from collections.abc import Iterator

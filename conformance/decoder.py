@@ -1,4 +1,5 @@
-"""A second decoder of ``.touch`` files, which follows docs/format step by step: plain Python and numpy, slow.
+"""The conformance decoder: a second decoder of ``.touch`` files that follows docs/format step by step, in
+plain Python and numpy, slowly. Tests compare the package with it.
 
 It shares no line with the package and uses nothing that the documents do not say. This file is the container.
 

@@ -1,4 +1,5 @@
-"""What the golden files hold: made of whole numbers, so that it is the same on every machine."""
+"""Makes the force fields of the golden files (the stored files that every decoder must decode alike). They
+are computed from whole numbers, so that they are the same on every machine."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Faulty files made of golden ones, and the error that each must raise; their CRC-32 hold, where that is not
-it.
+"""Makes faulty files of the golden ones, each with the error that a decoder must raise. Their CRC-32 are
+correct unless that is the fault.
 """
 
 from __future__ import annotations

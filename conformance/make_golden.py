@@ -1,4 +1,5 @@
-"""Write the conformance files. Run on purpose only: a change in them is a change of the format."""
+"""Writes the golden files of the conformance tests. Run it on purpose only: a change in them is a change of
+the format."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Bytes read from the first to the last, the errors of a file at fault, and bricks; for all of the second
-decoder.
+"""What all parts of the conformance decoder share: reading bytes in order, the errors of a faulty file, and
+bricks (blocks of 8x8x8 samples).
 """
 
 import re

@@ -1,4 +1,5 @@
-"""The support of a frame, and whole numbers: docs/format/bits.md."""
+"""Decodes the support of a frame, which is the set of samples that have a force, and coded whole numbers, as
+docs/format/bits.md says."""
 
 from typing import NamedTuple
 

@@ -1,5 +1,5 @@
-"""Bits, step by step as docs/format/bits.md: a range decoder, adaptive chances, their mixing; lists of
-bricks.
+"""Decodes single bits as docs/format/bits.md says: a range decoder with adaptive probabilities, their mixing,
+and lists of bricks (blocks of 8x8x8 samples).
 
 All numbers are Python's; none needs more than 63 bits. Contexts and sets of weights have any names.
 """

@@ -1,5 +1,5 @@
-"""The pass over the voxels of a frame of coder `touch`: support and prediction; places and vectors of the
-scan.
+"""Decodes the voxels of a frame of coder `touch` one after another: which of them have a force, and what each
+force is predicted to be.
 """
 
 from collections.abc import Hashable, Sequence

@@ -1,5 +1,5 @@
-"""How a force of coder `touch` is told: cells, their lattice, residuals; places and vectors are those of the
-scan.
+"""Decodes the difference between a voxel's force and its prediction in coder `touch`: the cells into which
+forces are rounded, and their numbers.
 
 Vectors are arrays of Python's whole numbers, [3], units.
 """

@@ -1,1 +1,2 @@
-"""The paper's tables and figures, each a small script over the library: `python -m reproduction`."""
+"""Reproduces the paper's tables and figures, each by a small script that uses the library: `python -m
+reproduction`."""

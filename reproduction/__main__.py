@@ -1,4 +1,4 @@
-"""`python -m reproduction`, in a checkout: the paper's tables and figures, made again.
+"""Runs `python -m reproduction` in a checkout: makes the paper's tables and figures again.
 
 Every experiment that was asked for is tried. What cannot be made (a library that is not installed, a source
 at fault) takes one line on standard error and on the page of all; the others are made all the same, and the

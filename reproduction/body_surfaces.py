@@ -1,4 +1,4 @@
-"""Triangles of bodies, for pictures: the surface where the signed distance is zero."""
+"""Computes triangles of bodies for pictures, where their signed distance is zero."""
 
 from __future__ import annotations
 

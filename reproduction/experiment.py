@@ -1,4 +1,4 @@
-"""What an experiment is, and which there are.
+"""Defines what an experiment is (one table or figure of the paper), and lists all of them.
 
 An experiment is one module of this room that ends in ``EXPERIMENT = Experiment(name, title, run)``, and one
 line in `MODULES`. ``run(inputs)`` computes, draws its pictures into ``inputs.folder`` (named after itself),

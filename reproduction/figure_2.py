@@ -1,5 +1,5 @@
-"""Figure 2 of the paper: a haptic signal, its quantised version, the error, and the perceptual mask (eq.
-6).
+"""Reproduces figure 2 of the paper: a haptic signal, its quantised version, the error, and the perceptual
+mask (eq. 6).
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Figure 3 of the paper: amplitudes and directions quantised by concentric tessellated icosahedra (eq. 7)."""
+"""Reproduces figure 3 of the paper: amplitudes and directions quantised by concentric tessellated icosahedra
+(eq. 7)."""
 
 from __future__ import annotations
 

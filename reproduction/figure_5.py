@@ -1,4 +1,5 @@
-"""Figure 5 of the paper: four instants of bodies that fall, and their force fields (section 5.1, scene 1).
+"""Reproduces figure 5 of the paper: four instants of falling bodies, and their force fields (section 5.1,
+scene 1).
 
 Above, the bodies and what a probe feels that has entered them: the force at points a little below their
 surfaces, as arrows from the surface. Below, |F| on a vertical slice of the same instant.

@@ -1,4 +1,5 @@
-"""Figure 6 of the paper: a frame of scene 2, its depth map, and what is felt of it (section 5.1)."""
+"""Reproduces figure 6 of the paper: a frame of scene 2, its depth map, and the forces on a device (section
+5.1)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Figure 8 of the paper: the polyhedra with 258 and 92 vertices, and what they cover."""
+"""Reproduces figure 8 of the paper: the polyhedra with 258 and 92 vertices, and how well their directions
+cover the sphere."""
 
 from __future__ import annotations
 

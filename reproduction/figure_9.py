@@ -1,4 +1,5 @@
-"""Figure 9 of the paper: NMSE against CR of a single frame, over n_w, n_q and the fineness of directions."""
+"""Reproduces figure 9 of the paper: error (NMSE) against compression ratio (CR) of a single frame, for
+several lattices (n_w), amplitude bits (n_q) and numbers of directions."""
 
 from __future__ import annotations
 

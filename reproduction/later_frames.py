@@ -1,5 +1,5 @@
-"""Entropy of the frames after the first: a sample that a hand feels no change of needs no bits (paper section
-5.1).
+"""Computes the entropy of the frames after the first: a sample whose change a hand cannot feel needs no bits
+(paper section 5.1).
 
 "The entropy of the second frame till the last one is on average 1.6 and 0.8 as far as object-based and
 voxel-based representation is concerned [..] because there are many samples that need zero bits for their

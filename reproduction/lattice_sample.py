@@ -1,4 +1,5 @@
-"""A huge lattice by samples of it: the size of the support and entropies, with intervals (paper table 1).
+"""Estimates the size of the support and entropies of a lattice too large to compute, from a sample of its
+points, with confidence intervals (paper table 1).
 
 The paper's nominal workspace has 10^4 samples along each axis, 12 TB a frame: it is never allocated. The
 lattice is cut into cells of s_x x s_y x s_z samples, every cell is a stratum, and one sample is drawn of

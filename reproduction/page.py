@@ -1,4 +1,4 @@
-"""From findings to files: NAME.md and NAME.json for each experiment, and one page for all of them.
+"""Writes the results of experiments as files: NAME.md and NAME.json for each, and one page for all of them.
 
 A page names the command that makes it again and the versions that made it, and nothing of the machine, so
 that two machines give the same page. Every file is there whole or not at all.

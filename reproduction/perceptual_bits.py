@@ -1,4 +1,5 @@
-"""The perceptual filter of tables 1 and 2 as quantisers: 18 bits for a vector, 6 bits for a magnitude.
+"""The "perceptual filter" of tables 1 and 2 as quantisers: 18 bits for a force vector, or 6 bits for a
+magnitude.
 
 The paper says how many bits and nothing else. Of a vector of 3 x 32 bits, six each is the simplest reading,
 as 32 become six for a device of type 2; six for the amplitude and twelve for the direction is the other. Both

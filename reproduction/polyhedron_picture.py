@@ -1,4 +1,4 @@
-"""Polyhedra of direction codebooks, drawn in three dimensions."""
+"""Draws the polyhedra whose vertices are the directions of a codebook, in three dimensions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The printed figures of tables 1 and 2, and what they say of each other.
+"""Checks the figures that the paper prints in tables 1 and 2 against each other, by an identity that
+entropies must fulfil.
 
 A field of which a share p holds a force, and whose empty space is one symbol, has H_voxel = h2(p) + p
 H_object: the empty samples tell where the object is, and the others what it is. The printed entropies are not

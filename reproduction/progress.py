@@ -1,4 +1,4 @@
-"""The progress of an experiment whose parts each report their own."""
+"""Reports the progress of an experiment whose parts each report their own."""
 
 from __future__ import annotations
 

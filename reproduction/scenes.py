@@ -1,4 +1,4 @@
-"""The depth sequences of the experiments: one that needs no download, and the user's.
+"""Opens the depth sequences on which experiments run: one that needs no download, and those of the user.
 
 The paper's section 5.2 takes consecutive depth frames of SUN3D, a hand-held camera in a hotel. What comes
 with the libraries is a single real depth map (`sample:motorcycle`). `MovingView` shows it to a moving camera:

@@ -1,4 +1,4 @@
-"""Table 1 of the paper: sizes, entropies and bits of two scenes for a point device (section 5.1).
+"""Reproduces table 1 of the paper: sizes, entropies and bits of two scenes for a point device (section 5.1).
 
 Every lattice of the paper is counted at its own size, and none is allocated: by systematic samples of it
 (`reproduction.lattice_sample`), and by the volume of bodies with a formula.

@@ -1,4 +1,5 @@
-"""Table 2 of the paper: sizes, entropies and bits of two scenes for a tactile T-shirt (section 5.1).
+"""Reproduces table 2 of the paper: sizes, entropies and bits of two scenes for a tactile T-shirt (section
+5.1).
 
 1024 actuators, 32 x 32, each of which renders one magnitude: every frame is counted whole. *Literal* has the
 cut-off 2/d of the paper's section 3.2, four times the Nyquist rate of the array; *corrected* 1/(2d).

@@ -1,4 +1,5 @@
-"""The picture of table 3: what m frames cost beside one, with the region that no coder can reach."""
+"""Draws the picture of table 3: what coding m frames together costs, relative to a single frame, with the
+region that no coder can reach."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The figures that the paper prints in table 3, and what they say about themselves."""
+"""Contains the figures that the paper prints in table 3, and computes which of them are impossible."""
 
 from __future__ import annotations
 

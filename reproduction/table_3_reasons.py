@@ -1,5 +1,5 @@
-"""Whether the trends of table 3 hold on each sequence, and what was measured that explains where they
-fail.
+"""Tests whether the trends of table 3 occur on each depth sequence, and reports the measured reason where one
+does not.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Table 3 of the paper on one depth sequence: every setting coded, and what makes frames differ measured."""
+"""Codes one depth sequence with every setting of table 3, and measures what makes its frames differ."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the tables of section 5.1 write counts and entropies."""
+"""Formats counts, entropies and percentages for the tables of section 5.1."""
 
 from __future__ import annotations
 

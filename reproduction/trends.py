@@ -1,4 +1,5 @@
-"""What table 3 of the paper says without its digits: which figure is smaller than which, and what cannot be.
+"""Tests sets of figures against the trends that table 3 of the paper shows (which figure is smaller than
+which), and against bounds that no coder can pass.
 
 Checked on any set of figures over k, m and the fineness of directions, the printed ones too.
 """

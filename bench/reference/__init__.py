@@ -1,1 +1,1 @@
-"""Frozen references: loops that kernels are timed against, and former figures."""
+"""Frozen references: loops that the time of kernels is compared with, and former figures."""

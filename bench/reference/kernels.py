@@ -1,4 +1,4 @@
-"""Frozen loops: the reference times of the regression guard `bench_guard`.
+"""Loops that never change, whose time is the reference of the regression guard `bench_guard`.
 
 `bench_guard` stores the time of each kernel of the package relative to a frozen loop. Each loop does the same
 kind of work as one kernel (memory access, arithmetic, branches), so that another processor, another load or

@@ -1,4 +1,5 @@
-"""List the files that a process has loaded, when the process exits.
+"""Lists the files that a process has loaded, when the process exits. `provenance` finds by it what code a
+result depends on.
 
 Python imports this module at its start where `provenance.Trace` is on.
 """

@@ -1,4 +1,5 @@
-/* Arguments and results of the module's functions: buffers, grids, memory, and errors.
+/* Converts the arguments and results of the functions of `touchfield._native`, which are coder `touch` in C as a
+   module of Python: buffers, grids, memory, and errors.
 
    Other files of the module include this one; it includes touch_encode.h, and the declarations of CPython. */
 #ifndef TOUCHFIELD_ARGUMENTS_H

@@ -1,4 +1,5 @@
-/* touchfield._native: coder `touch` in C as a module of Python (src/touchfield/_native.pyi has its functions).
+/* Defines the Python module `touchfield._native`: coder `touch` in C. src/touchfield/_native.pyi describes its
+   functions.
 
    Arguments and results are buffers and bytes. Errors are a ValueError(code, text), with a code of touch.h. Other Python
    threads run while C works. The module uses CPython's stable ABI only, so that one binary serves every version from 3.11

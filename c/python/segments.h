@@ -1,4 +1,5 @@
-/* Segments of coder `touch`: open_fields, next_field, encode_segment, is_static, add_exact_samples (_native.pyi). */
+/* The functions of `touchfield._native` that encode and decode segments of coder `touch`: open_fields, next_field,
+   encode_segment, is_static, add_exact_samples. src/touchfield/_native.pyi describes them. */
 #ifndef TOUCHFIELD_SEGMENTS_H
 #define TOUCHFIELD_SEGMENTS_H
 

@@ -1,4 +1,5 @@
-/* The part of CPython's stable ABI (PEP 384, version 3.11 and later) that the module uses.
+/* Declares the part of CPython's stable ABI (PEP 384, version 3.11 and later) that the module `touchfield._native`
+   uses.
 
    A binary that uses only this part runs on every CPython from 3.11 on. It is declared here, and not included
    from Python.h, because many systems ship Python without its headers, and because a cross compiler has only the

@@ -1,1 +1,1 @@
-"""Compiled loops of the experiments."""
+"""Compiled inner loops of the experiments."""

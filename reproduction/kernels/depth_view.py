@@ -1,4 +1,4 @@
-"""Compiled loops that draw the triangles of a depth map as another camera sees them."""
+"""Compiled inner loops that draw a depth map, as triangles, from the viewpoint of another camera."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The command line: ``touchfield``, or ``python -m touchfield``."""
+"""Runs the command line as ``touchfield`` or ``python -m touchfield``. It imports little, so that an
+interruption while libraries load ends without a traceback."""
 
 import sys
 

@@ -1,4 +1,5 @@
-"""Lazy packages: submodules, and names that submodules define, are imported when they are first used."""
+"""Makes a package import its submodules, and the names that they define, only when a program first uses them.
+The packages of touchfield call it so that ``import touchfield`` is fast."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Coder `touch` in C (``c/touch.h`` and ``c/touch_encode.h``) as a module of Python.
+"""Functions of the compiled module `touchfield._native`, which is coder `touch` in C (``c/touch.h`` and
+``c/touch_encode.h``). Python code of the package calls them to encode and decode segments.
 
 Arrays are C-contiguous buffers of the given dtype and shape; results are bytes. Every function releases the
 GIL while C works, and holds no state but in the objects that it returns, each of which one thread uses at a

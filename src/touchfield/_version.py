@@ -1,3 +1,3 @@
-"""The one place where the version is written."""
+"""The version of touchfield. The build, the command line and the files that it writes take it from here."""
 
 __version__ = "0.1.0"

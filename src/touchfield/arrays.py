@@ -1,4 +1,5 @@
-"""Type aliases of NumPy arrays, vector lengths, and base classes for dataclasses with arrays."""
+"""Type aliases for NumPy arrays, fast lengths of vectors, and base classes for dataclasses that have arrays
+as fields. The whole package uses them."""
 
 from dataclasses import fields
 from types import MappingProxyType

@@ -1,4 +1,4 @@
-"""Atomic writing of files: written under a temporary name, then renamed.
+"""Writes a file under a temporary name and renames it when it is complete.
 
 A reader never sees a partial file, and an interrupted run leaves the older file unchanged.
 """

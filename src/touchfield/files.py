@@ -1,4 +1,5 @@
-"""Safe access to files whose names come from untrusted input.
+"""Opens and reads files safely when their names come from untrusted input, such as a scene file that names
+meshes.
 
 Only plain files are opened: reading a pipe may block and reading a device may never end. A file that a scene
 file names must lie in the folder of that scene file or below it, unless the user allows more.

@@ -1,4 +1,5 @@
-"""Registry of functions that a lower package calls and a higher one provides, so that imports point one way.
+"""Lets a low-level package call a function of a higher-level one without importing it: the higher one
+registers the function here by name. Imports between packages so point one way.
 
 ``touchfield/__init__.py`` registers them by name; each is imported when it is first called.
 """

@@ -1,4 +1,5 @@
-"""Checked reading of untrusted JSON and TOML: types and ranges are verified, errors name the location.
+"""Reads untrusted JSON and TOML: checks the type and range of each value, and names the location of what is
+wrong.
 
 A location is written as in ``$.perceptions[0].channels[3].gain``.
 """

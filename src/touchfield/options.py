@@ -1,4 +1,5 @@
-"""Dataclass fields that are also command-line options, with their help; parsing of addresses."""
+"""`option` declares a dataclass field that is also an option of the command line, with its help. `address`
+parses texts such as "HOST:PORT"."""
 
 from __future__ import annotations
 

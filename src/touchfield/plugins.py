@@ -1,4 +1,5 @@
-"""Plug-ins: sources, coders, drivers and filters that other distributions provide by entry points.
+"""Finds the sources, coders, drivers and filters that other installed Python packages provide as plug-ins, by
+their entry points.
 
 A distribution declares them in its ``pyproject.toml``; each refers to an object like that of a built-in
 module::

@@ -1,4 +1,5 @@
-// What the words of a medium say of its axes: which way is right, up, and towards the viewer.
+// Reads how a file describes its axes ("x right, y up, z towards the viewer"), so that the page draws it the
+// right way up.
 import type { Triple } from "./engine";
 
 const WAYS: Record<string, [number, number]> = {

@@ -1,4 +1,5 @@
-// A perceptually uniform colour map: viridis (van der Walt and Smith, CC0), by nine of its colours.
+// Maps numbers from 0 to 1 to colours of viridis, a perceptually uniform map (van der Walt and Smith, CC0),
+// by nine of its colours.
 const ANCHORS = [0x440154, 0x472d7b, 0x3b528b, 0x2c728e, 0x21918c, 0x28ae80, 0x5ec962, 0xaddc30, 0xfde725];
 
 export type Colour = [number, number, number];

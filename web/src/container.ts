@@ -1,4 +1,5 @@
-// The records of a file, for the panel: sizes, words, names. What they mean is decided by touch.h alone.
+// Reads the records of a `.touch` file (head, provenance, index) for the side panel of the page. The C code
+// of touch.h alone decides whether a file is valid.
 
 /** What is wrong with a file, in words, and the byte where that is known. */
 export class Fault extends Error {

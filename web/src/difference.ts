@@ -1,4 +1,5 @@
-// The decoded field beside its source: what lies between them, in units of the mask max(F_0, k |F|) of the source.
+// Compares the decoded field with its source for the page: the error at each sample, in units of the mask
+// max(F_0, k |F|) of the source.
 import { Fault } from "./container";
 import type { Away, Cut, Engine, Shown, Triple } from "./engine";
 

@@ -1,4 +1,6 @@
-// The decoder and encoder of touch.h in WebAssembly, and what the page asks of them. Runs in a worker, or beside the page.
+// Runs the decoder and encoder of c/touch.h in WebAssembly, and answers the requests of the page: open a
+// file, show a frame, find the force at a point. It runs in a worker, or in the page where workers are not
+// allowed.
 import { Fault, faultOf, readRecords, type Records, storyOf } from "./container";
 import { Difference } from "./difference";
 

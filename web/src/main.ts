@@ -1,4 +1,5 @@
-// The page: opens a file, plays it, and lets it be felt by pointer, key, ear and pad.
+// Entry point of the page of `touchfield view`: opens a file, plays it, and lets a user probe its forces by
+// pointer, keyboard, sound and game pad.
 import { directionWords, waysOf, type Ways } from "./axes";
 import { colourOf } from "./colour";
 import { firstSegment, indexOffset } from "./container";

@@ -1,5 +1,6 @@
-// What a surface is made of, as far as the page makes it heard: the vibration of a hand that slides along it.
-// The table is a stranger's: what is no number is none, and no more of it is read than this.
+// Computes the vibration of a hand that slides along a surface, from the materials that a file stores;
+// `sound.ts` makes it heard. The table is untrusted: anything that is not a number is ignored, and nothing
+// else of it is read.
 
 type Point = readonly [number, number, number];
 

@@ -1,4 +1,5 @@
-// Figures of a file, by name and number; every word of a file is put in as text.
+// The side panel of the page: lists size, error bound, device and other properties of a file, and the
+// keyboard keys. Strings of a file are inserted as text, never as HTML.
 import type { Opened } from "./engine";
 
 /** What a program knows beyond the file, as `touchfield info --json` and `compare --json` tell it. */

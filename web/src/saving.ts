@@ -1,4 +1,4 @@
-// Saves what is shown as a new file: the frames and the bound as the page has them.
+// Saves the frames that the page shows as a new `.touch` file, with the error bound that the user chose.
 import type { Head, Recorded, Recording } from "./engine";
 
 export interface Source {

@@ -1,4 +1,4 @@
-// The force as sound, as rumble of a game pad, and as vibration of a telephone.
+// Turns the force at the probe into sound, into rumble of a game pad, and into vibration of a phone.
 
 export class Sound {
   private context: AudioContext | null = null;

@@ -1,4 +1,4 @@
-// Two seconds of |F|, as a line that moves.
+// Draws the last two seconds of |F|, the force at the probe, as a moving line.
 const SECONDS = 2;
 
 export class Trace {

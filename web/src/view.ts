@@ -1,4 +1,5 @@
-// What is seen: the surface of first contact, a slice with cones, bodies, arrays, the workspace and the probe.
+// Draws the three-dimensional view of the page (three.js): the surface where a hand first meets a force, a
+// slice with cones for forces, bodies, arrays of actuators, the workspace and the probe.
 import {
   AmbientLight, BoxGeometry, BufferAttribute, BufferGeometry, Color, ConeGeometry, CylinderGeometry, DataTexture,
   DirectionalLight, DoubleSide, EdgesGeometry, Group, InstancedMesh, LinearFilter, LineBasicMaterial, LineSegments, Matrix4, Mesh,

@@ -1,4 +1,4 @@
-// The decoder in a thread of its own.
+// Runs the decoder (engine.ts) in a thread of its own, so that the page stays responsive.
 import { answer, type Ask } from "./engine";
 
 onmessage = (event: MessageEvent<{ id: number; ask: Ask }>): void => {

@@ -1,4 +1,5 @@
-"""Commands that broadcast: serve a folder of streams, send a source live, mux touch into a movie."""
+"""Commands that distribute touch: `serve` (a folder of ``.touch`` files over HTTP), `live` (a source as it is
+made), `mux` and `demux` (touch as a track of a movie)."""
 
 from __future__ import annotations
 

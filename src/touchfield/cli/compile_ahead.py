@@ -1,4 +1,5 @@
-"""Helper processes of a first run: they compile the kernels that a job needs later.
+"""Starts helper processes in a first run, which compile the inner loops (*kernels*) that a command needs
+later.
 
 Meanwhile the job compiles those that it needs first, and finds the others in numba's cache. Run as a program,
 this module is one helper: ``python -m touchfield.cli.compile_ahead GROUP...``.

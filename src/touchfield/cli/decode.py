@@ -1,4 +1,5 @@
-"""Commands that only read a stream: info and decode. They import no encoder."""
+"""Commands that only read a ``.touch`` file: `info` describes it, `decode` writes its force fields. They
+import no encoder, so that they start fast."""
 
 from __future__ import annotations
 

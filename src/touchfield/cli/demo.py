@@ -1,4 +1,4 @@
-"""`touchfield demo`: encode, compare and play real scenes that come with optional libraries.
+"""Command `touchfield demo`: encodes, compares and plays real scenes that come with optional libraries.
 
 The scene of a missing library is skipped; without any of them a tray of shapes is used instead.
 """

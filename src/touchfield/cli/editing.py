@@ -1,4 +1,5 @@
-"""Commands that change stored media (paper section 4): edit to partition, texture, deform; reduce (6.1)."""
+"""Commands that make a new file from a stored medium (paper section 4): `edit`, `splice`, `resample`, `lod`,
+`partition`, `texture`, `deform`; and `reduce` (section 6.1)."""
 
 from __future__ import annotations
 

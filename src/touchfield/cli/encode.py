@@ -1,4 +1,5 @@
-"""Commands that write streams and other formats: encode, filter, field, plan, export and import."""
+"""Commands that write ``.touch`` files and other formats: `encode`, `filter`, `field`, `plan`, `export` and
+`import`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The `touchfield` command. Only the module of the requested command is imported; the help imports all.
+"""Entry point of the `touchfield` command. It imports only the module of the requested command; the help
+imports all.
 
 Exit codes: 0 success, 2 usage error, 1 faulty data. An error is one line on stderr, or with ``--json`` one
 JSON object.

@@ -1,4 +1,4 @@
-"""Options shared by commands: how a scene is read, mapped, filtered and coded.
+"""Options that several commands share: how they read, place, filter and code a scene.
 
 Each option is one row, and `with_options` adds rows to a command, so that commands stay consistent.
 """

@@ -1,4 +1,5 @@
-"""Output of the command line: tables, notes, one JSON object, progress bars; and checks of output files."""
+"""Prints the results of all commands: tables, notes, one JSON object, progress bars. It also checks, before
+the work starts, that output files can be written."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The command play, the options of its renderer, and the tool in the hand."""
+"""Command `play`: plays a ``.touch`` file on a haptic device or a simulated hand. Defines its options, and
+the tool that touches in place of a point."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Commands that set up: demo, devices, sources, doctor and warmup."""
+"""Commands about the installation: `demo`, `devices` and `sources` (lists of what is supported), `doctor`
+(checks and fixes), and `warmup` (compiles everything ahead)."""
 
 from __future__ import annotations
 

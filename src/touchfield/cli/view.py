@@ -1,4 +1,5 @@
-"""The commands view, compare and measure, and the printing of a measurement."""
+"""Commands `view` (opens a file in the browser), `compare` (a file with its source) and `measure` (a medium
+in bits), and the printing of a measurement."""
 
 from __future__ import annotations
 

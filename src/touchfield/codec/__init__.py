@@ -1,4 +1,5 @@
-"""Coders of fields and of bodies with poses.
+"""The coders: each compresses a sequence of force fields, or of moving bodies, to bytes and back. A medium is
+cut into segments (short runs of frames), and each segment is coded on its own.
 
 `registry` lists them: `touch` is the default, `paper` the paper's coder, `objects` codes bodies with poses.
 """

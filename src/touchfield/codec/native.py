@@ -1,4 +1,5 @@
-"""The compiled module `touchfield._native` (``c/``), and its errors as those of this package."""
+"""Imports the compiled C module `touchfield._native`, and turns the errors that it raises into those of this
+package (`FormatError`, `InvalidArgument`)."""
 
 from __future__ import annotations
 

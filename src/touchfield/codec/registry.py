@@ -1,4 +1,5 @@
-"""Registry of coders by the name that files store.
+"""Finds a coder by the name that a ``.touch`` file stores (`touch`, `paper`, `objects`, or one of a plug-in),
+and defines the interfaces that every encoder and decoder must provide.
 
 An entry is a `Coder`. Those of this package are the ``CODER`` of each module in `ENTRIES`; other
 distributions register an entry point in the group ``touchfield.coders`` under the coder's name. An entry

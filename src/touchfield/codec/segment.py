@@ -1,4 +1,5 @@
-"""Segments: default length, coded bytes, bits per frame, and the error bound.
+"""What all coders share about segments, which are runs of frames that are coded together: their length, the
+count of coded bits by purpose, the compression ratio, and how an encoder reports the error bound.
 
 Eq. 9 of the paper is CR = (C_a + C_d) / (m V 96), where C_a and C_d are the lengths in bits of the coded
 amplitudes and directions (the paper calls these vectors), m the number of frames, V the number of voxels of

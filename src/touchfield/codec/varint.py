@@ -1,4 +1,5 @@
-"""Bounded variable-length integers, as in LEB128.
+"""Writes and reads whole numbers of variable length (varints, as in LEB128), and parts of bytes that are
+preceded by their length. All coders use them in the bodies of segments.
 
 Each byte holds seven bits, the least significant first. Departure from LEB128: only the shortest form is
 valid, so that equal values have equal bytes. Every read states the bounds of its value.

@@ -1,4 +1,5 @@
-"""The coder `touch` as a codec for zarr 3, with its error bound.
+"""Lets zarr 3 store arrays of forces compressed by coder `touch`, so that any program that uses zarr can read
+them. The error bound of the coder holds for every sample.
 
 A chunk [t, x, y, z, 3] of float32 newtons is the body of one segment of t frames; the parameters of the
 decoder are the codec's configuration. zarr finds the codec through the entry point ``touchfield.touch``.

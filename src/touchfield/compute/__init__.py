@@ -1,4 +1,5 @@
-"""Compilation and execution of kernels: jit, CUDA, threads, processes, clusters."""
+"""Compiles the package's inner loops (*kernels*) with numba, and runs them on threads, a GPU, worker
+processes or a cluster."""
 
 from touchfield._lazy import lazy_attributes
 

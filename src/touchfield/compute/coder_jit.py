@@ -1,4 +1,5 @@
-"""Decorators of the kernels of coder and servo, until these are native code.
+"""Decorators that compile the inner loops of coder and servo by numba without reference counting, until these
+loops are native code.
 
 They use an undocumented option of numba, ``_nrt=False``. These functions create no arrays, yet numba would
 count the references to every array at each call; this counting took a quarter of the time of a coding pass

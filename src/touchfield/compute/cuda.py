@@ -1,4 +1,5 @@
-"""Kernels on a GPU (extra ``cuda``): the CPU functions, compiled by numba-cuda.
+"""Runs the package's compiled loops on an NVIDIA GPU (extra ``cuda``): numba-cuda compiles the same functions
+that numba compiles for the CPU.
 
 A kernel is a loop ``kernel(start, stop, *arguments)`` over independent items (`compute.threads.for_chunks`).
 On the GPU each item gets its own thread, which runs the same loop from i to i + 1, so that CPU and GPU share

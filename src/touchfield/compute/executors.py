@@ -1,4 +1,5 @@
-"""Distribute work over threads, or over the processes or machines of an executor.
+"""Distributes work over threads, or over the processes or machines that the option ``--workers`` names, and
+returns the results in order.
 
 Any `concurrent.futures.Executor` can be used; retries and the placement of data are up to it.
 """

@@ -1,4 +1,5 @@
-"""Compilation of kernels with numba.
+"""Decorators that compile a *kernel*, an inner loop over arrays, with numba, and store the machine code on
+disk so that later runs start without compiling.
 
 `kernel` decorates functions that Python calls, `inner` those that only kernels call.
 

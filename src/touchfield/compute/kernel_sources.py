@@ -1,4 +1,5 @@
-"""Folder of compiled kernels on disk, named by a digest of all their sources.
+"""Finds the folder on disk for the machine code of compiled kernels. Its name is a digest of all kernel
+sources, so that a change in any of them leads to a new folder.
 
 The machine code of a kernel contains that of the functions it calls and the constants it reads, also from
 other files. numba's own cache only checks the file of the called function, so that it would keep using old

@@ -1,4 +1,5 @@
-"""The only module that uses private parts of numba.
+"""Makes numba compile faster and keep its cache correct, through private parts of numba. No other module uses
+such parts.
 
 `touchfield.compute.jit` imports it, and works without it if a version of numba lacks these parts. The purpose
 of each part, with measurements for numba 0.67 on two cores:

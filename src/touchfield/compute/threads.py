@@ -1,4 +1,4 @@
-"""Run compiled kernels on all cores: a kernel without the GIL, a range, threads.
+"""Runs a compiled kernel on all cores: cuts the range of its loop into pieces and gives them to threads.
 
 numba's own parallel loops are not used: they take about two seconds each to compile, compared with 0.3 s for
 a scalar kernel, and its default threading layer must not be entered by two threads at once

@@ -1,4 +1,5 @@
-"""The container format: `.touch` files.
+"""Reads and writes ``.touch`` files as a sequence of records (head, segments, index, end), without decoding
+the segments within.
 
 The table in `records` defines them; docs/format/container.md describes the bytes.
 """

@@ -1,4 +1,5 @@
-"""Field types of a ``.touch`` file and their bytes (docs/format/container.md).
+"""Types of the fields within a record of a ``.touch`` file, such as whole numbers, texts and lists: their
+bytes, their bounds, and their text in the documentation (docs/format/container.md).
 
 Numbers are little-endian. A type defines its bytes, its bounds and the text for both, so that the writer, the
 reader and the tests all follow from one row of the table. A value out of bounds is refused on both sides:

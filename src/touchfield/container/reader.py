@@ -1,4 +1,4 @@
-"""Reader of ``.touch`` files.
+"""Opens a ``.touch`` file, checks its head and its index, and returns the bytes of the segments on request.
 
 Opening a file reads the head, the end and the index; segments are read on request.
 """

@@ -1,4 +1,4 @@
-"""The table of the ``.touch`` format, version 1: every record, every field.
+"""Defines format version 1 of ``.touch`` files as one table: every record, and every field of it.
 
 The writer, the reader, the fuzzing strategies and the truncation tests are derived from it. The bytes of a
 record never change: later minor versions add records with new tags, which a reader of 1.0 skips, or refuses

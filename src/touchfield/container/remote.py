@@ -1,4 +1,4 @@
-"""Remote ``.touch`` files, read by range requests.
+"""Reads ``.touch`` files over HTTP or from an object store, by requests for the byte ranges that are needed.
 
 The files lie on a web server or in an object store. Opening takes three requests: the head together with the
 length of the file, the end with the index, and any part of the index that lies before. Servers are not

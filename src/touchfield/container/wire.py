@@ -1,4 +1,5 @@
-"""Conversion of records between bytes and values: frame, payload, CRC-32.
+"""Converts one record of a ``.touch`` file between its bytes and its values: the tag, length and CRC-32
+around it, and the fields inside.
 
 Checks are made in this order: the frame fits into the file, the CRC-32 matches, the flags are known, the
 fields are valid. Nothing in a record is used before its CRC-32 has been checked, except its length, which is

@@ -1,4 +1,4 @@
-"""Writer of ``.touch`` files, segment by segment.
+"""Writes a ``.touch`` file: the head first, then segment by segment, then the index and the end.
 
 The file has a temporary name until it is complete.
 """

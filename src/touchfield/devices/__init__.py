@@ -1,4 +1,5 @@
-"""Devices: profiles of what haptic displays can show (paper sections 3.1 and 5.1).
+"""Haptic devices: what each can show (workspace, greatest force, resolution; paper sections 3.1 and 5.1), and
+the drivers that connect to them.
 
 The public function ``touchfield.devices()`` has the same name as this package. Importing any submodule binds
 the package to ``touchfield.devices``, which hides a function of that name. So the package itself is callable:

@@ -1,4 +1,5 @@
-"""Profiles of haptic displays (paper sections 3.1 and 5.1), read from TOML files.
+"""Profiles of haptic devices, read from TOML files: workspace, greatest force, resolution and number of
+actuators of each (paper sections 3.1 and 5.1).
 
 Type 1 is a point that the hand moves through the field; type 2 is a fixed array of N x M actuators. Every
 value of a profile has the source that it was taken from, "unverified" if none was found.

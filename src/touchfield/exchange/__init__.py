@@ -1,4 +1,4 @@
-"""Haptic effects in the files of other tools.
+"""Reads and writes haptic effects in the formats of other tools.
 
 HJIF and HMPG (MPEG haptics), AHAP (Apple), .haptic (Meta), .tact (bHaptics) and WAV.
 """

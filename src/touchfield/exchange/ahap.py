@@ -1,4 +1,4 @@
-"""AHAP, Apple's haptic patterns (JSON), read as a symbolic medium of one actuator.
+"""Reads AHAP, Apple's JSON format of haptic patterns, as the drive of a single actuator over time.
 
 The keys are those of Apple's "Representing haptic patterns in AHAP files". As specified there, missing values
 take their defaults, values out of range are clamped, and unknown keys are ignored; so are events of sound.

@@ -1,4 +1,5 @@
-"""Writers of ``.tact`` (bHaptics), ``.wav``, ``.haptic`` (Meta) and ``.ahap`` (Apple).
+"""Writes the drives of actuators over time as ``.tact`` (bHaptics), ``.wav``, ``.haptic`` (Meta) or ``.ahap``
+(Apple).
 
 **.tact** (JSON, dot mode). No specification is published. The form follows what the vendor's open SDKs parse
 (project with layout and tracks, a track's effects, their modes by position, dot mode with its feedback) and

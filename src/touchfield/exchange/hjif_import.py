@@ -1,4 +1,5 @@
-"""HJIF (ISO/IEC 23090-31) as drives of an array, and as a force over time.
+"""Converts an effect in HJIF, the JSON format of MPEG haptics (ISO/IEC 23090-31), to the drives of an array
+of actuators, or to a force over time.
 
 An array is made from the channels of the first perception in `MODALITIES`. A channel drives the actuators
 that it targets; one without targets drives all of its array, and if no channel states an array, the channels

@@ -1,4 +1,4 @@
-"""Reader of HJIF (ISO/IEC 23090-31), which checks all members that it uses.
+"""Reads HJIF, the JSON format of MPEG haptics (ISO/IEC 23090-31), and checks every member that it uses.
 
 The checks are those of the published schemas. The file is untrusted: its length is bounded before it is read,
 all memory is bounded by its size, and a violation of the schema is reported in one line with its position in

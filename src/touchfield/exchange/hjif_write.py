@@ -1,4 +1,4 @@
-"""Writer of HJIF, the JSON of MPEG haptics (ISO/IEC 23090-31).
+"""Writes HJIF, the JSON format of MPEG haptics (ISO/IEC 23090-31).
 
 It writes arrays and forces. The files are valid by the published schemas, and within what the public
 reference decoder accepts: integers wherever it reads integers, keyframes within 65535 ticks of their effect,

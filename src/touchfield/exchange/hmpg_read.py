@@ -1,4 +1,4 @@
-"""Reader of ``.hmpg``, the binary form of MPEG haptics (ISO/IEC 23090-31).
+"""Reads ``.hmpg``, the binary format of MPEG haptics (ISO/IEC 23090-31).
 
 It returns the equivalent document of HJIF. A file consists of units, each with a head of nine bytes (type 6
 bits, sync 2, layer 4, duration 24, length 32, reserved 4) and packets, each with a head of three (type 6,

@@ -1,4 +1,5 @@
-"""Effects: the drive of each actuator of an array over time, and its frequency.
+"""`ArrayEffect`: the drive of each actuator of an array over time, and its frequency. Every format of effects
+is read into it and written from it; this file also converts it to a medium and back.
 
 An effect is a symbolic medium (paper figure 1): it represents something and was not measured. All formats are
 read into and written from `ArrayEffect`, the intermediate form between files and media.

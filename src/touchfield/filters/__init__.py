@@ -1,4 +1,5 @@
-"""Device filter (the paper's mapping M, sections 3.1 and 4.1) and haptic filters (section 3.2).
+"""Filters of force fields: the device filter, which adapts a field to what a device can show (the mapping M
+of paper sections 3.1 and 4.1), and haptic filters such as smoothing (section 3.2).
 
 ==================  ==========================================================================================
 M of a device       `DeviceFilter`, `device_medium`, `resample`, `LOW_PASSES`, `device_grid`, `Placement`

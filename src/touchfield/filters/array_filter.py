@@ -1,4 +1,5 @@
-"""The device filter of an array of actuators (type 2, paper section 5.1).
+"""Converts a force field to what an array of actuators can show (device type 2, paper section 5.1): one value
+for each actuator.
 
 The greatest or mean |F| along the third axis of the scene makes an image, a 2-D low-pass filters it
 (`touchfield.filters.smoothing`), and the actuators sample it.

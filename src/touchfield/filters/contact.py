@@ -1,4 +1,5 @@
-"""Contact effects (paper section 3.2): friction, damping, texture; and vibration (section 6.4).
+"""Effects of contact: friction and damping, texture, and vibration (paper sections 3.2 and 6.4). Friction and
+damping are stored as numbers with a medium, and the receiver applies them.
 
 The coefficients mu and b are metadata of a medium and change no frame. With the force F of the field at the
 point, and its velocity v, the receiver adds (`filters/kernels/forces.py`, `render/kernels/tick.py`) ::

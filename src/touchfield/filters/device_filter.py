@@ -1,4 +1,5 @@
-"""The device filter: the mapping M of the paper's section 3.1, "scale or crop, anti-alias, resample, clip".
+"""The device filter: adapts a field to a device (the mapping M of paper section 3.1, "scale or crop,
+anti-alias, resample, clip").
 
 Type 1, a point that the hand moves, is filtered by `point_filter`; type 2, an array, by `array_filter`. Both
 clip every force to F_max (`limit`); its direction is kept.

@@ -1,4 +1,4 @@
-"""Options of the device filter, and the lattice of a device.
+"""Options of the device filter, and the lattice of samples that a device gets.
 
 x_hand = scale * (x_scene - offset), with one scale for all axes, where the paper's mapping may stretch. The
 workspace is centred on the origin of the hand's space: x to the right, y up, z towards the user; the scene's

@@ -1,4 +1,5 @@
-"""Haptic editing (paper section 4): operators that act in a region of a field, and cross-fades of media.
+"""Edits force fields (paper section 4): applies an operator within a region, with a soft border, and fades
+from one medium to another.
 
 Outside the region and its feather every sample keeps its bits. Inside the region a sample takes its value
 from the result of the operator on the whole field; in the feather the two are blended, F + w (G - F). An

@@ -1,4 +1,5 @@
-"""Finite impulse response filter (equation 4) and its frequency response (equation 5).
+"""Applies finite impulse response (FIR) filters to arrays (equation 4), and computes their frequency response
+(equation 5).
 
 y[n] = sum over k of h[k] x[n - k], componentwise, along any number of axes of space and time. As printed,
 with k = 0 .. N - 1, it is causal and shifts the signal by (N - 1)/2 samples; that is ``anchor="causal"``. The

@@ -1,4 +1,5 @@
-"""Lifting on a chain of sublattices (paper section 3.2).
+"""Splits data on a lattice into a coarser lattice and the details between, stage by stage, and joins them
+again without loss (a lifting transform on quincunx and other sublattices; paper section 3.2).
 
 Paper section 3.2 asks for "optimal quincunx sampling and filtering" and gives no filter; this is the shortest
 lifting (after Sweldens). A stage keeps every second site of the lattice before it. The predict step replaces

@@ -1,4 +1,4 @@
-"""Limit of the forces of a field to what a device can exert."""
+"""Limits each force of a field to what a device can exert, and keeps its direction."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The device filter of a point that the hand moves (type 1).
+"""Converts a scene to the lattice of a device that a hand moves as a point (type 1): samples it finely, then
+low-passes it to the device's spacing.
 
 The scene's field is sampled on a lattice `oversample` times finer than the device's that reaches slightly
 beyond the workspace. A low-pass takes it to the device's lattice.

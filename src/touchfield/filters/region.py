@@ -1,4 +1,5 @@
-"""Regions of an edit: boxes, balls, half-spaces, voxel sets, force ranges, and combinations of them.
+"""Regions in which an edit applies: boxes, balls, half-spaces, sets of voxels, ranges of force, and
+combinations of them.
 
 Lengths are in metres of the hand. ``a | b`` is the union of two regions, ``a & b`` their intersection, and
 ``~a`` the complement. Membership of a sample is exact. The distance, by which a feather fades, is the true

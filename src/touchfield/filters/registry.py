@@ -1,4 +1,5 @@
-"""Haptic filters (paper section 3.2): interface, text form, registry, and chains.
+"""Lists the haptic filters (paper section 3.2), parses their text on the command line, and applies one or
+several in order.
 
 A filter is a frozen dataclass of its options, in metres and newtons. Calling it maps a field to a field on
 the same grid. It declares its properties (`Claims`), and one shared test measures every claim of every

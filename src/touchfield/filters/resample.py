@@ -1,4 +1,5 @@
-"""Resampling of a force field: through a low-pass (middle step of the mapping M, section 3.1), or trilinear.
+"""Resamples a force field to another lattice, either through a low-pass that prevents aliasing (the middle
+step of the mapping M, paper section 3.1) or by trilinear interpolation.
 
 One separable low-pass takes the field to any lattice with the same axes: smoothing at the same rate,
 decimation by a whole number, or any other ratio and shift. Only output bricks that an input brick reaches are

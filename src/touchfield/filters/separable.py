@@ -1,4 +1,5 @@
-"""Separable FIR filters (equation 4, paper section 3.2) and the continuation beyond the border.
+"""Applies FIR filters that are a product of one filter along each axis (equation 4, paper section 3.2) to
+sparse fields, and defines how a field continues beyond its border.
 
 Three passes of N taps replace one of N^3; each adds only the bricks that it reaches along its own axis.
 Departure from equation 4: the taps are centred on the sample, so that a filter does not shift the field.

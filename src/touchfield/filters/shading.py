@@ -1,4 +1,5 @@
-"""Force shading (paper section 3.2): separate smoothing of direction and amplitude; Perona-Malik diffusion.
+"""Smooths how a surface feels: *force shading* smooths the direction of forces apart from their amplitude
+(paper section 3.2); Perona-Malik diffusion smooths a field but keeps its edges.
 
 The paper lists "off-line force shading" among the haptic filters and gives no formula. On-line it is the rule
 of Morgenbesser and Srinivasan, "Force shading for haptic shape perception", 1996: the direction of the force

@@ -1,4 +1,5 @@
-"""Linear low-passes of a field: Gaussian, and anti-aliasing for an array of actuators (paper section 3.2).
+"""Smooths a field by a Gaussian, and removes from an image what an array of actuators is too coarse to show
+(paper section 3.2).
 
 The Gaussian has the kernel of `scipy.ndimage.gaussian_filter` and acts on each component alone; the paper's
 force shading smooths direction and amplitude separately (`touchfield.filters.shading`).

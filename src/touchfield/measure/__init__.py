@@ -1,4 +1,5 @@
-"""Measures of a medium: information (eq. 1 to 3), coding limits, fidelity (eq. 10, the mask), rate (eq. 9).
+"""Measures of a medium: its information in bits (eq. 1 to 3), limits for any coder, the error of a decoded
+field (eq. 10 and the perceptual mask), and the bit rate (eq. 9).
 
 =====================  ================================================================================
 counts                 `Counts` of arrays or of given probabilities; `field_counts`, `interaction_counts`

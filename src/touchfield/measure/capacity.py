@@ -1,4 +1,5 @@
-"""Workspace capacity, mapping ratio and information loss (section 3.1, eq. 1-3).
+"""Computes how many bits of a medium a device can render, and how many it loses: workspace capacity, mapping
+ratio WMR and information loss HIL (paper section 3.1, eq. 1-3).
 
 Eq. 1 as printed, C(M) = min(C(M(W)), H(W)), has C on both sides. Read literally it is min(C_dev, H(W)) with
 C_dev = log2 |codomain|, the most information that the device can receive in one frame. Here C = I(W; M(W)) =

@@ -1,4 +1,5 @@
-"""`Counts`: how often each (joint) symbol occurs, the input of every entropy.
+"""`Counts`: how often each symbol, or each combination of symbols, occurs. All entropies are computed from
+it.
 
 Paper section 3. Counts come from arrays, from given probabilities, from quantised fields (`field_counts`) or
 from a trace (`interaction_counts`). The memory is bounded by the number of different symbols, not of samples:

@@ -1,4 +1,5 @@
-"""Descriptor of a haptic medium, a vector of 83 numbers (sections 4 and 5.1).
+"""Describes a haptic medium by a vector of 83 numbers, so that similar media can be found by the distance of
+their vectors (paper sections 4 and 5.1).
 
 The paper ("indexing") names no descriptor. This one has seven named parts of fixed lengths:
 

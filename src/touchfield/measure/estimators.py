@@ -1,4 +1,5 @@
-"""Entropy estimators from counts.
+"""Estimates the entropy of a source from counts of its symbols. Several estimators correct the bias of few
+samples in different ways.
 
 Paper section 3 defines the entropy of known probabilities only, and uses frequencies as probabilities: the
 plug-in estimate. It is low by about (K - 1)/(2 n ln 2) bits for K symbols and n samples, which is half a bit

@@ -1,4 +1,5 @@
-"""Fidelity of a decoded field: NMSE (paper eq. 10) and violations of the mask.
+"""Measures the error of a decoded field against its original: NMSE (paper eq. 10), and the number of samples
+whose error exceeds the perceptual mask.
 
 Eq. 10 as printed sums unsquared norms in the numerator and has no sum in the denominator. Three readings:
 

@@ -1,4 +1,5 @@
-"""Symbol counts of quantised frames over voxels and over the object.
+"""Counts the symbols of quantised fields for entropies, either over all voxels or over those with a force
+(the "object").
 
 The paper (section 3.1, tables 1 and 2) does not define the random variable. Here it is S = Q(F(X)). X is
 uniform over all V voxels of all frames ("voxel", empty space being symbol 0), or over those where Q(F) is not

@@ -1,4 +1,5 @@
-"""Symbols S = Q(F) of a quantised field, sparse in bricks (paper section 3.1).
+"""Symbols of a quantised field: one whole number for each voxel, stored only for bricks (blocks of 8x8x8
+samples) that have a force (S = Q(F), paper section 3.1).
 
 Symbol 0 is "no force" and fills all space that no brick covers; 1 .. K-1 are the codewords of Q. Departure
 from the text of the paper's tables: the *object* is where Q(F) is not zero, rather than where F is not zero.

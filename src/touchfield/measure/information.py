@@ -1,4 +1,5 @@
-"""Information measures of `Counts`, and distances between media.
+"""Computes entropy, conditional entropy, mutual information and distances between media, each with unit and
+interval (paper section 3).
 
 Paper section 3 defines H(X), H(X,Y), H(X|Y) and I(X;Y). Each function takes `Counts`, or arrays of integers
 or booleans of any size and shape, which it counts; samples at the same index of several arrays are one joint

@@ -1,4 +1,5 @@
-"""Entropy weighted by a recorded interaction (paper section 6.1).
+"""Computes the entropy of a field as a recorded hand met it: each point counts as often as the hand was there
+(paper section 6.1).
 
 Section 6.1 states that "the probability mass function of the haptic medium, theoretically depends on the
 interaction" and gives no method. Here X, the position at which the field is sampled, is distributed as the

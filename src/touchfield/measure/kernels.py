@@ -1,4 +1,4 @@
-"""Compiled loops of the measures.
+"""Compiled inner loops of this package.
 
 Symbol tables, causal neighbours as packed rows, curl and squares, and sums by direction. Imported only when
 first needed, because it imports numba.

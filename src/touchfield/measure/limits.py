@@ -1,4 +1,5 @@
-"""Entropy bounds of coding a medium, to compare codecs with.
+"""Computes lower bounds on the bits that any coder of a kind needs for a medium, so that real coders can be
+compared with them.
 
 Theory sections 4 and 5. For the same symbols S = Q(F) over all voxels of all frames the bounds are H(S) of
 the voxel and of the object, and H(S | causal neighbours) with and without the previous frame. All are plug-in

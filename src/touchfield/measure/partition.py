@@ -1,4 +1,5 @@
-"""Adaptive workspace partitioning: optimal division into dyadic boxes (section 4).
+"""Divides a workspace into boxes, each of which fills the lattice of a device, so that the least information
+is lost (paper section 4).
 
 "Optimal adaptive workspace partitioning in disjoint subspaces so as to minimize information loss taking into
 account the rendering device". Each box fills the device's own lattice, so that a small box is rendered finely

@@ -1,4 +1,5 @@
-"""Energy that a field can give to a hand: curl, and work around closed loops.
+"""Measures whether a field can give energy to a hand: its curl, and the work around closed loops. A field
+without curl gives none.
 
 The paper calls a mapping "passive" when it creates no information (eq. 1). This does not concern energy: a
 field gives none to a hand that moves in a closed loop if and only if the integral of F dl vanishes around

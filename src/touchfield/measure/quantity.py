@@ -1,4 +1,5 @@
-"""A measured quantity with its unit, estimator and interval.
+"""`Quantity`: a measured number with its unit, how it was estimated, and a confidence interval. Every measure
+of the package returns it.
 
 Paper section 3.1 names neither Q nor X. Every measure of this package returns a `Quantity`, which states what
 the number estimates: the unit, the quantiser Q, the weighting mu of the samples, the estimator, the number of

@@ -1,4 +1,5 @@
-"""Nearest-neighbour search in an index of descriptors (paper sections 4 and 5.1).
+"""Finds the media whose descriptors are nearest to that of a given medium, in an index that is stored in a
+file (paper sections 4 and 5.1).
 
 The paper names "search and retrieval" without a method. A medium is indexed by its descriptor
 (`touchfield.measure.descriptors`); a query is another descriptor, and the result lists the names by

@@ -1,4 +1,5 @@
-"""Similarity of two haptic media, and correlation of a picture with a medium.
+"""Measures how similar two haptic media are, and how much the brightness of a picture tells about the forces
+of its scene.
 
 The paper (section 4) names "similarity estimation" and "correlation analysis between haptic media and visual
 media" without a measure of either.

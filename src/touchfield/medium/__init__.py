@@ -1,4 +1,5 @@
-"""Data types of haptic media (paper section 4).
+"""Data types of haptic media, which are force fields over time (paper section 4). All other packages use
+them.
 
 `Grid` is a lattice, `ForceField` one instant, `HapticMedium` a sequence of fields (W_t), and `HapticScene`
 objects with poses.

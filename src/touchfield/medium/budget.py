@@ -1,4 +1,4 @@
-"""Memory budget of a field: check the size of an allocation before it is made.
+"""Checks that an array of forces fits into memory before it is allocated.
 
 Without the check, a nominal lattice of 8e9 samples, or a small file that claims a large field, would make the
 machine swap before any error was raised.

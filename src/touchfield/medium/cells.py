@@ -1,4 +1,4 @@
-"""Fields of moving objects in the layout that the compiled queries read.
+"""Stores the fields of moving bodies in the layout that the compiled force queries read.
 
 Each brick of 8^3 samples is stored as a block of 9^3 samples: its own and the first samples of the next
 bricks along each axis. The eight samples around any point are then in one block. Blocks are found through a

@@ -1,4 +1,5 @@
-"""Deformation of a medium at the receiver by control points (paper section 6.3).
+"""Deforms the field that a receiver renders, by moving control points, without any change of the stored
+medium (paper section 6.3).
 
 Nothing is sent upstream to the source. The field at x is read at psi(x) = x + u(x) in the stored medium; u is
 a cubic B-spline on a small lattice of control points, and constant outside the lattice along each axis. With

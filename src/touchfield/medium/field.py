@@ -1,4 +1,5 @@
-"""One instant of a haptic medium: a force field on a grid (paper section 4).
+"""`ForceField`: the forces of one instant at the samples of a lattice, stored only where there are any (paper
+section 4).
 
 The field is W: R^3 -> R^3.
 

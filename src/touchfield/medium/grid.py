@@ -1,4 +1,5 @@
-"""Regular lattices, and the placement of a scene in a workspace.
+"""`Grid`: a regular lattice of sample points. `Placement`: how a scene is scaled and moved into the workspace
+of a device.
 
 A placement maps scene metres to hand metres.
 

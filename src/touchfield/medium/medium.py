@@ -1,4 +1,5 @@
-"""Haptic media: lazy sequences of force fields with metadata (paper section 4).
+"""`HapticMedium`: a sequence of force fields with a frame rate and other metadata, each computed when it is
+requested. `HapticScene`: bodies that each have a field and poses (paper section 4).
 
 In the paper's words, "the static W representation becomes a timeseries W_t". Frames are computed on access
 and not cached: a medium of a thousand frames takes no more memory than the frames that the caller keeps.

@@ -1,4 +1,4 @@
-"""The motion of a rigid body: one pose for each frame (paper section 4.3).
+"""`PoseTrack`: the motion of a rigid body, one position and rotation for each frame (paper section 4.3).
 
 This is the paper's "object" source model.
 

@@ -1,4 +1,4 @@
-"""Selection of frames of a medium."""
+"""Selects frames of a medium: those at given indices, or some that are evenly spaced."""
 
 from __future__ import annotations
 

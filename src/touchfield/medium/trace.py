@@ -1,4 +1,4 @@
-"""A recorded interaction: positions of a probe over time, and its text file.
+"""`Trace`: the positions of a hand or probe over time, and the text file (comma-separated) that stores them.
 
 There is no standard format, so the file is comma-separated text. Its first line names the columns, with
 units, in any order; other columns are ignored::

@@ -1,4 +1,5 @@
-"""Streams over the network: served files, live streams, and movies with touch."""
+"""Sends and receives streams over the network: files from a server, live streams, and movies with a track of
+touch."""
 
 from touchfield._lazy import lazy_attributes
 

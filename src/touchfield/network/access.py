@@ -1,4 +1,5 @@
-"""Access control and operation of web servers, for files and for live streams."""
+"""What all web servers of the package share: who may connect (address, token), limits on clients, and running
+in a thread."""
 
 from __future__ import annotations
 

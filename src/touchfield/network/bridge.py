@@ -1,4 +1,5 @@
-"""Server of a page that shows a file and the hand that plays it, at 60 Hz."""
+"""Serves a page that shows a file together with the hand that plays it on a device, updated 60 times a
+second."""
 
 from __future__ import annotations
 

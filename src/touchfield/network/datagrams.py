@@ -1,4 +1,5 @@
-"""Messages as interleaved datagrams with forward error correction.
+"""Sends messages as UDP datagrams that survive losses: adds repair data (forward error correction) and
+spreads each message over time. This file only converts; `udp` sends.
 
 A message (`touchfield.network.live`) is cut into symbols, to which RaptorQ (RFC 6330) adds repair symbols.
 Any set of as many symbols as the message has, rarely one or two more, restores it. The datagrams of a message

@@ -1,4 +1,5 @@
-"""Protocol of a live stream without transport: messages in, events out.
+"""The protocol of a live stream, independent of how it is transported: checks incoming messages and turns
+them into events such as a segment, a loss or the end.
 
 A live stream is the start of a file that does not end (docs/format/live.md): its *opening*, which is magic,
 version, HEAD with the maximum frame count, and PROV; then *segments*, each a SEGM, preceded by a VIBR if

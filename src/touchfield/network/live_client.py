@@ -1,4 +1,4 @@
-"""Client of a live stream, by WebSocket, manifest, datagrams or a pipe.
+"""Receives a live stream over WebSocket, HTTP, UDP datagrams or a pipe.
 
 It makes a medium of the messages.
 

@@ -1,4 +1,4 @@
-"""A live stream as a medium; access to a frame waits until it has arrived.
+"""Gives programs a live stream as a medium. Access to a frame waits until it has arrived.
 
 Frame 0 is the first frame of the segment with which the receiver joined. If playback falls behind the
 segments that are kept, it continues with the newest segment. A lost frame has no force; the renderer's slew

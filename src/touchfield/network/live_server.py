@@ -1,4 +1,5 @@
-"""Web server of a live stream: segments by WebSocket, and a rolling manifest by HTTP.
+"""Web server of a live stream: sends segments over WebSocket, and offers the latest ones over HTTP by a
+manifest that is updated as they come.
 
 The sender never waits: each receiver takes segments at its own pace, and one that does not read is dropped.
 """

@@ -1,4 +1,5 @@
-"""Mux a stream into a movie as a timed data track, and demux it (paper section 6).
+"""Adds a ``.touch`` file to a movie as a track in time with sound and picture, and extracts it again (paper
+section 6).
 
 The samples of the track are the file, divided after each of its segments; the time of a sample is that of its
 first frame. Index and end are rebuilt on extraction, so that the extracted file equals the original byte for

@@ -1,4 +1,4 @@
-"""Open a stream from a file, an address, or a live sender."""
+"""Opens a stream from a path, a web address, or a live sender, whichever the user gives."""
 
 from __future__ import annotations
 

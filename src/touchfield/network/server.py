@@ -1,4 +1,4 @@
-"""Web server of a folder of streams, which serves plain files and ranges of them.
+"""Web server of a folder of ``.touch`` files: serves whole files and ranges of bytes.
 
 Requests are untrusted. Only plain files of known types within the folder are served; there is no listing; a
 client that reads too slowly is dropped.

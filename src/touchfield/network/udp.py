@@ -1,4 +1,4 @@
-"""Live stream by UDP: a sender to an address, and a receiver at one."""
+"""Sends a live stream to an address by UDP, and receives one."""
 
 from __future__ import annotations
 

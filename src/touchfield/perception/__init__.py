@@ -1,4 +1,5 @@
-"""Limits of human touch, each with its source; masks and deadbands (section 4.2)."""
+"""What a human hand can feel: thresholds, each with its source, and the masks and deadbands that follow from
+them (paper section 4.2)."""
 
 from touchfield.perception.human import Figure, figure, human
 from touchfield.perception.mask import SpatialMasking, mask_n, violations

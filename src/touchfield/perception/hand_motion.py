@@ -1,4 +1,5 @@
-"""Difference of two fields as felt by a hand that slides along a surface or rests.
+"""Computes the vibration that coding errors cause to a hand: one that slides along the surface of a field, or
+one that rests while frames change.
 
 A mask bounds the error of each sample. A moving hand meets one sample after another, so that an error that
 differs between neighbouring samples becomes vibration: e(t) = F_decoded(x(t)) - F_source(x(t)), both

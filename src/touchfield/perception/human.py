@@ -1,4 +1,5 @@
-"""The limits of human touch (paper section 4.2), with sources.
+"""Figures of human touch from the literature, such as thresholds and just noticeable differences (paper
+section 4.2), each with its source.
 
 Thresholds and just noticeable differences are in ``human.toml``; the threshold of vibration against frequency
 is in ``vibration_threshold.toml``. The literature gives the displacement of the handle at this threshold. A

@@ -1,4 +1,5 @@
-"""Compiled deadbands, and motion to a force level; imported when first needed.
+"""Compiled inner loops of deadbands, which decide what samples differ enough to be sent, and of moving points
+to the surface of a field. Imported only when first needed, because it imports numba.
 
 The gates along a scan run in one thread, because each sample depends on the samples sent before it. Products
 and sums are in float64; comparisons are written so that a NaN is sent, not held.

@@ -1,4 +1,5 @@
-"""The perceptual mask max(F_0, k |F|), its violations, and spatial masking.
+"""The perceptual mask: an error of a force F is not felt if it is at most max(F_0, k |F|). This file computes
+the mask and counts the errors that exceed it.
 
 The paper (section 4.2) draws Delta(x) = k x alone (figure 2), which allows no error where the force is zero.
 Departure: an absolute threshold F_0 below which forces are imperceptible; F_0 = 0 gives the paper's mask.

@@ -1,4 +1,5 @@
-"""Vibration signals: crossover from force, one axis for three, and reduction.
+"""Processes vibration: separates it from force by frequency, combines three axes into one, and reduces it to
+what a hand can feel.
 
 The paper (section 6.4) gives no method: "process the vibrotactile feedback in the spectral domain and then
 modulate the force feedback appropriately in the time domain". Here a `Crossover` splits a recorded force into

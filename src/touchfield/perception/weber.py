@@ -1,4 +1,5 @@
-"""Imperceptible steps for a Weber fraction (section 4.2): quantisers and deadband.
+"""Quantisers and deadbands whose steps a hand cannot feel, as they grow with the force by the Weber fraction
+k (paper section 4.2).
 
 Eq. 6 is Q(x) = sgn(x) Delta [|x| / Delta + 1/2], where the bracket must be the floor. As printed, with Delta
 = k |x|, it is k floor(1/k + 1/2) x: a constant gain and no quantiser. With a fixed Delta the error is

@@ -1,4 +1,5 @@
-"""The main pipeline (figure 4 of the paper): from a scene to a ``.touch`` file, and back to a medium.
+"""The steps behind `touchfield encode` and `touchfield decode` (figure 4 of the paper): from a scene to a
+``.touch`` file, and back to a medium.
 
 source -> device filter (M) -> haptic filters -> medium   `preparation`
     its stages                                            `source`, `placement`, `objects`, `notes`

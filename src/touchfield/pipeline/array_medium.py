@@ -1,4 +1,5 @@
-"""A stream on an array of actuators (type 2, paper section 5.1): its medium there, and the drives.
+"""Converts a stream to what an array of actuators (a device of type 2, paper section 5.1) plays: a medium
+with one sample for each actuator, and drives from 0 to 1.
 
 A stream that was made for an array of the same columns and rows is used unchanged. Any other is pooled onto
 the actuators by the device filter, like a stored field, with the placement "fit". The drive of an actuator is

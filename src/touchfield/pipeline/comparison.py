@@ -1,4 +1,5 @@
-"""Comparison of a stream with its source, in numbers and by a simulated hand, and a report on filters.
+"""Compares a ``.touch`` file with its source, for `touchfield compare`: error in numbers, and what a
+simulated hand feels in both. It also reports what each haptic filter changed.
 
 The filter report measures a medium before and after each haptic filter (paper 3.2).
 """

@@ -1,4 +1,5 @@
-"""Random access to the frames of a stream, forces and vibration, by a cursor in the last segment used.
+"""Returns any frame of a stream, forces or vibration, by its number: decodes the segment that contains it,
+and keeps the segments used last.
 
 Sequential access is decoded ahead: while one segment is read, the next ones are decoded on the other cores.
 """

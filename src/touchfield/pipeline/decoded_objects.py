@@ -1,4 +1,5 @@
-"""file -> haptic scene: streams of coder `objects`. Poses are decoded at once, fields on access."""
+"""Opens a file of coder `objects` as a scene of moving bodies. Poses are decoded at once, the field of a body
+when it is first needed."""
 
 from __future__ import annotations
 

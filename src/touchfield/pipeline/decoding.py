@@ -1,4 +1,5 @@
-"""file -> segments -> decoder -> medium: the decoding half of figure 4."""
+"""Opens a ``.touch`` file as a stream of decoded frames, by the coder that it names, and writes such frames
+to other formats (``.npz``, ``.zarr``, ``.vti``)."""
 
 from __future__ import annotations
 

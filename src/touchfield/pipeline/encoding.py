@@ -1,4 +1,5 @@
-"""source -> medium -> coder -> segments -> file: the encoding half of figure 4 of the paper."""
+"""`encode`: turns a source into a ``.touch`` file, the encoding half of the paper's figure 4. It prepares the
+medium, codes its segments and writes them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Notes for the user on a prepared source: its scale, its unit, its objects, and options without effect."""
+"""Writes the notes that a user sees about a prepared source: its scale, its unit, its objects, and options
+that had no effect."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The object representation: each body of a scene as a field of its own and a track of its poses.
+"""Represents a scene by its bodies: one force field for each body in its own frame, and a track of its poses.
+The alternative is one field for the whole scene in each frame.
 
 The object source model is that of figure 4 (paper 4.3, 5.1). The device filter works on each body in the
 body's own frame, once for a rigid body: two thousand frames cost one field per body. A body that stays in

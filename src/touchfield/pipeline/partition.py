@@ -1,4 +1,5 @@
-"""The mapping M of a stored medium W to a device (paper section 3.1), for measures in bits.
+"""Maps a stored medium to a device (the mapping M of paper section 3.1): scaled, resampled, clipped and
+quantised, so that `touchfield measure` can say how many bits the device loses.
 
 W is a medium on its own lattice, the reference space. For each device it is scaled into the workspace,
 low-passed and resampled to the device's lattice, clipped to F_max and quantised; equations 1 to 3 then

@@ -1,4 +1,5 @@
-"""Placement of a scene in a device's workspace, and the lattice over it (the mapping M, paper 3.1)."""
+"""Scales and moves a scene into the workspace of a device, and chooses the lattice of samples over it (the
+mapping M, paper section 3.1)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""source -> placement -> representation -> filters -> extras: a medium on the device's lattice.
+"""`prepare`: turns a source into a medium on the lattice of a device, ready to be coded. It opens, places,
+samples and filters the scene.
 
 The stages are those of the paper (3.1, 3.2, 4.1), each in a module of its own; `prepare` calls them in order:
 

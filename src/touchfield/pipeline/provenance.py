@@ -1,4 +1,5 @@
-"""What a file states about its origin: version, source and spec."""
+"""Builds the provenance that a ``.touch`` file stores: the version of touchfield, the source and the options
+it was made with."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rate control: search the control of coder `touch` that gives a file of a requested size or error.
+"""Encodes a source to a requested file size or error: searches the setting of coder `touch` that gives it.
 
 The control is the step of the lattice in mode "nmse", and k, with F_0 in proportion, in the other modes. The
 search starts on a few segments. A size in bytes is a budget for the whole file, of which at least 97 % are

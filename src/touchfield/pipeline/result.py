@@ -1,4 +1,4 @@
-"""The result of a task, for commands and programs."""
+"""`Result`: what a task returns to commands and programs, figures by name and notes for people."""
 
 from __future__ import annotations
 

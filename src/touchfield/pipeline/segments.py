@@ -1,4 +1,5 @@
-"""medium -> coder -> segments: the encoding half of figure 4, in independent ranges of frames.
+"""Cuts a medium into segments and codes them on all cores. It also cuts long media into independent ranges of
+frames, which workers can code.
 
 A segment is coded on its own, but its length, and its key frame where the world stands still, depend on the
 frames before it. The medium is therefore cut into ranges of whole segments, at frames that follow from its

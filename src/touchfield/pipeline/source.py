@@ -1,4 +1,5 @@
-"""The source of an encoding, opened as a scene: a file, a sample, a medium, a field or an array."""
+"""Opens what a user wants to encode as a scene: a path, a sample such as ``sample:terrain``, a stream, a
+medium, a field or an array."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Options of the pipeline, and their JSON form in a stream's provenance."""
+"""`EncodeSpec`: all options of an encoding, checked, and their JSON form, which a ``.touch`` file stores."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""A ``.touch`` file, open for reading: its head, its decoder, and its frames as a lazy medium."""
+"""`OpenStream`: a ``.touch`` file that is open for reading, with its head, its decoder and its frames as a
+medium."""
 
 from __future__ import annotations
 

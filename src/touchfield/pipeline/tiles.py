@@ -1,4 +1,5 @@
-"""Encode one huge lattice as a zarr store: tiles of whole bricks, made, filtered and coded independently.
+"""Encodes a lattice too large for memory as a zarr store: cuts it into tiles, and makes, filters and codes
+each tile on its own.
 
 source -> mapping -> tile of the lattice -> device filter -> coder `touch` (a codec of zarr) -> shard
 

@@ -1,4 +1,5 @@
-"""Encoding with workers: ranges of frames, coded by the workers of an executor, and joined to one file.
+"""Encodes a source with several processes or machines: each codes ranges of frames, and the results are
+joined to one file.
 
 A range is coded to the same bytes in any process (`segments`). Its segments are stored as a part, a small
 ``.touch`` file, until all parts are there.

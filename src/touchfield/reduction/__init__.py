@@ -1,4 +1,5 @@
-"""Model reduction of a medium (paper section 6): modes, reachable samples, and sample points.
+"""Represents a medium by fewer numbers (paper section 6): by a few modes, by few sample points, or without
+the samples that no hand can reach.
 
 modes          snapshots as a few modes, with a known error; points that determine their coefficients
 snapshots      a medium as snapshots: frames, or bricks; degrees of freedom

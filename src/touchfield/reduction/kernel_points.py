@@ -1,4 +1,5 @@
-"""Greedy choice of sample points of a static field (paper section 6.2).
+"""Chooses the few points of a static field from whose forces the whole field can be interpolated (paper
+section 6.2).
 
 A static field has no modes over time, but a field of forces has no curl, which a curl-free kernel expresses
 (`CurlFree`). Two criteria:

@@ -1,4 +1,4 @@
-"""Compiled test of whether a field stops a hand within a cell of a lattice.
+"""Compiled inner loop of `reach`: tests for each cell of a lattice whether the forces there stop a hand.
 
 See `touchfield.reduction.reach` for the proof.
 """

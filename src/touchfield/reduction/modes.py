@@ -1,4 +1,5 @@
-"""Modes of snapshots, and few points that determine their coefficients.
+"""Represents vectors (*snapshots*, such as the frames of a medium) as sums of a few *modes*, found by
+singular value decomposition, and finds few points whose forces determine the coefficients.
 
 Paper sections 6.1 and 6.2. A snapshot is a vector of d values: a frame on the union of its bricks, or one
 brick. The r vectors that best represent n snapshots are the first r right singular vectors of the n x d

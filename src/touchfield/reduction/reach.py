@@ -1,4 +1,5 @@
-"""Samples that a hand can reach in a medium (paper section 6.1, "culling").
+"""Finds the samples of a medium that a hand can reach. The others need not be sent (paper section 6.1,
+"culling").
 
 Other samples need not be sent. The hand is a mass m that pushes with at most P in any direction and is never
 faster than v. Let A be a set of points, d(x) the distance from x to A, and e the direction from the nearest

@@ -1,4 +1,5 @@
-"""A medium as snapshots for `modes`: whole frames, or single bricks.
+"""Cuts a medium into vectors (*snapshots*), whole frames or single bricks of 8x8x8 samples, and represents
+them by the modes of `modes`.
 
 Whole frames, on the union of their bricks, suit bodies that deform in place. A moving body is elsewhere in
 each frame, so that no few frames span it, but its bricks are similar wherever it is. Counts of numbers are

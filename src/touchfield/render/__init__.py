@@ -1,4 +1,5 @@
-"""Rendering on a device: the receiver of the paper (section 3.2, end of figure 4).
+"""Plays a medium on a device: decodes frames ahead and computes the force on the hand a thousand times a
+second (the receiver of the paper, section 3.2 and end of figure 4).
 
     file -> segments -> decoder -> frames -> `feeder` -> shared memory | -> `cycle` -> limits -> device
                         (the player's process)                         |    (the servo's process)

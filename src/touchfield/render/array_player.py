@@ -1,4 +1,5 @@
-"""Player for type 2 devices: sends frames of drives to an array of actuators.
+"""Plays a medium on an array of actuators, such as a vest: decodes frames of drives (0 to 1 for each
+actuator) ahead, and sends them to the device in time.
 
     frames -> `DrivePrefetcher` (a decoding thread) -> sender (a thread): linear in time, 0 to 1 -> device
 

@@ -1,4 +1,5 @@
-"""The feeder: decodes frames ahead of the servo and writes them to the block.
+"""Decodes the frames of a medium shortly before the servo needs them, and writes them into the memory that
+player and servo share.
 
 In a loop, frame numbers continue through the repeats (*unrolled* frames). Each seek starts a new *generation*
 of frames. A frame is overwritten only after the servo has released it, and the frames of a new generation are

@@ -1,4 +1,5 @@
-"""Materials of surfaces: friction, stick-slip and vibration (paper section 6.4).
+"""Materials of surfaces: the friction, the stick-slip and the vibration that a hand feels when it slides
+along a surface (paper section 6.4). This file reads and writes tables of them.
 
 A field defines how hard a surface pushes, but not how it feels to slide along it. A `Material` defines that,
 for the whole field, a box or an object: mu, stick-slip, and the rms of the vibration in thirds of an octave,

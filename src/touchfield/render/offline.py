@@ -1,4 +1,5 @@
-"""Offline rendering: the same cycle without a servo process, on a virtual clock.
+"""Plays a medium without a real-time process: the same code computes the forces, on a virtual clock, as fast
+as possible.
 
 It serves tests, exports and plots. The same input gives the same forces, and frames are always ready in time.
 """

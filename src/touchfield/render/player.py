@@ -1,4 +1,5 @@
-"""The player: the object that a program uses while a medium is rendered.
+"""`Player`: the object by which a program plays a medium on a force-feedback device. It starts the servo's
+process, gives it frames and orders (play, seek, stop), and ends it safely.
 
     with Player(medium, profile, opener) as player:
         player.play()

@@ -1,4 +1,5 @@
-"""A type 1 device as the servo uses it: read its position, and set its force.
+"""The interface of a force-feedback device as the servo uses it: reads the position of the point that the
+hand moves, and sets the force there. Also maps the device's axes to those of a field.
 
 Some devices also report an orientation and accept a torque. A new device is one file in
 `touchfield.devices.drivers` with a class of this kind (docs/devices.md). The forces that arrive here have

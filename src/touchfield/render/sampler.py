@@ -1,4 +1,5 @@
-"""F(x, t) of a decoded medium at any point and time, for a program in one process.
+"""`FieldSampler`: computes the force of a decoded medium at any point and time, for programs that need no
+servo process.
 
 The servo evaluates the same function at each tick. It is trilinear in space, zero outside, and exact at the
 samples. Between two frames, a moving body is at the interpolated pose and a changing field is blended

@@ -1,4 +1,5 @@
-"""Blending of segments: removes the step at the start of a segment during playback.
+"""Smooths the small step in force where playback passes from one coded segment to the next, by blending the
+last frame of the one into the start of the other.
 
 Each segment is encoded independently, so that the force of a static world jumps at the start of a segment, by
 less than the mask. Here the last frame of the previous segment is blended into the new segment by a raised

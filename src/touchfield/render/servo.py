@@ -1,4 +1,5 @@
-"""The servo: at each tick, reads the position of the device and sets its force.
+"""The servo: the process that reads the position of a force-feedback device and sets its force, at each tick
+(1 kHz or more).
 
 Whether it ends by an order, a signal, the loss of the player or a failure of the device, the force goes to
 zero within the slew limit and the device is closed, as far as the device still accepts forces.

@@ -1,4 +1,5 @@
-"""Options of the renderer: effects, mapping and limits (paper section 3.2).
+"""Options of the renderer (effects, mapping from hand to field, limits of the force; paper section 3.2), and
+their transfer into the memory that player and servo share.
 
 `write_parameters` writes them to the block, together with the values of the device and the medium, before the
 servo starts.

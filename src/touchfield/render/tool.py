@@ -1,4 +1,5 @@
-"""Tools: points with normals about the device's point, and their block layout.
+"""A tool is a sphere or a mesh that touches the field in place of a single point. This file samples its
+surface as points with normals, and writes them into the memory that player and servo share.
 
 The force on a tool is the sum over its points of s max(0, -n . F / |F|) F, with F the field's force at the
 point and n the outward normal of the tool there. Each piece of the tool's surface is thus weighted by the

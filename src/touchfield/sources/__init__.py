@@ -1,4 +1,5 @@
-"""Sources: scenes as generators of force fields, and force laws.
+"""Opens scenes, from which force fields are computed on any lattice (meshes, depth sequences, videos,
+simulated bodies and others), and defines how a surface pushes a hand (*force laws*).
 
 `registry` opens scenes, `laws` defines the force laws.
 """

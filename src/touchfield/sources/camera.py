@@ -1,4 +1,5 @@
-"""Pinhole cameras, depth sequences, and their resampling in time.
+"""Pinhole cameras and sequences of depth images, and their resampling to another frame rate. All sources of
+depth use it.
 
 The paper (section 5.1, scene 2) makes 800 frames at 1 kHz from 20 depth maps by linear interpolation, without
 a formula. Here frame j shows the source at t = j / rate, and source frame i lies at t = i / source rate, so

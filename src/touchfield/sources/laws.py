@@ -1,4 +1,5 @@
-"""Force laws: how a surface pushes, guides or attracts a point (paper section 4).
+"""Force laws: how strongly a surface pushes, guides or attracts a point at a signed distance from it (paper
+section 4). All scenes compute their forces by one.
 
 The paper gives no formula, nor does its reference [21]. Every law acts along the outward surface normal n and
 depends on the signed distance phi alone (negative inside, d = -phi the penetration depth), so that F = f(phi)

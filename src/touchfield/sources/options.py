@@ -1,4 +1,5 @@
-"""Options of a source beyond its path."""
+"""Options by which a user says how a source is read, beyond its path, such as its depth unit or its frame
+rate."""
 
 from __future__ import annotations
 

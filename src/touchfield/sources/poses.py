@@ -1,4 +1,4 @@
-"""Poses of cameras and tracks of bodies from text files.
+"""Reads poses of cameras and motions of bodies from text files, in the forms that data sets use.
 
 The form of a text is recognised by its content:
 

@@ -1,4 +1,4 @@
-"""Registry of source kinds: list them, recognise the kind of a path, and open it.
+"""Lists the kinds of source, recognises which kind a path is, and opens it as a scene.
 
 Other distributions add kinds through entry points of the group ``touchfield.sources``, each a `SourceKind`. A
 kind of this package is either a module that ends in ``KIND = SourceKind(...)`` with a line in `MODULES`, or a

@@ -1,4 +1,4 @@
-"""Sample scenes that need no download.
+"""Opens sample scenes such as ``sample:terrain``, which need no download.
 
 They are data of well-known libraries, and Scene 1 of the paper.
 """

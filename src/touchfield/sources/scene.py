@@ -1,4 +1,5 @@
-"""Base class of scenes: generators of force fields, evaluated on any lattice.
+"""`Scene`: the base class of all sources. A scene computes its force field on any lattice and at any of its
+frames.
 
 A scene keeps its geometry (depth maps, triangles, a formula) and is never voxelised as a whole: the device
 filter requests the field on the lattice that it needs.

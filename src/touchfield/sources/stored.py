@@ -1,4 +1,4 @@
-"""A stored force field as a source: ``.npz`` or ``.zarr`` with ``forces_n``.
+"""Opens a stored force field, ``.npz`` or ``.zarr`` with the array ``forces_n``, as a scene.
 
 The forces are used as stored: a force law does not apply, and the profile is ignored.
 """

@@ -1,4 +1,5 @@
-"""Tiny scenes, one for each kind of generator, to compile every kernel and for tests."""
+"""Makes one tiny scene of each kind. `touchfield warmup` uses them to compile every inner loop, and so do
+tests."""
 
 from __future__ import annotations
 

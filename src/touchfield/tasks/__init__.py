@@ -1,4 +1,5 @@
-"""Tasks: functions behind the commands that consist of several pipeline steps."""
+"""The functions behind the commands that combine several steps, such as `edit`, `plan`, `live` and `play`.
+Programs call them too."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,5 @@
-"""Deformations of streams: tracks of an animated model, or compliance (paper 6.3)."""
+"""Makes a deformation that a stream carries: either the motion of an animated model, as moving control
+points, or a compliance, by which a field yields to the hand (paper section 6.3)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Text of regions and operators, as the command `edit` takes them."""
+"""Parses the texts by which a user of the command `edit` names a region and an operator."""
 
 from __future__ import annotations
 

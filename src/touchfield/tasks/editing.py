@@ -1,4 +1,5 @@
-"""Edit stored media: regions, time, lattice and levels of detail (paper section 4).
+"""Makes new files from stored media: edits a region, joins or resamples them, or makes levels of detail
+(paper section 4).
 
 Every result is a new file, coded like any medium; its provenance records the edits.
 """

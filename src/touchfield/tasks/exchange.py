@@ -1,4 +1,5 @@
-"""Export of streams to other formats, and import of effects.
+"""Exports a stream to the formats of other tools, such as drives of actuators, and imports haptic effects
+from them.
 
 Imported effects are symbolic media (paper figure 1).
 

@@ -1,4 +1,5 @@
-"""Comparison of media: search, similarity, correlation with a video (section 4).
+"""Indexes a folder of ``.touch`` files, finds similar ones, and compares media with each other and with a
+video (paper section 4).
 
 A library is stored as the file of `MediumIndex` with an additional array: size, time and CRC-32 of each file,
 and the fault of files that cannot be described.

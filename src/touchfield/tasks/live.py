@@ -1,4 +1,4 @@
-"""Live streaming of a source: frames are made in real time, coded and sent.
+"""Sends a source live: makes, codes and sends its frames in real time.
 
 Frames are coded in segments, which are sent to all receivers. The delay of a segment is its length plus the
 coding time of its last frame. If making or coding frames is too slow, frames are skipped and counted; the

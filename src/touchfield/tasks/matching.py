@@ -1,4 +1,5 @@
-"""Media at the rate, on the lattice and along the axes of another one."""
+"""Converts a medium to the frame rate, the lattice and the axes of another one, so that the two can be
+compared or joined."""
 
 from __future__ import annotations
 

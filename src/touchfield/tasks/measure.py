@@ -1,4 +1,4 @@
-"""Measure a medium, and its rendering by devices, in bits.
+"""Measures in bits how much information a medium contains, and how much of it each device renders.
 
 See the paper, sections 3 and 3.1, equations 1 to 3.
 

@@ -1,4 +1,5 @@
-"""Search for the best lattice and coder settings within a budget (paper section 4).
+"""Tries lattices and settings of the coder, and finds those with the least error within a budget of bytes or
+bits per second (paper section 4).
 
 The search minimises R + lambda D. A moving medium has a bit rate: R is that of a long stream, estimated from
 a few pairs of consecutive frames spread over the scene. The first frame of a pair gives the cost of an

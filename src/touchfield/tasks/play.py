@@ -1,4 +1,4 @@
-"""Playback of a stream on a device: the receiver's half of figure 4.
+"""Plays a stream on a device or on a simulated hand: the receiver's half of the paper's figure 4.
 
 The chain is stream -> decoder -> renderer -> device.
 

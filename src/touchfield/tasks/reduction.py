@@ -1,4 +1,5 @@
-"""Reduce a medium to a few modes or points (paper section 6.1).
+"""Reduces a medium to a few modes or points, or to the samples that a hand can reach (paper section 6.1), and
+writes the result as a file.
 
 Samples that no hand can reach can be removed.
 

@@ -1,4 +1,5 @@
-"""Check the installation and suggest fixes; compile every kernel before it is needed."""
+"""Checks the installation and suggests fixes (`touchfield doctor`), and compiles every inner loop before it
+is needed (`touchfield warmup`)."""
 
 from __future__ import annotations
 

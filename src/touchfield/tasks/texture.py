@@ -1,4 +1,5 @@
-"""Materials from recorded vibrations, and their storage in a stream.
+"""Makes materials (how a surface vibrates under a sliding hand) of recorded accelerations, and stores them in
+a stream.
 
 See `touchfield.render.material`.
 """

@@ -1,4 +1,4 @@
-"""Views of media: the page for browsers, which is one HTML file, and pictures."""
+"""Makes what a user looks at: the page for browsers, which is one HTML file, and pictures of a medium."""
 
 from __future__ import annotations
 

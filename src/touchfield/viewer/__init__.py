@@ -1,4 +1,4 @@
-"""Pictures of fields, coding errors and measurements, and the page for browsers."""
+"""Draws fields, coding errors and measurements as pictures, and makes the page for browsers."""
 
 from touchfield._lazy import lazy_attributes
 

@@ -1,4 +1,5 @@
-"""The viewer for browsers: one HTML file with a stream, its decoder and its viewer.
+"""Makes the HTML page that plays a ``.touch`` file in a browser. The file and its decoder are within the
+page.
 
 It needs no network access. The page itself, `web/page.html`, is built from the folder `web` of the repository
 (``make web``).

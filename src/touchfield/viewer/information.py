@@ -1,4 +1,5 @@
-"""Picture of the bits of a medium and of each device's part (paper section 3.1).
+"""Draws how many bits a medium contains, how many files take, and how many each device renders, as bars
+(paper section 3.1).
 
 Limits have one hue and file sizes another; every value is printed, and intervals are drawn.
 """

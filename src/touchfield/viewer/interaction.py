@@ -1,4 +1,4 @@
-"""Picture of an interaction: position of the hand, and forces of field and device.
+"""Draws a recorded interaction: where the hand was, and the forces of field and device over time.
 
 Curves over time are on the left, paths on the right; the background is tinted during contact.
 """

@@ -1,4 +1,4 @@
-"""Figures with a title, and their PNG files."""
+"""Makes matplotlib figures with a title and writes them as PNG files, for all pictures of this package."""
 
 from __future__ import annotations
 

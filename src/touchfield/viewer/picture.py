@@ -1,4 +1,4 @@
-"""Pictures of fields: a comparison of two fields, and a field in its workspace.
+"""Draws fields: two fields with the error between them, or one field in the workspace of a device.
 
 A comparison shows the source, the decoded field, and the error in units of the mask. Colours are perceptually
 uniform and safe for colour-blind readers; compared panels share a scale with a unit.

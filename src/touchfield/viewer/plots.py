@@ -1,4 +1,4 @@
-"""Pictures of curves: a masked signal (paper figure 2), and textures.
+"""Draws curves: a quantised signal with its perceptual mask (paper figure 2), and the vibration of materials.
 
 Each picture is written as PNG. The functions raise `MissingExtra` if matplotlib is not installed.
 """

@@ -1,1 +1,2 @@
-"""The coder `objects`: fields with poses (figure 4's object source model)."""
+"""Coder `objects`: stores each body of a scene once, as a field in the body's own frame, and then only the
+body's pose in each frame (the "object" source model of the paper's figure 4)."""

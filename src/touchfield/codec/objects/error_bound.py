@@ -1,4 +1,5 @@
-"""Check of the error bound of the composed field, in all frames and at all voxels.
+"""Checks a decoded scene of moving bodies against its source: in every frame and at every voxel, the sum of
+the decoded forces of all bodies must be within the error bound. The encoder of coder `objects` calls it.
 
 The bound is |F_decoded - F| <= max(F_0, k |F|), where F is the force of the source with its bodies at their
 decoded poses. The poses themselves have another bound: coding moves no point of a body by more than a

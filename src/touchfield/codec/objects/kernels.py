@@ -1,4 +1,5 @@
-"""Compiled comparison of the decoded and the source fields of moving bodies.
+"""Compiled inner loops of `error_bound`: they compare the decoded forces of moving bodies with the source,
+voxel by voxel, and return the largest error.
 
 All voxels that the bodies reach are compared. Both fields of a body are stored as cells in the same order
 (`touchfield.medium.cells`), and each cell has an upper bound of its error ratio. A voxel that only one body

@@ -1,4 +1,5 @@
-"""Bytes of a haptic scene in the coder `objects`, and its entry in the registry."""
+"""Writes and reads the byte layout of coder `objects`: the record of each body, and the poses and fields in
+each segment. It also registers the coder."""
 
 from __future__ import annotations
 

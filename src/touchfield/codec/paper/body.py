@@ -1,4 +1,5 @@
-"""Reader of a segment body of coder `paper`; forces from symbols (figure 4).
+"""Decodes the frames of a segment written by coder `paper`, the coder of the paper by Moustakas and Lalos:
+Huffman codes to symbols, symbols to forces.
 
 docs/format/paper.md defines every byte. A frame is coded in one of three ways:
 

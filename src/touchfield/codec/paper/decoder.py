@@ -1,4 +1,5 @@
-"""Decoder of the paper's coder (figure 4): segments to fields.
+"""Decoder of coder `paper`: turns the bytes of a segment back into force fields. A *stage* is a variant of
+the coder that replaces one of its steps.
 
 A stage replaces levels and directions by predictive, spectral or run-length coding of a field. The paper
 names these (sections 2 and 4.3) without defining them. Each stage rounds the components of the supported

@@ -1,4 +1,5 @@
-"""Direction codebooks: vertices of subdivided polyhedra (paper section 4.2).
+"""Direction codebooks of coder `paper`: a force's direction is stored as the number of the nearest vertex of
+a subdivided polyhedron (paper section 4.2). This file builds the vertices and finds the nearest one.
 
 The paper (eq. 7, figures 3 and 8) quantises a direction to the most likely vertex of a "concentric
 tessellated icosahedron". For noise that depends on the angle only, the most likely vertex is that with the

@@ -1,4 +1,5 @@
-"""Encoder of the paper's coder: a segment of frames to a body of bytes (figure 4).
+"""Encoder of coder `paper`: turns the force fields of a segment into bytes, in the steps of the paper's
+figure 4.
 
 source model (voxel) -> perceptual filter (deadband) -> separate quantisation of amplitude and direction ->
 difference between frames -> entropy code. The device filter has been applied before. Amplitude levels are

@@ -1,4 +1,5 @@
-"""Quantiser Q of the measures: one symbol for a force vector (paper section 3.1).
+"""Maps each force vector to one symbol (the quantiser Q of paper section 3.1), so that `touchfield measure`
+can compute entropies in bits. The user chooses Q by a text such as ``weber:0.1/ico5``.
 
 Every entropy must state its Q (decision 0006). The forms of its text, as on the command line:
 

@@ -1,4 +1,5 @@
-"""Compiled loops of the paper's coder.
+"""Compiled inner loops of coder `paper`: nearest direction in the codebook, amplitude levels, Huffman bits,
+and prediction.
 
 Nearest directions, levels of amplitudes, Huffman codes and ADPCM.
 """

@@ -1,4 +1,5 @@
-"""Amplitude quantisers: levels and thresholds (paper sections 4.2 and 5.2, eq. 6).
+"""Quantisers of force amplitudes for coder `paper`: each rounds |F| to one of a few levels and defines the
+thresholds between them (paper sections 4.2 and 5.2, eq. 6).
 
 Three kinds of levels are available: Lloyd-Max, trained on samples; the Weber ladder, whose steps grow with
 the force so that the relative error stays within k; and uniform steps.

@@ -1,4 +1,5 @@
-"""Options of the paper's coder, literal or corrected, and its registry entry.
+"""Options of coder `paper`, either as the paper prints them (*literal*) or with its errors corrected, and the
+coder's entry in the registry.
 
 Source: figure 4 and section 5.2.
 """

@@ -1,4 +1,5 @@
-"""The coder `touch`: errors of at most max(F_0, k |F|); see docs/format/touch.md.
+"""Coder `touch`, the default: the error of every decoded force is at most max(F_0, k |F|). See
+docs/format/touch.md.
 
 The coder itself is in C: ``c/touch_encode.h`` and ``c/touch.h``, compiled into `touchfield._native`.
 

@@ -1,4 +1,5 @@
-"""Fit of a base layer to a smooth field: the coefficients of a spline (docs/format/touch-base-layer.md).
+"""Fits a smooth spline to a force field. Coder `touch` can send the spline's few coefficients as a first
+approximation, the *base layer*, and then only the differences to it (docs/format/touch-base-layer.md).
 
 In a penalty field F = min(K d, F_max) n the depth d grows against the normal n. All of it follows from the
 potential f = K d, which is smooth through the surface and negative outside. Therefore f is coded as the

@@ -1,4 +1,5 @@
-"""Bytes of a segment of the coder `touch`, and `HEAD.coder_parameters`.
+"""Writes and reads the byte layout of a segment of coder `touch`, the default: one record for each frame,
+with exact values for outliers; and the options that a file's head stores.
 
 Outliers, voxels that would be outside the error bound, are sent separately as exact float32. Departure from
 the paper, which has no such escape: accumulated rounding would make a few voxels in 10^5 violate the mask.

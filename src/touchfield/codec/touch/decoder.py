@@ -1,4 +1,5 @@
-"""Decoder of the coder `touch`: segments to fields, from the stream alone."""
+"""Decoder of coder `touch`: turns the bytes of a segment back into force fields, by the C code in
+`touchfield._native`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Encoder of the coder `touch`: frames to a segment within the error bound, by ``c/touch_encode.h``.
+"""Encoder of coder `touch`: turns force fields into the bytes of a segment, within the error bound. The C
+code of ``c/touch_encode.h`` does the coding.
 
 Each frame is coded in closed loop. Every decoded voxel is compared with the original, and those outside the
 bound are sent as outliers. Then the finished body is decoded as a receiver would, and compared again (effort

@@ -1,4 +1,5 @@
-"""Spatial masking: the part of the error bound that depends on surrounding forces.
+"""Computes how much larger the error of coder `touch` may be at a voxel because strong forces around it hide
+the error from a hand (*spatial masking*).
 
 The bound (paper section 4.2, figure 2) is |F_dec - F| <= max(F_0, k |F|) at every voxel, including those
 without force, or the rule of mode "mask-direction". With spatial masking it is max(F_0, k |F| + m), where m

@@ -1,4 +1,5 @@
-"""Options of the coder `touch`, and its entry in the registry."""
+"""Options of coder `touch` (mode, error bound, effort and others), checked, and the coder's entry in the
+registry."""
 
 from __future__ import annotations
 

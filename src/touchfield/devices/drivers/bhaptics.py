@@ -1,4 +1,5 @@
-"""bHaptics vests, through the WebSocket (version 2) of the bHaptics Player.
+"""Driver of bHaptics vests: sends the strength of each motor to the vendor's program, the bHaptics Player,
+through its WebSocket (version 2).
 
 It needs no key and no licence, and uses loopback. Protocol: one JSON message a frame to ``/v2/feedbacks``, in
 which each panel is a submission of the type "frame": its position (VestFront, VestBack), its dots (index and

@@ -1,4 +1,5 @@
-"""Force Dimension devices (omega, delta, sigma, Falcon), by the vendor's library.
+"""Driver of the force-feedback arms of Force Dimension (omega, delta, sigma, Falcon), through the vendor's
+library.
 
 The library is dhd, and is called at each tick. Metres and newtons are in the device's own axes: x towards the
 user, y right, z up. The library adds the weight of the handle to the force, so `gravity_n` stays zero. A

@@ -1,4 +1,4 @@
-"""Haply Inverse3, through the WebSocket of the vendor's Inverse Service.
+"""Driver of the Haply Inverse3, a force-feedback arm, through the WebSocket of the vendor's Inverse Service.
 
 The protocol is JSON of version 3, on port 10001. The service opens with a message that names the devices. It
 reports a state only after a force was sent, so the loop alternates force and state, and the answers set the

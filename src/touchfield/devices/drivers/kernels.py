@@ -1,4 +1,5 @@
-"""Compiled code of the drivers: the callback of OpenHaptics, and the simulated hand.
+"""Compiled code of two drivers: the callback that the vendor's OpenHaptics library calls at each tick, and
+the motion of the simulated hand.
 
 Import this module only where it is used, since it imports numba.
 

@@ -1,4 +1,5 @@
-"""Connections to devices: TCP, serial ports, WebSockets, and shared libraries.
+"""Connections that drivers use to reach devices: TCP, serial ports, WebSockets, and the vendors' shared
+libraries.
 
 Every wait has a time limit, so that no connection can block a program.
 """

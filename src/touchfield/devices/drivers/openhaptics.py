@@ -1,4 +1,5 @@
-"""Touch, Touch X, Phantom Omni and Premium, through the vendor's OpenHaptics.
+"""Driver of the force-feedback arms Touch, Touch X, Phantom Omni and Phantom Premium, through the vendor's
+library OpenHaptics.
 
 The vendor's driver calls a callback in a thread of its own. The callback is compiled
 (`kernels.compiled_callback`) and does not take the interpreter's lock: it begins a frame, reads the position

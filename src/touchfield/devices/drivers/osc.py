@@ -1,4 +1,5 @@
-"""Any array of actuators, by Open Sound Control over UDP.
+"""Driver for any array of actuators whose program listens to Open Sound Control (OSC): sends each frame of
+drives over UDP.
 
 A frame is one bundle, or several if it is large. Each bundle is one datagram of at most 8 kB and starts with
 the first of these messages::

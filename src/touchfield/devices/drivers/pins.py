@@ -1,4 +1,5 @@
-"""Pin displays (Dot Pad, Graphiti, HyperBraille), by lines of text over serial or TCP.
+"""Driver of pin displays (Dot Pad, Graphiti, HyperBraille): sends the height of each pin as a line of text,
+over a serial port or TCP.
 
 The vendors' own protocols differ and are mostly not public. This simple protocol is meant for a small program
 or board between touchfield and the display. A line is ASCII, ends in a line feed, and has a checksum of

@@ -1,4 +1,5 @@
-"""Registry of devices: kinds, parsing of a user's text, and what each kind needs.
+"""Finds and opens the driver for what a user gives to `play --device` (such as `haply:HOST:PORT`), and
+reports which libraries each driver needs.
 
     sim   sim:spring   haply:HOST:PORT   openhaptics:NAME   forcedimension     a point (type 1)
     bhaptics:HOST:PORT   osc:HOST:PORT   pins:/dev/ttyUSB0   pins:HOST:PORT    an array of actuators (type 2)

@@ -1,4 +1,5 @@
-"""The simulated hand: a type 1 device without hardware, with reproducible forces.
+"""A simulated hand that takes the place of a device, for playback, tests and comparisons without hardware.
+The same input always gives the same forces.
 
 Its axes are those of the field, and its trajectory is in metres of the field. There are two kinds:
 

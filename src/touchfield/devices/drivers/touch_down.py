@@ -1,4 +1,4 @@
-"""Automatic probe of a field: a trace for a simulated hand without a given path.
+"""Plans a path along which a simulated hand touches a field, for a user who gives no path of their own.
 
 The probe approaches a strong part of the field through free space, presses until the force is
 `FORCE_FRACTION` of the largest on its way, slides along the surface at that force, and leaves: straight out

@@ -1,1 +1,1 @@
-"""Compiled kernels of the filters; imported only when first needed, because they import numba."""
+"""Compiled inner loops of the filters. Imported only when first needed, because they import numba."""

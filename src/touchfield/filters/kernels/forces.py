@@ -1,4 +1,5 @@
-"""Compiled loops over forces: clip and floor, pooling along the depth for arrays, and friction.
+"""Compiled inner loops of the device filter and of friction: clip forces and drop small ones, and reduce the
+forces along the depth to one value for each actuator of an array.
 
 The points of an image column differ along z only. The pooling therefore interpolates a stored field between
 the four surrounding columns once per stored depth, and linearly along z between those depths. `friction`

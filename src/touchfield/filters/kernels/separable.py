@@ -1,4 +1,5 @@
-"""Separable filtering of sparse bricks in three passes, each of which adds only the bricks it reaches.
+"""Compiled inner loops of separable filters: one pass along each axis of a sparse field, which adds only the
+bricks (blocks of 8x8x8 samples) that the filter reaches.
 
 The inner loop computes weighted sums of four short rows at once and keeps them in registers (`four_rows`). A
 loop over 24 numbers is too short for the compiler: the checks that two rows do not overlap cost as much as

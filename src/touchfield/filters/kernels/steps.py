@@ -1,4 +1,4 @@
-"""Compiled steps of the diffusion of a field.
+"""Compiled steps of Perona-Malik diffusion, which smooths a field but keeps its edges. `shading` calls them.
 
 Each brick is copied with the samples around it into a tile of 10 x 10 x 10, one row for each component, so
 that every loop over it is long enough for vector instructions. The flux of an edge between two bricks is

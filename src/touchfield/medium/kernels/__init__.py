@@ -1,4 +1,5 @@
-"""Compiled loops over bricks: raster order of the support, and the trilinear query.
+"""Compiled inner loops of force fields: list the samples with a force in order, and interpolate the force at
+a point.
 
 Import this package only where it is used, since it imports numba.
 """

@@ -1,4 +1,5 @@
-"""Compiled loops of moving objects: the trilinear query of rotated and shifted fields.
+"""Compiled inner loops of moving bodies: interpolate the force at a point from the fields of all bodies, each
+rotated and shifted to its pose.
 
 The fields are stored as *cells*: each brick of 8^3 samples is stored with the first samples of the next
 bricks, 9^3 samples in all, so that the eight samples around any point are in one brick of cells. Bricks of

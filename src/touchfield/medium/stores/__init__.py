@@ -1,4 +1,4 @@
-"""Media in files: NumPy archives, Zarr stores, and VTK images."""
+"""Reads and writes media in general formats: NumPy archives, Zarr stores and VTK images."""
 
 from touchfield._lazy import lazy_attributes
 

@@ -1,4 +1,4 @@
-"""A medium as a NumPy ``.npz``: dense export and import for other programs.
+"""Writes a medium as a NumPy ``.npz`` with dense arrays, for other programs, and reads such files.
 
 Arrays: ``forces_n`` float32 [frame, nx, ny, nz, 3], ``origin_m`` and ``spacing_m`` float64 [3], ``rate_hz``,
 ``axes``, ``tags`` (joined by commas), ``friction``, ``damping_n_s_per_m`` and, if the placement is known,

@@ -1,4 +1,4 @@
-"""A medium as VTK ImageData (``.vti``), for ParaView and other VTK programs.
+"""Writes a medium as VTK ImageData (``.vti``), for ParaView and other VTK programs.
 
 Format: "VTK File Formats", XML formats, ImageData; raw appended data in zlib blocks, 64-bit sizes. The format
 allows several time steps in one file, but VTK 9.7 does not write or read those of an ImageData correctly (its

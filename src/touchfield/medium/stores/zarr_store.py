@@ -1,4 +1,4 @@
-"""A medium as a zarr version 3 store, for programs that read parts of it.
+"""Writes and reads a medium as a zarr version 3 store, for programs that read parts of it.
 
 Chunks consist of whole bricks and are grouped in shards. The group has attributes (the lattice, the rate,
 other metadata) and the array ``forces_n`` float32 [t, x, y, z, component]; levels of detail are

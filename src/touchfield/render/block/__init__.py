@@ -1,4 +1,5 @@
-"""The block that player and servo share: its views and file, what lies where, and the record of a run in it.
+"""The *block* is the memory that the player's process and the servo's process share. This file creates and
+opens it, defines where each part lies, and reads the log that the servo writes into it.
 
 A file of its own name rather than `multiprocessing.shared_memory`: the name is taken away as soon as both
 have opened it, so that nothing is left behind whichever process is killed; room is reserved before it is

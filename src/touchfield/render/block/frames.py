@@ -1,4 +1,5 @@
-"""Fields and frames in a block: how they are written, and what the frames of a medium or a scene are made of.
+"""Writes force fields and frames into the block, the memory that player and servo share, in the layout that
+the servo's compiled code reads.
 
 A **field** is a header and, behind it, what `medium.cells` made of it: the hash table, the bits of the cells
 that hold a force, the samples. Its own places count from its first word, so that a field can be moved as it

@@ -1,4 +1,5 @@
-"""Places of all words of the block, eight bytes each, and of a field and a frame within it.
+"""Defines where each number lies in the block, the memory that player and servo share: a *word* is eight
+bytes, and each constant here is the index of one.
 
 ==========  =====  =======================================================================================
 CONTROL     i8     sizes and places of the rest, orders of the player (clock, seek, stop), signs of life

@@ -1,1 +1,2 @@
-"""Compiled code of the renderer. Imported only when first needed, because it imports numba."""
+"""Compiled code of the renderer: it computes the force on the hand at each tick. Imported only when first
+needed, because it imports numba."""

@@ -1,5 +1,5 @@
-"""Effects that the receiver adds to a field (paper 3.2): coupling, damping, vibration, materials, energy;
-limits.
+"""Compiled: effects that the renderer adds to a field's force (paper 3.2), such as a virtual coupling,
+damping, vibration and surface materials; the check of energy (passivity); and the limits of the force.
 
 **Virtual coupling.** A field that is stiffer than the loop can hold is felt through a spring K: a *proxy* is
 where F(q) + K (h - q) = 0, and the hand at h gets K (q - h). It goes there by one implicit step in each tick,

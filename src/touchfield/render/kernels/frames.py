@@ -1,5 +1,5 @@
-"""Compiled: the force at a point between two frames of the block, where a deformation bends it, and how it
-yields.
+"""Compiled: the force, its gradient and the vibration at one point and time, interpolated between two frames
+in the memory that player and servo share. Deformations of the field are applied.
 
 All that a tick asks of the field: force, gradient, vibration. Nothing is allocated. A coordinate that is not
 finite, or out of all bounds, fails the test of the field's box and gives zero. The lattice of a deformation

@@ -1,4 +1,5 @@
-"""Compiled: many points at once, for a sampler and for a tool, and whole fields voxel by voxel."""
+"""Compiled: the force at many points at once, for `FieldSampler` and for a tool, and the forces of a whole
+field."""
 
 from __future__ import annotations
 

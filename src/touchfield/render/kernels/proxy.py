@@ -1,5 +1,5 @@
-"""Compiled: the proxy, which stays outside of what the hand is pressed into (the god object of Zilles and
-Salisbury).
+"""Compiled: the *proxy*, a point that stays on the surface while the hand is pressed into it; a spring pulls
+the hand towards it (the god object of Zilles and Salisbury).
 
 The **surface** lies where the stored force reaches a level, its normal is the force's direction (Salisbury
 and Tarr 1997). In a tick the proxy goes towards the hand in steps of half a sample, or less where those of

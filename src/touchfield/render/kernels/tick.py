@@ -1,5 +1,5 @@
-"""One turn of the servo: time, orders and frames -> `tick` -> a force for the device, a row of the log, the
-counts.
+"""Compiled: one tick of the servo. From the position of the device and the frames in memory it computes the
+force for the device, writes one row of the log, and counts.
 
     place -> axes, scale, clutch -> velocity -> proxy, or field, or coupling -> friction, damping -> vibration
           -> axes, force scale -> passivity -> gravity -> gain -> limits -> force

@@ -1,4 +1,5 @@
-"""Compiled: three numbers, as a tuple or in the words of a block."""
+"""Compiled arithmetic of vectors of three numbers (dot and cross product, sum), stored as tuples or in the
+memory that player and servo share."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Animated models as scenes: a mesh whose vertices move."""
+"""Scenes from animated 3-D models: meshes whose vertices move."""

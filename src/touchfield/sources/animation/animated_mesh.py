@@ -1,4 +1,5 @@
-"""Animated glTF models as scenes: skins, morph targets and moving nodes.
+"""Opens an animated glTF model as a scene: computes its moving surface (skins, morph targets, moving nodes)
+at the frames of the medium.
 
 They are evaluated at the rate of the medium.
 

@@ -1,1 +1,1 @@
-"""Depth sequences as scenes: layouts, cameras, fusion, objects and live capture."""
+"""Scenes from depth images: data sets, live cameras, fusion into one world, and division into objects."""

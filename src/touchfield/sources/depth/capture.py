@@ -1,4 +1,4 @@
-"""Live depth from a camera, a growing folder, or pictures on standard input.
+"""Captures depth images live: from a camera, from a folder that grows, or from pictures on standard input.
 
 A captured sequence has no known end. Each frame shows the newest picture, so that a consumer that keeps up
 gets current data: pictures that arrive faster than frames are requested are skipped, and while a picture is

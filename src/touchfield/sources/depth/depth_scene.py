@@ -1,4 +1,5 @@
-"""Metric reading of a depth sequence: the back-projected surface, with perspective.
+"""`DepthScene`: turns a sequence of depth images into a scene in metres. Each pixel becomes a piece of
+surface in space, as the camera saw it.
 
 The paper (sections 4 and 5.1) computes fields from depth video but gives no formula; nor does its reference
 [21]. Here a sample is projected to its nearest pixel; phi is its signed distance to the tangent plane of the

@@ -1,4 +1,5 @@
-"""Find the camera poses of a depth sequence, and match them to its frames.
+"""Finds the camera poses that belong to a depth sequence, in files beside it or in those that the user names,
+and matches them to its frames.
 
 The poses are those of ``--poses``. Without that option, the first of these is used: a folder ``pose/`` or
 ``poses/`` with one file for each frame, a file NAME.txt beside each picture, or a text file whose name

@@ -1,4 +1,5 @@
-"""A depth sequence fused into one world, of all frames or of the frames so far.
+"""`FusedScene`: fuses the depth images of a sequence into one world, so that static surfaces do not flicker.
+It uses all frames, or only those so far.
 
     fused    Computed offline: every frame uses the observations of all frames, so that static surfaces do not
              flicker. Where a frame sees whole patches of samples that changed, the samples at and behind its

@@ -1,4 +1,5 @@
-"""Camera intrinsics in the forms that users and data sets write.
+"""Reads the parameters of a camera (focal lengths and centre, in pixels) in the forms that users and data
+sets write them.
 
 The forms are: four numbers fx fy cx cy; a 3x3, 3x4 or 4x4 matrix, rows first (SUN3D, 3DMatch, ScanNet); JSON
 (Open3D, whose ``intrinsic_matrix`` is columns first, RealSense, ROS, OpenCV, nerfstudio, NICE-SLAM); COLMAP's

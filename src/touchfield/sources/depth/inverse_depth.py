@@ -1,4 +1,5 @@
-"""Depth from values linear in 1/z: stereo disparity, and relative depth.
+"""Converts values that are linear in 1/z to depth: stereo disparity, and relative depth as neural networks
+estimate it.
 
 *Disparity*: depth = fx * baseline / (disparity + offset). Middlebury 2014 (PFM, ``calib.txt`` with cam0,
 cam1, doffs and a baseline in millimetres), KITTI (16-bit PNG, 256 units a pixel, 0 unknown), and

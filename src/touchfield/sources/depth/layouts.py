@@ -1,4 +1,5 @@
-"""Depth sequences in the layouts of data sets.
+"""Opens depth sequences in the file layouts of public data sets (TUM, Redwood and others), and finds out
+which one a folder has.
 
 `LAYOUTS` is the table of layouts; `Layout.read_sequence` reads all of them.
 

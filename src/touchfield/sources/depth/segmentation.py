@@ -1,4 +1,5 @@
-"""Segmentation of a depth sequence into objects (paper section 5.1).
+"""Divides a depth sequence into objects: surfaces that are connected, tracked from frame to frame (paper
+section 5.1).
 
 Objects are connected surfaces, tracked over time.
 

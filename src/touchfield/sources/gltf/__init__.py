@@ -1,1 +1,1 @@
-"""glTF 2.0: the document and its model, with skins, morph targets and animations."""
+"""Reads glTF 2.0 files: the document, and the animated model in it."""

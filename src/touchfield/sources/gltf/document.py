@@ -1,4 +1,4 @@
-"""A glTF document: checked JSON, and the typed arrays in its buffers.
+"""Reads a glTF or GLB file: checks its JSON, and returns the typed arrays that its buffers contain.
 
 Source: Khronos, glTF 2.0 specification (2021), sections 3.6 (binary data, accessors with strides, normalised
 integers and sparse changes) and 4 (GLB). A buffer is the binary chunk of the GLB, base64 within the JSON, or

@@ -1,4 +1,4 @@
-"""An animated glTF scene: triangles, and their vertices at any time.
+"""Computes the vertices of an animated glTF model at any time.
 
 Source: Khronos, glTF 2.0 specification (2021). Section 3.5: a local matrix is T R S; the world matrix of a
 node is the world matrix of its parent times its local matrix. Sections 3.7.2 and 3.7.3: primitives, morph

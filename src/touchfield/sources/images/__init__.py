@@ -1,1 +1,1 @@
-"""Pictures and movies from files."""
+"""Reads pictures and movies from files as arrays."""

@@ -1,4 +1,4 @@
-"""Frames of videos, grey or in colour, and of picture files, as arrays by number.
+"""Reads frames of videos and of folders of pictures, grey or in colour, as arrays by their number.
 
 Videos are read through PyAV (the extra ``video``). The suffix selects FFmpeg's container format, so that no
 other format (play lists, which name other files and addresses) is ever opened. Frames are counted by reading

@@ -1,4 +1,4 @@
-"""Single-channel pictures (PNG, TIFF, PGM, NPY) as arrays, alone or as frames.
+"""Reads pictures of one channel (PNG, TIFF, PGM, NPY), such as depth images, as arrays.
 
 Sources: the PNG specification (IHDR), NumPy's NPY format; PNG and TIFF samples are decoded by Pillow. The
 size is read from the header and bounded before anything is decoded, because pictures are untrusted input.

@@ -1,1 +1,1 @@
-"""Triangle meshes as scenes: files, surfaces, signed distance."""
+"""Scenes from triangle meshes: reads their files, repairs their surfaces, and computes signed distances."""

@@ -1,4 +1,4 @@
-"""Readers of mesh files: OBJ, STL, PLY and OFF.
+"""Reads the vertices and triangles of a mesh file: OBJ, STL, PLY, OFF, and glTF.
 
 GLB and glTF are read through `touchfield.sources.gltf.model`.
 

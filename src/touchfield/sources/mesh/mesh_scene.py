@@ -1,4 +1,5 @@
-"""A triangle mesh as a scene (paper section 4).
+"""`MeshScene`: a triangle mesh as a scene (paper section 4). A sample's force follows from its signed
+distance to the mesh.
 
 The force is F = f(phi) n, with phi the signed distance to the mesh.
 

@@ -1,4 +1,5 @@
-"""Triangle meshes: edges, closedness, pseudo-normals, welding, and holes.
+"""Checks and repairs triangle meshes: merges equal vertices, closes small holes, finds whether a surface is
+closed, and computes normals at vertices and edges.
 
 Source of the pseudo-normals: J. A. Baerentzen and H. Aanaes, Signed distance computation using the angle
 weighted pseudonormal, IEEE TVCG 11(3), 2005: at a vertex, the sum of the normals of its faces weighted by

@@ -1,1 +1,1 @@
-"""Rigid bodies in motion: TOML files, MuJoCo models, and their simulation."""
+"""Scenes of rigid bodies in motion: reads TOML files and MuJoCo models, and simulates them."""

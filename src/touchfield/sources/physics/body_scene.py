@@ -1,4 +1,4 @@
-"""Moving bodies as a scene (paper section 5.1, Scene 1).
+"""`BodyScene`: several moving bodies as one scene (the paper's Scene 1, section 5.1).
 
 Each body has its own scene and a pose track.
 """

@@ -1,4 +1,4 @@
-"""Simulated rigid-body models in MuJoCo's format (MJCF ``.xml``).
+"""Opens models of rigid bodies in MuJoCo's format (MJCF, ``.xml``) and simulates them.
 
 Each body is a scene with a pose track.
 

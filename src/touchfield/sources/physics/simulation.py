@@ -1,4 +1,5 @@
-"""Rigid-body simulation with MuJoCo (paper section 5.1, Scene 1).
+"""Simulates rigid bodies with MuJoCo and records the pose of each in every frame (the paper's Scene 1,
+section 5.1).
 
 It computes the pose of every body at each frame.
 

@@ -1,4 +1,4 @@
-"""Scenes of simulated or posed rigid bodies from a ``.toml`` file (paper section 5.1)::
+"""Reads scenes of rigid bodies, simulated or with given poses, from a ``.toml`` file (paper section 5.1)::
 
     [physics]                        # optional, as all its keys; the values here are the defaults
     seconds = 2.0

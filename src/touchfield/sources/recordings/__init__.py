@@ -1,1 +1,1 @@
-"""Recordings: contacts of a probe, and accelerations of a tool."""
+"""Sources from recordings: forces that a probe met, and accelerations of a tool that slid along a surface."""

@@ -1,4 +1,5 @@
-"""Recorded contacts of a probe as a force field, from CSV or MCAP.
+"""Turns recorded contacts (positions of a probe and the forces on it, from CSV or MCAP) into a force field
+that interpolates them.
 
 Forces are those on the probe, in the axes and metres of the recording. They are interpolated by a curl-free
 field (`CurlFree`): a Gaussian process whose potential has the kernel k(r) = exp(-r^2 / 2 l^2). The forces,

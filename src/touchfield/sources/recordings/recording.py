@@ -1,4 +1,5 @@
-"""Recorded accelerations of a sliding tool: ``.wav``, or comma-separated text.
+"""Reads accelerations of a tool that slid along a surface, from ``.wav`` or comma-separated text. `touchfield
+texture` makes materials of them.
 
 Text names its columns in its first line: ``t_s``, evenly spaced, and one axis, ``a_m_s2``, or three,
 ``ax_m_s2,ay_m_s2,az_m_s2``. Other columns are ignored. Sound has one to three channels

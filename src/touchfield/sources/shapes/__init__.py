@@ -1,1 +1,1 @@
-"""Analytic shapes as scenes."""
+"""Scenes of simple shapes whose distance has a formula, such as balls and boxes."""

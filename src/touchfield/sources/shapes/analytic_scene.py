@@ -1,4 +1,5 @@
-"""Analytic shapes as a scene: the exact field that voxel fields are compared with.
+"""`AnalyticScene`: simple shapes as a scene, from Python or a ``.toml`` file. Their fields are exact, so that
+others are compared with them.
 
 F = f(phi) n with phi and n from `touchfield.sources.shapes.shapes`, evaluated brick by brick in float64
 wherever a bound of phi allows a force.

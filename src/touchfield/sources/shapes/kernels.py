@@ -1,4 +1,5 @@
-"""Small compiled loops of shapes, recorded contacts and moving bodies."""
+"""Compiled inner loops that several sources share: distance to an ellipsoid, forces that interpolate recorded
+contacts, and the sum of the fields of moving bodies."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Analytic shapes: signed distance and its gradient, in float64.
+"""Simple shapes (plane, ball, box, capsule and others): the signed distance of a point to each, and its
+gradient.
 
 Plane, sphere, box, capsule and cylinder have exact closed forms (Quilez, "distance functions",
 iquilezles.org). The point of an ellipsoid that is nearest to p is x_i = e_i^2 p_i / (t + e_i^2) with t the

@@ -1,1 +1,1 @@
-"""Height maps as scenes."""
+"""Scenes from height maps, such as terrain."""

@@ -1,4 +1,5 @@
-"""Height maps as solid scenes (paper sections 4 and 5.1), and their files.
+"""`HeightScene`: a height map as a scene that is solid below its surface (paper sections 4 and 5.1). This
+file also reads height maps from files.
 
 Everything behind the surface is solid.
 

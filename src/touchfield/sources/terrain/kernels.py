@@ -1,4 +1,5 @@
-"""Compiled loops of height maps: gradients, bricks with a force, and the forces in them.
+"""Compiled inner loops of `HeightScene`: slopes of a height map, the bricks (blocks of 8x8x8 samples) that
+have a force, and the forces in them.
 
 A column of samples shares one point of the map: the map is evaluated once for each column, and the voxels
 with a force form an interval of it. No voxel is visited twice, and bricks above the surface are not visited

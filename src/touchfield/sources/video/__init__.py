@@ -1,1 +1,1 @@
-"""Movies without depth as scenes: forces from visual saliency."""
+"""Scenes from movies without depth: the forces show what catches the eye."""

@@ -1,4 +1,5 @@
-"""A colour video as a symbolic haptic medium (paper section 5.1, figure 1).
+"""Turns a colour video into a haptic medium whose forces are strong where the picture catches the eye
+(*visual saliency*; paper section 5.1, figure 1).
 
 Forces represent visual saliency.
 

@@ -1,1 +1,1 @@
-"""Compiled loops over depth images: tangent planes, forces, and fusion."""
+"""Compiled inner loops of depth scenes: tangent planes of a depth image, forces near them, and fusion."""

@@ -1,4 +1,5 @@
-"""Compiled loops of the depth reading: bricks near the planes of a depth map, and their forces.
+"""Compiled inner loops of `DepthScene`: find the bricks (blocks of 8x8x8 samples) near the surface of a depth
+image, and compute the forces there.
 
 `touchfield.sources.depth.depth_scene` defines the force; `planes` describes the layout of the loops.
 """

@@ -1,4 +1,5 @@
-"""Compiled loops of the fused world: update the samples of a volume with a depth map, and compute forces.
+"""Compiled inner loops of `FusedScene`: update the samples of a volume with a depth image, and compute forces
+from them.
 
 `touchfield.sources.depth.fused_scene` describes the state of a sample.
 """

@@ -1,4 +1,5 @@
-"""Compiled loops of the depth reading: tangent planes of a depth map, and their bounds in tiles.
+"""Compiled inner loops of `DepthScene`: fit a tangent plane at each pixel of a depth image, and find the
+bounds of the planes within tiles of it.
 
 `touchfield.sources.depth.depth_scene` describes the estimate. Loops run without branches over contiguous
 float32, so that LLVM vectorises them. Two things would prevent that: one array for each quantity (LLVM would

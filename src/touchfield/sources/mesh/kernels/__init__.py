@@ -1,1 +1,1 @@
-"""Compiled loops over triangles: distance, winding number, forces."""
+"""Compiled inner loops over triangles: distance, inside or outside, and forces."""

@@ -1,4 +1,5 @@
-"""Compiled loops of the mesh source: the nearest triangle of every sample near a mesh, and the force there.
+"""Compiled inner loops of `MeshScene`: find the nearest triangle of every sample near a mesh, and compute the
+force there.
 
 The candidate triangles of a brick are found by descent from one cell that holds the whole grid. A child cell
 of half the size, with centre c and radius r, keeps the triangles of its parent with d(c) <= min d(c) + 2 r

@@ -1,4 +1,5 @@
-"""Winding numbers of a lattice within a closed mesh: signed crossings of rays along x, sorted by column.
+"""Compiled inner loops that find which samples are inside a closed mesh: they compute its winding number from
+the triangles that rays along x cross.
 
 The winding number of a closed mesh at a point is the signed number of crossings of a ray from it. Each
 triangle is rasterised in the plane (y, z) along scan lines. The first column that an edge covers is the same

@@ -1,4 +1,5 @@
-"""Compiled loops over triangles: their distances to many points at once in float32, to one point in float64.
+"""Compiled inner loops that compute the distance of a triangle to many points at once in float32, or to one
+point in float64.
 
 Source: the squared distance of a point to a triangle is h^2 + d^2, with h its height over the triangle's
 plane and d the distance in it: zero inside, else the smallest of those to the three edges (C. Ericson,
