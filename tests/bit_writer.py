@@ -134,7 +134,10 @@ def vibration_body(grid: Grid, frames: Sequence[Steps]) -> bytes:
             before = [0, *row.tolist()]
             values[n] += [own[at] - known[n].get(at, before[i]) for i, at in enumerate(places)]
             known[n] = own
-    writer, before_support = Writer([*bits, *number_bits(values[0]), *number_bits(values[1])]), reference.NOTHING
+    writer, before_support = (
+        Writer([*bits, *number_bits(values[0]), *number_bits(values[1])]),
+        reference.NOTHING,
+    )
     for _ in frames:
         before_support = reference.support(writer, grid.shape, before_support)
     for name, row in zip(("amplitudes", "frequencies"), values, strict=True):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import functools
 import sys
 import tempfile
@@ -14,7 +13,7 @@ from touchfield.errors import CorruptFile, TruncatedFile
 from touchfield.medium import Grid
 
 sys.path.append(str(Path(__file__).parent / "conformance"))
-from native_encoder import COMPILER, NativeEncoder, build  # noqa: E402
+from native_encoder import COMPILER, NativeEncoder, build
 
 _ERRORS = {2: TruncatedFile, 3: CorruptFile, 5: MemoryError}
 

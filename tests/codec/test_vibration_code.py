@@ -40,9 +40,7 @@ def random_frame(
     count = len(positions)
     if not is_random:
         return frame_of(grid, positions, np.full(count, 70), np.full(count, 150))
-    return frame_of(
-        grid, positions, rng.integers(0, AMPLITUDE_STEPS, count), rng.integers(1, 10001, count)
-    )
+    return frame_of(grid, positions, rng.integers(0, AMPLITUDE_STEPS, count), rng.integers(1, 10001, count))
 
 
 def assert_same(found: list[VibrationFrame], expected: list[VibrationFrame]) -> None:

@@ -400,7 +400,9 @@ class NativeEncoder:
         if memory_bytes is None:
             memory_bytes = self.c.touch_support_room(ctypes.byref(own), len(data), len(bricks))
         given = before and ctypes.byref(other)
-        code = self._decode("support", memory_bytes, (ctypes.byref(own), _view(data), given), ctypes.byref(out))
+        code = self._decode(
+            "support", memory_bytes, (ctypes.byref(own), _view(data), given), ctypes.byref(out)
+        )
         return code, 0 if code else out.bricks
 
     def decode_vibration(

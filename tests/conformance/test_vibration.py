@@ -23,7 +23,9 @@ def random_frame(rng: np.random.Generator) -> VibrationFrame:
     positions = np.argwhere(rng.random(GRID.shape) < rng.choice([0.0, 0.02, 0.3])).astype(np.int32)
     steps = rng.integers(0, AMPLITUDE_STEPS, len(positions))
     hertz = rng.integers(1, rng.choice([2, 300, 10001]), len(positions)).astype(np.float32)
-    return VibrationFrame(GRID, positions, ((4 + steps % 4) * 2.0 ** (steps // 4 - 22)).astype(np.float32), hertz)
+    return VibrationFrame(
+        GRID, positions, ((4 + steps % 4) * 2.0 ** (steps // 4 - 22)).astype(np.float32), hertz
+    )
 
 
 def decode_with_reference(body: bytes, frames: int) -> list[bytes] | str:

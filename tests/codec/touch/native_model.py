@@ -165,7 +165,9 @@ class _List(ctypes.Structure):
     _fields_ = [("key", ctypes.c_void_p), ("count", ctypes.c_uint64)]
 
 
-def _list_arguments(brick_shape: Sequence[int], *lists: np.ndarray | None) -> tuple[Any, list[Any], list[Any]]:
+def _list_arguments(
+    brick_shape: Sequence[int], *lists: np.ndarray | None
+) -> tuple[Any, list[Any], list[Any]]:
     """Samples of a grid of such a shape in bricks, lists for C, and the arrays they point into."""
     shape = (ctypes.c_uint32 * 3)(*(8 * n for n in brick_shape))
     arrays = [np.ascontiguousarray([] if a is None else a, np.int32).reshape(-1, 3) for a in lists]
