@@ -99,7 +99,8 @@ static inline PyObject *native_encode_support(PyObject *module, PyObject *argume
     (void)module;
     memset(&self, 0, sizeof self);
     if (!PyArg_ParseTuple(arguments, "OOO", &shape, &support, &previous)) return NULL;
-    if (read_wide_shape(shape, &self.grid) && read_support(&self.arrays, support, &self.support) && read_previous(&self, previous)) {
+    if (read_wide_shape(shape, &self.grid) && read_support(&self.arrays, support, &self.support) &&
+        read_previous(&self, previous)) {
         uint64_t room = touch_part_room(self.support.bricks + self.previous.bricks, 0, 2);
         if (run_part(encode_support_in, &self, room, room, &arena)) {
             result = bytes_of(self.code.bytes, self.code.size);

@@ -1,6 +1,7 @@
 """`c/touch_encode.h`: stored bytes, the second decoder, and the error bound, for segments of every kind.
 
-`random_bodies.json` has digests of the bodies that the first encoder, in numba, wrote of the random segments.
+`random_bodies.json` has digests of the bodies that the first encoder, in numba, wrote of the random segments;
+`random_parts.json` has those of its supports, whole numbers, vibrations and poses.
 """
 
 from __future__ import annotations
@@ -58,12 +59,13 @@ def native(tmp_path_factory: pytest.TempPathFactory) -> NativeEncoder:
 
 
 BODIES = json.loads((HERE / "random_bodies.json").read_text())
+PARTS = json.loads((HERE / "random_parts.json").read_text())
 second_decoder: Any = importlib.import_module("decode_touch")
 
 
-def digest(body: bytes) -> str:
-    """What `random_bodies.json` stores of a body."""
-    return hashlib.sha256(body).hexdigest()[:16]
+def digest(*bodies: bytes) -> str:
+    """What is stored of bodies."""
+    return hashlib.sha256(b"".join(bodies)).hexdigest()[:16]
 
 
 def segment_arguments(segment: Segment) -> tuple[Grid, TouchSpec, list[ForceField]]:
@@ -157,9 +159,10 @@ def test_the_second_decoder_reads_random_segments(mode: str) -> None:
 @pytest.mark.parametrize("seed", range(SEEDS))
 def test_supports(seed: int, native: NativeEncoder) -> None:
     grid, supports = random_support(seed)
-    for i, (bricks, mask) in enumerate(supports):
-        before = supports[i - 1] if i else None
-        assert native.support(grid, (bricks, mask), before) == encode_support(grid, bricks, mask, before)
+    pairs = list(zip(supports, [None, *supports], strict=False))
+    coded = [native.support(grid, own, before) for own, before in pairs]
+    assert coded == [encode_support(grid, *own, before) for own, before in pairs]
+    assert digest(*coded) == PARTS["supports"][seed]
 
 
 def test_short_codes_are_padded(native: NativeEncoder) -> None:
@@ -181,6 +184,7 @@ def test_whole_numbers(seed: int, native: NativeEncoder) -> None:
         np.int64
     )
     assert native.numbers(numbers) == encode_numbers(numbers)
+    assert digest(native.numbers(numbers)) == PARTS["numbers"][seed]
     with pytest.raises(ValueError, match="beyond 2"):
         native.numbers(np.array([1 << 30]))
 
@@ -191,6 +195,7 @@ def test_vibration(seed: int, native: NativeEncoder) -> None:
     assert native.vibration(frames) == encode_vibration(frames)
     golden = [make_golden.hum(t) for t in range(seed)] or [make_golden.hum(4)]
     assert native.vibration(golden) == encode_vibration(golden)
+    assert digest(native.vibration(frames), native.vibration(golden)) == PARTS["vibration"][seed]
 
 
 def test_amplitudes_of_a_vibration_from_the_lowest_to_the_highest(native: NativeEncoder) -> None:
@@ -205,6 +210,7 @@ def test_amplitudes_of_a_vibration_from_the_lowest_to_the_highest(native: Native
 def test_poses(seed: int, native: NativeEncoder) -> None:
     track, steps = random_poses(seed)
     assert native.poses(round_poses(track, steps)) == encode_poses(track, steps)
+    assert digest(encode_poses(track, steps)) == PARTS["poses"][seed]
 
 
 @pytest.mark.parametrize("name", [name for name in make_golden.SCENES if "touch" in name])
@@ -239,7 +245,13 @@ def samples_at(field: ForceField, numbers: np.ndarray) -> np.ndarray:
 
 
 def test_functions_are_short() -> None:
-    for name in ("touch_model.h", "touch_encode.h", "python/arguments.h", "python/segments.h"):
+    for name in (
+        "touch_model.h",
+        "touch_encode.h",
+        "python/arguments.h",
+        "python/parts.h",
+        "python/segments.h",
+    ):
         start, lines = 0, (C / name).read_text().splitlines()
         for number, line in enumerate(lines):
             assert len(line) <= 128, f"{name}:{number + 1}"
@@ -299,6 +311,44 @@ def test_bricks_that_do_not_ascend_within_the_grid_are_refused(native: NativeEnc
         )
         with pytest.raises(ValueError, match=f"6: {message}"):
             native.segment(segment.grid, TouchSpec(), [bad])
+
+
+def test_supports_out_of_range_are_refused(native: NativeEncoder) -> None:
+    grid, bricks = Grid((20, 16, 16), (0.001,) * 3, (0.0,) * 3), np.array([[0, 0, 1], [2, 1, 0]], np.int32)
+    corner = np.zeros((2, 8, 8, 8), np.bool_)
+    corner[:, 0, 0, 0] = True
+    beyond, empty = corner.copy(), corner.copy()
+    beyond[1, 4], empty[1] = True, False
+    for own, mask, message in (
+        (bricks[::-1], corner, "do not ascend"),
+        (bricks[[0, 0]], corner, "do not ascend"),
+        (bricks + np.int32([1, 0, 0]), corner, "beyond the grid"),
+        (bricks - np.int32([1, 0, 0]), corner, "beyond the grid"),
+        (bricks, beyond, "samples beyond the grid"),
+        (bricks, empty, "a brick without samples"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            native.support(grid, (own, mask))
+        if mask is corner:
+            with pytest.raises(ValueError, match=message):
+                native.support(grid, (bricks, corner), (own, mask))
+    assert native.support(grid, (bricks, corner), (bricks, empty))  # a reference may have such a brick
+
+
+def test_numbers_of_any_size_are_refused_or_coded(native: NativeEncoder) -> None:
+    limit = (1 << 30) - 1
+    for number in (-(1 << 63), (1 << 63) - 1, limit + 1, -limit - 1):
+        with pytest.raises(ValueError, match="beyond 2"):
+            native.numbers(np.array([0, number]))
+        poses = np.zeros((2, 7), np.int64)
+        poses[1, 2] = number
+        if abs(number) > 1 << 50:
+            with pytest.raises(ValueError, match="beyond 2"):
+                native.poses(poses)
+    with pytest.raises(ValueError, match="no poses"):
+        native.poses(np.zeros((0, 7), np.int64))
+    worst = np.tile([limit, 0, -limit, 1, 7, -1], 500)
+    assert (native.decode_numbers(native.numbers(worst), len(worst))[1] == worst).all()
 
 
 def test_vibrations_out_of_range_are_refused(native: NativeEncoder) -> None:

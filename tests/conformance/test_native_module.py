@@ -285,6 +285,66 @@ def test_invalid_arguments_are_refused(native: Any) -> None:
         native.next_field(None)
 
 
+def test_invalid_arguments_of_parts_are_refused(native: Any) -> None:
+    bricks, mask = np.zeros((1, 3), np.int32), np.ones((1, 8, 8, 8), np.uint8)
+    coded, shape = native.encode_support((8, 8, 8), (bricks, mask), None), (8, 8, 8)
+    assert native.decode_support(shape, coded, None) == (bricks.tobytes(), mask.tobytes())
+    any_byte = native.encode_support(shape, (bricks, 7 * mask), (bricks, 255 * mask))  # but 0 is a sample
+    assert any_byte == native.encode_support(shape, (bricks, mask), (bricks, mask))
+    assert native.decode_support(shape, bytearray(any_byte), (bricks, 255 * mask))[1] == mask.tobytes()
+    for call, text in (
+        (lambda: native.encode_support((0, 8, 8), (bricks, mask), None), "too many samples"),
+        (lambda: native.encode_support(shape, (bricks, mask[:0]), None), "another size"),
+        (lambda: native.encode_support(shape, (bricks, mask), (bricks[:0], mask)), "another size"),
+        (lambda: native.encode_support(shape, (bricks + np.int32(1), mask), None), "beyond the grid"),
+        (lambda: native.decode_support(shape, coded, (bricks - np.int32(1), mask)), "beyond the grid"),
+        (lambda: native.encode_numbers(np.zeros(9, np.int32)), "another size"),
+        (lambda: native.encode_poses(np.zeros(8, np.int64)), "another size"),
+        (lambda: native.encode_poses(b""), "no poses"),
+        (lambda: native.decode_numbers(b"", -1), "a number of numbers"),
+        (lambda: native.decode_poses(b"", -1, 4), "a number of numbers"),
+        (lambda: native.decode_poses(b"", 0, 4), "no poses"),
+        (lambda: native.decode_poses(b"", 1, 3), "a quaternion step"),
+        (lambda: native.decode_poses(b"", 1, (1 << 30) + 1), "a quaternion step"),
+        (lambda: native.encode_vibration(shape, [(bricks, b"", b"")]), "another size"),
+        (lambda: native.decode_vibration(shape, b"", -1, 1), "a number of frames"),
+        (lambda: native.decode_vibration(shape, b"", 1, -1), "a number of frames or of samples"),
+    ):
+        assert_refused(6, text, call)
+    ones = np.ones(1, np.float32)
+    body = native.encode_vibration(shape, [(bricks, ones, ones)] * 2)
+    assert len(native.decode_vibration(shape, body, 2, 2)) == 2
+    assert_refused(8, "more samples", lambda: native.decode_vibration(shape, body, 2, 1))
+    assert native.encode_vibration(shape, []) == b"" and native.decode_vibration(shape, b"", 0, 0) == []
+    for wrong in ((shape, (bricks,), None), (shape, None, None), (None, (bricks, mask), None), ()):
+        with pytest.raises((TypeError, SystemError)):
+            native.encode_support(*wrong)
+    for call in (native.encode_numbers, native.encode_poses):
+        with pytest.raises(TypeError):
+            call(None)
+    with pytest.raises(TypeError):
+        native.encode_vibration(shape, 3)
+    with pytest.raises((TypeError, SystemError)):
+        native.encode_vibration(shape, [None])
+
+
+def test_a_part_that_needs_more_memory_than_most_is_decoded(native: Any) -> None:
+    """The memory at first is for few bricks; an unchanged frame has many in few bytes."""
+    shape, bricks = (256, 256, 256), np.argwhere(np.ones((32, 32, 32))).astype(np.int32, "C")
+    mask = np.ones((len(bricks), 8, 8, 8), np.uint8)
+    coded = native.encode_support(shape, (bricks, mask), None)
+    assert len(coded) < 2100 and native.decode_support(shape, coded, None) == (
+        bricks.tobytes(),
+        mask.tobytes(),
+    )
+    positions = np.argwhere(np.ones((80, 80, 80))).astype(np.int32, "C")
+    ones = np.ones(len(positions), np.float32)
+    body = native.encode_vibration(shape, [(positions, ones, ones)] * 2)
+    assert [found[0] for found in native.decode_vibration(shape, body, 2, 1 << 30)] == [
+        positions.tobytes()
+    ] * 2
+
+
 def test_damaged_bytes_are_refused_and_end_the_segment(native: Any) -> None:
     assert_refused(2, "too early", lambda: decode(native, BODY[:-9]))
     assert_refused(3, "behind the last frame", lambda: decode(native, BODY + b"x"))
