@@ -1,7 +1,7 @@
 """Encodes and decodes one scene under many settings of a coder, for the tables. The force fields are made
 once.
 
-Encoded to a file and decoded from it as `touchfield encode` and `touchfield compare` do, so that a
+Each setting is encoded to a file and decoded from it as `touchfield encode` and `touchfield compare` do, so that a
 compression ratio of the whole file counts the whole file.
 """
 
