@@ -35,8 +35,11 @@ enum {
     TOUCH_VERSION = 4,  /* of another version, or with a part that is not known here */
     TOUCH_MEMORY = 5,   /* the arena is too small */
     TOUCH_ARGUMENT = 6, /* the caller asks for what there is not */
-    TOUCH_END = 7       /* no frame is left in the segment */
+    TOUCH_END = 7,      /* no frame is left in the segment */
+    TOUCH_TOO_MANY = 8  /* more than the caller allows */
 };
+
+enum { TOUCH_FIXED_ROOM = 1 << 18 }; /* bytes of an arena for tables and models (see below) */
 
 typedef struct {
     uint8_t *base;
@@ -118,6 +121,42 @@ void touch_force(const touch_frame *frame, double x, double y, double z, double 
 void touch_gradient(const touch_frame *frame, double x, double y, double z, double n_per_m[9]);
 /* Amplitude, N, and frequency, Hz, as docs/format/vibration.md has them at a point. */
 void touch_vibration(const touch_frame *frame, double x, double y, double z, double both[2]);
+
+/* Codes on their own, as other records and other coders contain them. Results lie in the arena; `text` says in words what
+   is wrong, or is empty. An arena that is too small (TOUCH_MEMORY) may be emptied, and a larger one be tried. */
+
+typedef struct { /* a support: bricks that ascend, and whether each of their samples is set */
+    uint64_t bricks;
+    const int32_t *brick;  /* [bricks][3] */
+    const uint8_t *is_set; /* [bricks][8][8][8] */
+} touch_samples;
+
+typedef struct { /* samples that vibrate in a frame, in raster order */
+    uint64_t samples;
+    const int32_t *position; /* [samples][3] */
+    const int32_t *step;     /* s stands for (4 + s mod 4) 2^(s / 4 - 22) newtons */
+    const int32_t *hertz;
+} touch_vibration_steps;
+
+/* A support, given another one of the same grid, or NULL (docs/format/bits.md). */
+int touch_decode_support(const touch_grid *grid, touch_bytes code, const touch_samples *before, touch_arena *arena,
+                         touch_samples *out, const char **text);
+/* So many whole numbers, each below 2^30. */
+int touch_decode_numbers(touch_bytes code, uint64_t count, touch_arena *arena, int64_t *numbers, const char **text);
+/* The body of VIBR of `count` frames (docs/format/vibration.md), into `out`, which takes touch_vibration_frames. More than
+   `max_samples` in all frames together are TOUCH_TOO_MANY. */
+int touch_decode_vibration(const touch_grid *grid, touch_bytes body, uint32_t count, uint64_t max_samples,
+                           touch_arena *arena, touch_vibration_steps *out, const char **text);
+/* So many poses of a body, 1 or more, [count][7] in steps (docs/format/objects.md). `one`: the steps of a quaternion that
+   make 1. */
+int touch_decode_poses(touch_bytes code, uint32_t count, int64_t one, touch_arena *arena, int64_t *numbers,
+                       const char **text);
+/* Bytes of an arena that are enough for a support or a vibration, whatever its code of `size` bytes may tell: 1 or more
+   frames. Numbers and poses take TOUCH_FIXED_ROOM. */
+uint64_t touch_support_room(const touch_grid *grid, uint64_t size, uint64_t bricks_before);
+uint64_t touch_vibration_room(const touch_grid *grid, uint64_t size, uint32_t count);
+/* As many of `count` frames as a body of `size` bytes may have, and one more where it has fewer. */
+uint32_t touch_vibration_frames(uint64_t size, uint32_t count);
 
 #ifdef __cplusplus
 }
@@ -1042,42 +1081,53 @@ static const touch_field *touch_next_field(touch_fields *f, touch_cursor *c, con
     return field;
 }
 
-/* Poses of a body in a segment: seven whole numbers a frame. */
-static int touch_read_poses(touch_cursor c, const touch_tables *tables, const touch_body *body, uint32_t frames,
-                            int64_t *out, touch_numbers *told, touch_cursor *error) {
-    touch_coder b = touch_reading(&c, tables);
-    int64_t head[14];
-    touch_numbers_fresh(told);
-    for (int n = 0; n < 14; n++) head[n] = touch_code_number(&b, told, 0);
-    for (int n = 0; n < 7; n++)
-        if (!touch_need(error, head[n] >= 0 && head[n] <= 3, "a predictor that there is not")) return 0;
-    for (int n = 0; n < 7; n++) {
-        for (uint32_t i = 0; i < frames; i++) out[7 * i + (uint32_t)n] = 0;
-        if (head[n]) touch_numbers_fresh(told);
-        for (uint32_t i = 1; i < frames && head[n]; i++) {
-            out[7 * i + (uint32_t)n] = touch_code_number(&b, told, 0);
-            if (b.position > b.size + 6) return touch_fail(error, TOUCH_CUT, "poses that end too early");
-        }
-        for (int k = 0; k < head[n]; k++)
-            for (uint32_t i = 1; i < frames; i++)
-                out[7 * i + (uint32_t)n] =
-                    (int64_t)((uint64_t)out[7 * i + (uint32_t)n] + (uint64_t)out[7 * (i - 1) + (uint32_t)n]);
-        for (uint32_t i = 0; i < frames; i++)
-            out[7 * i + (uint32_t)n] = (int64_t)((uint64_t)out[7 * i + (uint32_t)n] + (uint64_t)head[7 + n]);
+/* Numbers of a code, `stride` apart; those behind its end stay 0. */
+static void touch_read_numbers(touch_coder *b, touch_numbers *models, uint64_t count, uint64_t stride, int64_t *out) {
+    for (uint64_t i = 0; i < count; i++) out[stride * i] = 0;
+    for (uint64_t i = 0; i < count && b->position <= b->size + 6; i++) out[stride * i] = touch_code_number(b, models, 0);
+}
+
+static int64_t touch_wrapping_sum(int64_t a, int64_t b) { return (int64_t)((uint64_t)a + (uint64_t)b); }
+
+/* Poses within their limits: positions of 2^50 steps, and unit quaternions. */
+static int touch_check_poses(const int64_t *poses, uint32_t count, int64_t one, touch_cursor *error) {
+    const int64_t longest = (int64_t)1 << 50;
+    for (uint32_t i = 0; i < 7 * (uint64_t)count; i++) {
+        int64_t limit = i % 7 < 3 ? longest : one;
+        if (!touch_need(error, -limit <= poses[i] && poses[i] <= limit, "a pose beyond its limit")) return 0;
     }
-    touch_close(&b, 0, error);
-    for (uint32_t i = 0; i < frames && !error->code; i++) {
-        int64_t most = (int64_t)1 << 50, squares = 0;
-        for (int n = 0; n < 7; n++) {
-            int64_t v = out[7 * i + (uint32_t)n];
-            int holds = v <= (n < 3 ? most : body->one) && -v <= (n < 3 ? most : body->one) && v != INT64_MIN;
-            if (!touch_need(error, holds, "a pose beyond its limit")) return 0;
-            if (n > 2) squares += v * v;
-        }
-        touch_need(error, squares >= (body->one - 1) * (body->one - 1) && squares <= (body->one + 1) * (body->one + 1),
+    for (uint32_t i = 0; i < count; i++) {
+        int64_t squares = 0;
+        for (int n = 3; n < 7; n++) squares += poses[7 * (uint64_t)i + (uint64_t)n] * poses[7 * (uint64_t)i + (uint64_t)n];
+        touch_need(error, squares >= (one - 1) * (one - 1) && squares <= (one + 1) * (one + 1),
                    "a quaternion that is not unit");
     }
     return !error->code;
+}
+
+/* Poses of a body: seven whole numbers a frame, each with its order of differences. */
+static int touch_read_poses(touch_cursor c, const touch_tables *tables, int64_t one, uint32_t count, int64_t *out,
+                            touch_numbers *models, touch_cursor *error) {
+    touch_coder b = touch_reading(&c, tables);
+    int64_t head[14];
+    touch_numbers_fresh(models);
+    touch_read_numbers(&b, models, 14, 1, head);
+    for (int n = 0; n < 7; n++)
+        if (!touch_need(error, head[n] >= 0 && head[n] <= 3, "a predictor that there is not")) return 0;
+    for (int n = 0; n < 7; n++) {
+        for (uint64_t i = 0; i < count; i++) out[7 * i + (uint64_t)n] = 0;
+        if (head[n] && count > 1) {
+            touch_numbers_fresh(models);
+            touch_read_numbers(&b, models, count - 1, 7, out + 7 + n);
+        }
+        for (int k = 0; k < head[n]; k++)
+            for (uint64_t i = 1; i < count; i++)
+                out[7 * i + (uint64_t)n] = touch_wrapping_sum(out[7 * i + (uint64_t)n], out[7 * (i - 1) + (uint64_t)n]);
+        for (uint64_t i = 0; i < count; i++)
+            out[7 * i + (uint64_t)n] = touch_wrapping_sum(out[7 * i + (uint64_t)n], head[7 + n]);
+    }
+    touch_close(&b, 0, error);
+    return !error->code && touch_check_poses(out, count, one, error);
 }
 
 static touch_cursor touch_segment_body(const touch_file *file, uint32_t n, touch_entry *entry) {
@@ -1115,14 +1165,14 @@ static int touch_read_bodies(touch_decoder *d, uint32_t segment, int64_t row, in
     for (uint32_t n = 0; n < d->file->object_count; n++) {
         touch_body *body = s->body + n;
         touch_cursor poses = touch_chunk(&c), fields = touch_cursor_of(c.at, 0);
-        touch_numbers *told;
+        touch_numbers *models;
         if (body->told.is_deforming) fields = touch_chunk(&c);
         if (c.code) return touch_fail(error, c.code, c.what);
         mark = d->arena.used;
-        told = (touch_numbers *)touch_take(&d->arena, 1, sizeof *told);
+        models = (touch_numbers *)touch_take(&d->arena, 1, sizeof *models);
         int64_t *all = (int64_t *)touch_take(&d->arena, 7 * (uint64_t)e.count, 8);
-        if (!told || !all) return touch_fail(error, TOUCH_MEMORY, "no room for poses");
-        if (!touch_read_poses(poses, &s->tables, body, e.count, all, told, error)) return 0;
+        if (!models || !all) return touch_fail(error, TOUCH_MEMORY, "no room for poses");
+        if (!touch_read_poses(poses, &s->tables, body->one, e.count, all, models, error)) return 0;
         if (row == 1) memcpy(body->pose + 7, all, (size_t)(56 * (uint64_t)e.count));
         else memcpy(body->pose + 7 * row, all + (row ? 0 : 7 * ((uint64_t)e.count - 1)), 56);
         d->arena.used = mark;
@@ -1132,40 +1182,35 @@ static int touch_read_bodies(touch_decoder *d, uint32_t segment, int64_t row, in
     return touch_need(error, c.at == c.end, "bytes behind the bodies of a segment");
 }
 
-static int touch_read_vibration(touch_decoder *d, touch_cursor c, touch_cursor *error) {
-    touch_state *s = d->state;
-    uint32_t count = s->segment.count;
-    uint64_t told = 0;
-    touch_coder b = touch_reading(&c, &s->tables);
-    touch_set_models *m;
-    touch_numbers *numbers;
+/* The body of VIBR: supports, and differences of values. */
+static int touch_read_vibration(touch_cursor c, const touch_tables *tables, const touch_grid *grid, uint32_t count,
+                                uint64_t max_samples, touch_vibrating *frames, touch_arena *arena, touch_cursor *error) {
+    touch_coder b = touch_reading(&c, tables);
+    uint64_t bricks = 0, samples = 0;
     touch_set none;
+    touch_set_models *models = (touch_set_models *)touch_take(arena, 1, sizeof *models);
+    touch_numbers *numbers = (touch_numbers *)touch_take(arena, 1, sizeof *numbers);
     memset(&none, 0, sizeof none);
-    s->vibrating = (touch_vibrating *)touch_take_zero(&d->arena, count, sizeof *s->vibrating);
-    m = (touch_set_models *)touch_take(&d->arena, 1, sizeof *m);
-    numbers = (touch_numbers *)touch_take(&d->arena, 1, sizeof *numbers);
-    if (!s->vibrating || !m || !numbers) return touch_fail(error, TOUCH_MEMORY, "no room for a vibration");
-    touch_set_fresh(m);
+    if (!models || !numbers) return touch_fail(error, TOUCH_MEMORY, "no room for a vibration");
+    touch_set_fresh(models);
     for (uint32_t i = 0; i < count; i++) {
-        touch_vibrating *v = s->vibrating + i;
-        if (!touch_code_set(&b, m, &d->file->grid, i ? &v[-1].set : &none, &v->set, &d->arena, error)) return 0;
-        told += 16 + v->set.list.count;
-        if (told > 64 + 16 * b.size) return touch_fail(error, TOUCH_CUT, "more frames or bricks than the bytes may tell");
+        touch_vibrating *v = frames + i;
+        if (!touch_code_set(&b, models, grid, i ? &v[-1].set : &none, &v->set, arena, error)) return 0;
+        bricks += 16 + v->set.list.count;
+        if (bricks > 64 + 16 * b.size) return touch_fail(error, TOUCH_CUT, "more frames or bricks than the bytes may list");
+        v->samples = 0;
         for (uint64_t k = 0; k < 512 * v->set.list.count; k++) v->samples += v->set.is_set[k];
+        samples += v->samples;
+        if (samples > max_samples) return touch_fail(error, TOUCH_TOO_MANY, "more samples that vibrate than are allowed");
     }
-    for (uint32_t n = 0; n < 2; n++) {
+    for (uint32_t n = 0; n < 2; n++) { /* those of all frames follow each other */
+        int64_t *value = (int64_t *)touch_take(arena, samples, 8);
+        if (!value) return touch_fail(error, TOUCH_MEMORY, "no room for a vibration");
         touch_numbers_fresh(numbers);
-        for (uint32_t i = 0; i < count; i++) {
-            touch_vibrating *v = s->vibrating + i;
-            v->value[n] = (int64_t *)touch_take(&d->arena, v->samples, 8);
-            if (!v->value[n]) return touch_fail(error, TOUCH_MEMORY, "no room for a vibration");
-            for (uint64_t k = 0; k < v->samples; k++) {
-                v->value[n][k] = touch_code_number(&b, numbers, 0);
-                if (b.position > b.size + 6) return touch_fail(error, TOUCH_CUT, "a vibration that ends too early");
-            }
-        }
+        touch_read_numbers(&b, numbers, samples, 1, value);
+        for (uint32_t i = 0; i < count; i++) frames[i].value[n] = value, value += frames[i].samples;
     }
-    touch_close(&b, told, error);
+    touch_close(&b, bricks, error);
     return !error->code;
 }
 
@@ -1186,21 +1231,20 @@ static uint64_t touch_raster(const touch_set *set, uint64_t *key, uint32_t *tag)
     return count;
 }
 
-/* Values in place of differences, in place, and the field of each frame: called frame by frame, from the first. */
-static int touch_settle_vibration(touch_decoder *d, touch_cursor *error) {
-    touch_state *s = d->state;
-    uint64_t mark = d->arena.used, count = 0;
+/* Values in place of differences. */
+static int touch_settle_vibration(touch_vibrating *frames, uint32_t count, touch_arena *arena, touch_cursor *error) {
+    uint64_t mark = arena->used, most = 0;
     uint64_t *key[2];
-    for (uint32_t frame = 0; frame < s->segment.count; frame++)
-        if (s->vibrating[frame].samples > count) count = s->vibrating[frame].samples;
-    key[0] = (uint64_t *)touch_take(&d->arena, count, 8), key[1] = (uint64_t *)touch_take(&d->arena, count, 8);
-    uint32_t *tag = (uint32_t *)touch_take(&d->arena, count, 4);
+    for (uint32_t i = 0; i < count; i++)
+        if (frames[i].samples > most) most = frames[i].samples;
+    key[0] = (uint64_t *)touch_take(arena, most, 8), key[1] = (uint64_t *)touch_take(arena, most, 8);
+    uint32_t *tag = (uint32_t *)touch_take(arena, most, 4);
     if (!key[0] || !key[1] || !tag) return touch_fail(error, TOUCH_MEMORY, "no room for a vibration");
-    for (uint32_t frame = 0; frame < s->segment.count; frame++) {
-        touch_vibrating *v = s->vibrating + frame;
+    for (uint32_t frame = 0; frame < count; frame++) {
+        touch_vibrating *v = frames + frame;
+        const uint64_t *own = key[frame & 1], *old = key[!(frame & 1)];
         touch_raster(&v->set, key[frame & 1], tag);
         for (uint32_t n = 0; n < 2; n++) {
-            const uint64_t *own = key[frame & 1], *old = key[!(frame & 1)];
             uint64_t at = 0;
             for (uint64_t i = 0; i < v->samples; i++) {
                 int64_t from = i ? v->value[n][i - 1] : 0;
@@ -1208,15 +1252,25 @@ static int touch_settle_vibration(touch_decoder *d, touch_cursor *error) {
                     while (at < v[-1].samples && old[at] < own[i]) at++;
                     if (at < v[-1].samples && old[at] == own[i]) from = v[-1].value[n][at];
                 }
-                v->value[n][i] = (int64_t)((uint64_t)v->value[n][i] + (uint64_t)from);
+                v->value[n][i] = touch_wrapping_sum(v->value[n][i], from);
                 if (!touch_need(error, v->value[n][i] >= (int64_t)n && v->value[n][i] <= (n ? 10000 : 159),
                                 "a vibration beyond its limit"))
                     return 0;
             }
         }
     }
-    d->arena.used = mark;
+    arena->used = mark;
     return 1;
+}
+
+/* The vibration of a segment of a file. */
+static int touch_seek_vibration(touch_decoder *d, touch_cursor body, touch_cursor *error) {
+    touch_state *s = d->state;
+    uint32_t count = s->segment.count;
+    s->vibrating = (touch_vibrating *)touch_take_zero(&d->arena, count, sizeof *s->vibrating);
+    if (!s->vibrating) return touch_fail(error, TOUCH_MEMORY, "no room for a vibration");
+    return touch_read_vibration(body, &s->tables, &d->file->grid, count, UINT64_MAX, s->vibrating, &d->arena, error) &&
+           touch_settle_vibration(s->vibrating, count, &d->arena, error);
 }
 
 static const touch_field *touch_vibration_field(touch_decoder *d, const touch_vibrating *v, touch_arena *out) {
@@ -1413,7 +1467,7 @@ int touch_seek(touch_decoder *decoder, uint32_t segment) {
     s->at = touch_segment_body(decoder->file, segment, &s->segment), s->next = 0, s->segment_number = segment;
     s->vibrating = 0;
     touch_cursor vibration = touch_find_vibration(decoder->file, segment, &vibrates);
-    if (vibrates && touch_read_vibration(decoder, vibration, &error)) touch_settle_vibration(decoder, &error);
+    if (vibrates) touch_seek_vibration(decoder, vibration, &error);
     if (!error.code && s->body) touch_seek_bodies(decoder, segment, &error);
     else if (!error.code) touch_begin_fields(&s->fields, &s->at, s->segment.count, &decoder->arena, &error);
     s->mark = decoder->arena.used;
@@ -1490,6 +1544,119 @@ int touch_next(touch_decoder *decoder, touch_arena *arena, touch_frame *frame) {
     frame->surface_damping_n_s_per_m = s->surface_damping, frame->force_max_n = file ? file->force_max_n : 0;
     s->next = error.code ? s->segment.count : own + 1;
     return touch_told(decoder, &error);
+}
+
+/* -- codes on their own ---------------------------------------------------------------------------------------------- */
+
+static int touch_error_in(const touch_cursor *error, const char **text) {
+    *text = error->code ? error->what : "";
+    return error->code;
+}
+
+static const touch_tables *touch_tables_in(touch_arena *arena) {
+    touch_tables *tables = (touch_tables *)touch_take(arena, 1, sizeof *tables);
+    if (tables) touch_fill_tables(tables);
+    return tables;
+}
+
+/* Bricks of a lattice that a code of so many bytes may list. */
+static uint64_t touch_listed_bricks(const touch_grid *grid, uint64_t frames, uint64_t size) {
+    uint64_t lattice = touch_brick_count(grid), most = 64 + 16 * size;
+    return lattice < most / frames ? lattice * frames : most;
+}
+
+uint64_t touch_support_room(const touch_grid *grid, uint64_t size, uint64_t bricks_before) {
+    return TOUCH_FIXED_ROOM + 1536 * touch_listed_bricks(grid, 1, size) + 768 * bricks_before;
+}
+
+uint32_t touch_vibration_frames(uint64_t size, uint32_t count) {
+    return size + 5 < count ? (uint32_t)(size + 5) : count; /* each counts as 16 of 64 + 16 * size bricks */
+}
+
+uint64_t touch_vibration_room(const touch_grid *grid, uint64_t size, uint32_t count) {
+    uint64_t frames = touch_vibration_frames(size, count);
+    uint64_t all = touch_listed_bricks(grid, frames ? frames : 1, size), one = touch_listed_bricks(grid, 1, size);
+    return TOUCH_FIXED_ROOM + 512 * frames + 19200 * (all + one) + 10496 * one; /* kept, and work */
+}
+
+int touch_decode_support(const touch_grid *grid, touch_bytes code, const touch_samples *before, touch_arena *arena,
+                         touch_samples *out, const char **text) {
+    touch_cursor error = touch_cursor_of(0, 0), c = touch_cursor_of(code.bytes, code.size);
+    const touch_tables *tables = touch_tables_in(arena);
+    touch_set_models *models = (touch_set_models *)touch_take(arena, 1, sizeof *models);
+    touch_set set, other;
+    touch_coder coder = touch_reading(&c, tables);
+    memset(&set, 0, sizeof set), memset(&other, 0, sizeof other), memset(out, 0, sizeof *out);
+    if (!tables || !models) touch_fail(&error, TOUCH_MEMORY, "no room for a support");
+    if (!error.code && before) touch_set_of(grid, before, &other, arena, &error);
+    if (error.code) return touch_error_in(&error, text);
+    touch_set_fresh(models);
+    if (touch_code_set(&coder, models, grid, &other, &set, arena, &error)) {
+        touch_close(&coder, set.list.count, &error);
+        out->bricks = set.list.count, out->is_set = set.is_set;
+        int32_t *brick = (int32_t *)touch_take(arena, 3 * set.list.count, 4);
+        if (!brick) touch_fail(&error, TOUCH_MEMORY, "no room for a support");
+        for (uint64_t i = 0; brick && i < set.list.count; i++) touch_position(set.list.key[i], brick + 3 * i);
+        out->brick = brick;
+    }
+    return touch_error_in(&error, text);
+}
+
+int touch_decode_numbers(touch_bytes code, uint64_t count, touch_arena *arena, int64_t *numbers, const char **text) {
+    touch_cursor error = touch_cursor_of(0, 0), c = touch_cursor_of(code.bytes, code.size);
+    const touch_tables *tables = touch_tables_in(arena);
+    touch_numbers *models = (touch_numbers *)touch_take(arena, 1, sizeof *models);
+    touch_coder coder = touch_reading(&c, tables);
+    if (!tables || !models) touch_fail(&error, TOUCH_MEMORY, "no room for numbers");
+    if (error.code) return touch_error_in(&error, text);
+    touch_numbers_fresh(models);
+    touch_read_numbers(&coder, models, count, 1, numbers);
+    touch_close(&coder, 0, &error);
+    for (uint64_t i = 0; i < count && !error.code; i++)
+        touch_need(&error, numbers[i] > -((int64_t)1 << 30) && numbers[i] < (int64_t)1 << 30, "a number beyond 2^30 - 1");
+    return touch_error_in(&error, text);
+}
+
+/* Values of a frame as they are returned. */
+static int touch_vibration_out(const touch_vibrating *v, touch_vibration_steps *out, touch_arena *arena) {
+    int32_t *position = (int32_t *)touch_take(arena, 3 * v->samples, 4), *value[2];
+    for (int n = 0; n < 2; n++) value[n] = (int32_t *)touch_take(arena, v->samples, 4);
+    uint64_t mark = arena->used, *key = (uint64_t *)touch_take(arena, v->samples, 8);
+    uint32_t *tag = (uint32_t *)touch_take(arena, v->samples, 4);
+    if (!position || !value[0] || !value[1] || !key || !tag) return 0;
+    touch_raster(&v->set, key, tag);
+    for (uint64_t i = 0; i < v->samples; i++) {
+        touch_position(key[i], position + 3 * i);
+        for (int n = 0; n < 2; n++) value[n][i] = (int32_t)v->value[n][i];
+    }
+    out->samples = v->samples, out->position = position, out->step = value[0], out->hertz = value[1];
+    arena->used = mark;
+    return 1;
+}
+
+int touch_decode_vibration(const touch_grid *grid, touch_bytes body, uint32_t count, uint64_t max_samples,
+                           touch_arena *arena, touch_vibration_steps *out, const char **text) {
+    touch_cursor error = touch_cursor_of(0, 0), c = touch_cursor_of(body.bytes, body.size);
+    const touch_tables *tables = touch_tables_in(arena);
+    uint32_t possible = touch_vibration_frames(body.size, count);
+    touch_vibrating *frames = (touch_vibrating *)touch_take_zero(arena, possible, sizeof *frames);
+    if (!tables || !frames) touch_fail(&error, TOUCH_MEMORY, "no room for a vibration");
+    if (!error.code && touch_read_vibration(c, tables, grid, count, max_samples, frames, arena, &error))
+        touch_settle_vibration(frames, count, arena, &error);
+    for (uint32_t i = 0; i < count && !error.code; i++)
+        if (!touch_vibration_out(frames + i, out + i, arena)) touch_fail(&error, TOUCH_MEMORY, "no room for a vibration");
+    return touch_error_in(&error, text);
+}
+
+int touch_decode_poses(touch_bytes code, uint32_t count, int64_t one, touch_arena *arena, int64_t *numbers,
+                       const char **text) {
+    touch_cursor error = touch_cursor_of(0, 0), c = touch_cursor_of(code.bytes, code.size);
+    const touch_tables *tables = touch_tables_in(arena);
+    touch_numbers *models = (touch_numbers *)touch_take(arena, 1, sizeof *models);
+    if (!tables || !models) touch_fail(&error, TOUCH_MEMORY, "no room for poses");
+    if (!count || one < 4 || one > (int64_t)1 << 30) touch_fail(&error, TOUCH_ARGUMENT, "no poses, or a quaternion step");
+    if (!error.code) touch_read_poses(c, tables, one, count, numbers, models, &error);
+    return touch_error_in(&error, text);
 }
 
 #endif

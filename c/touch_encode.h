@@ -123,12 +123,6 @@ int touch_encode_with_exact(touch_encoder *encoder, const touch_grid *grid, cons
    and 16 more each. */
 uint64_t touch_part_room(uint64_t bricks, uint64_t numbers, uint64_t frames);
 
-typedef struct { /* a support: bricks that ascend, and whether each of their samples is set */
-    uint64_t bricks;
-    const int32_t *brick;  /* [bricks][3] */
-    const uint8_t *is_set; /* [bricks][8][8][8] */
-} touch_samples;
-
 typedef struct { /* samples that vibrate in a frame, in raster order */
     uint64_t samples;
     const int32_t *position; /* [samples][3] */
@@ -1931,12 +1925,12 @@ uint64_t touch_segment_room(uint64_t bricks, uint32_t count) {
 
 /* -- supports, whole numbers, vibration, poses ------------------------------------------------------------------------ */
 
-/* Bytes of a code at most: of a brick of a support, whose samples take about a bit each; of a number, which takes up to
-   two bits a binary digit. */
-enum { TOUCH_SET_BYTES = 256, TOUCH_NUMBER_BYTES = 32 };
+/* Bytes of a code at most, as a bit that is coded takes at most 14 bits: of a brick of a support, 512 samples and its boxes;
+   of a number, up to 65 bits. */
+enum { TOUCH_SET_BYTES = 1216, TOUCH_NUMBER_BYTES = 128 };
 
 uint64_t touch_part_room(uint64_t bricks, uint64_t numbers, uint64_t frames) {
-    return ((uint64_t)1 << 18) + 1536 * bricks + 2 * TOUCH_NUMBER_BYTES * numbers + 2048 * frames;
+    return TOUCH_FIXED_ROOM + (1536 + TOUCH_SET_BYTES) * bricks + (64 + TOUCH_NUMBER_BYTES) * numbers + 2048 * frames;
 }
 
 static int touch_result(const touch_sink *s, touch_bytes *out, const char **text, const touch_cursor *error) {
@@ -1944,19 +1938,20 @@ static int touch_result(const touch_sink *s, touch_bytes *out, const char **text
     return error->code;
 }
 
-/* A support by itself; samples of bricks, as bytes, [bricks][8][8][8]. */
-static touch_set touch_set_of(const touch_samples *samples, touch_arena *arena) {
-    touch_set set;
-    set.list.key = (uint64_t *)touch_take(arena, samples->bricks, 8), set.list.count = samples->bricks;
-    set.is_set = (uint8_t *)touch_take(arena, 512 * samples->bricks, 1);
-    if (!set.list.key || !set.is_set) {
-        set.is_set = 0;
-        return set;
+/* Whether each brick of a support has a sample, and no sample lies beyond the grid. */
+static int touch_check_set(const touch_grid *grid, const touch_set *set, touch_cursor *error) {
+    for (uint64_t i = 0; i < set->list.count; i++) {
+        const uint8_t *is_set = set->is_set + 512 * i;
+        int32_t at[3];
+        int high[3], any = 0, beyond = 0;
+        touch_position(set->list.key[i], at), touch_brick_samples(grid, at, high);
+        for (int k = 0; k < 512; k++) {
+            int is_inside = k >> 6 < high[0] && (k >> 3 & 7) < high[1] && (k & 7) < high[2];
+            any |= is_set[k], beyond |= is_set[k] && !is_inside;
+        }
+        if (!any || beyond) return touch_fail(error, TOUCH_ARGUMENT, "a brick without samples, or samples beyond the grid");
     }
-    for (uint64_t i = 0; i < samples->bricks; i++)
-        set.list.key[i] = touch_key(samples->brick[3 * i], samples->brick[3 * i + 1], samples->brick[3 * i + 2]);
-    if (samples->bricks) memcpy(set.is_set, samples->is_set, (size_t)(512 * samples->bricks));
-    return set;
+    return 1;
 }
 
 int touch_encode_support(const touch_grid *grid, const touch_samples *samples, const touch_samples *before,
@@ -1964,21 +1959,21 @@ int touch_encode_support(const touch_grid *grid, const touch_samples *samples, c
     touch_cursor error = touch_cursor_of(0, 0);
     touch_tables *tables = (touch_tables *)touch_take(arena, 1, sizeof *tables);
     touch_set_models *models = (touch_set_models *)touch_take(arena, 1, sizeof *models);
-    touch_set set = touch_set_of(samples, arena), other;
+    touch_set set, other;
     touch_spent spent;
     touch_sink s;
-    memset(&s, 0, sizeof s), memset(&other, 0, sizeof other);
-    if (before) other = touch_set_of(before, arena);
-    if (!tables || !models || !set.is_set || (before && !other.is_set) ||
-        !touch_sink_make(&s, TOUCH_SET_BYTES * samples->bricks + 64, arena))
+    memset(&s, 0, sizeof s), memset(&set, 0, sizeof set), memset(&other, 0, sizeof other);
+    if (!tables || !models) touch_fail(&error, TOUCH_MEMORY, "no room for a support");
+    if (!error.code && touch_set_of(grid, samples, &set, arena, &error)) touch_check_set(grid, &set, &error);
+    if (!error.code && before) touch_set_of(grid, before, &other, arena, &error);
+    if (!error.code && !touch_sink_make(&s, TOUCH_SET_BYTES * samples->bricks + 64, arena))
         touch_fail(&error, TOUCH_MEMORY, "no room for a support");
-    else {
-        touch_fill_tables(tables), touch_set_fresh(models);
-        touch_coder coder = touch_writing(&s, tables, &spent);
-        if (touch_code_set(&coder, models, grid, &other, &set, arena, &error) && !touch_finish(&coder, &s))
-            touch_fail(&error, TOUCH_MEMORY, "no room for a support");
-        touch_pad(&s, 0, touch_min_bytes(samples->bricks));
-    }
+    if (error.code) return touch_result(&s, out, text, &error);
+    touch_fill_tables(tables), touch_set_fresh(models);
+    touch_coder coder = touch_writing(&s, tables, &spent);
+    if (touch_code_set(&coder, models, grid, &other, &set, arena, &error) && !touch_finish(&coder, &s))
+        touch_fail(&error, TOUCH_MEMORY, "no room for a support");
+    touch_pad(&s, 0, touch_min_bytes(samples->bricks));
     return touch_result(&s, out, text, &error);
 }
 
@@ -1990,7 +1985,8 @@ int touch_encode_numbers(const int64_t *numbers, uint64_t count, touch_arena *ar
     touch_sink s;
     memset(&s, 0, sizeof s);
     for (uint64_t i = 0; i < count; i++)
-        if (touch_abs(numbers[i]) >= (int64_t)1 << 30) touch_fail(&error, TOUCH_ARGUMENT, "a number beyond 2^30 - 1");
+        if (numbers[i] <= -((int64_t)1 << 30) || numbers[i] >= (int64_t)1 << 30)
+            touch_fail(&error, TOUCH_ARGUMENT, "a number beyond 2^30 - 1");
     if (!tables || !models || !touch_sink_make(&s, TOUCH_NUMBER_BYTES * count + 64, arena))
         touch_fail(&error, TOUCH_MEMORY, "no room for numbers");
     else {
@@ -2150,6 +2146,9 @@ int touch_encode_poses(const int64_t *numbers, uint32_t count, touch_arena *aren
     touch_sink s;
     memset(&s, 0, sizeof s);
     if (!count) touch_fail(&error, TOUCH_ARGUMENT, "no poses");
+    for (uint64_t i = 0; i < 7 * (uint64_t)count; i++)
+        if (numbers[i] < -((int64_t)1 << 50) || numbers[i] > (int64_t)1 << 50)
+            touch_fail(&error, TOUCH_ARGUMENT, "a pose beyond 2^50 steps");
     if (!tables || !models || !touch_sink_make(&s, TOUCH_NUMBER_BYTES * (7 * (uint64_t)count + 14) + 64, arena))
         touch_fail(&error, TOUCH_MEMORY, "no room for poses");
     if (error.code) return touch_result(&s, out, text, &error);

@@ -463,7 +463,10 @@ static int touch_code_list(touch_coder *b, touch_list_models *m, const uint32_t 
             if (l.state[i] == 1) key[count++] = l.key[i];
         arena->used = mark;
     }
-    if (!TOUCH_IS_WRITING(b)) list->key = key, list->count = count;
+    if (!TOUCH_IS_WRITING(b)) {
+        list->key = key, list->count = count;
+        arena->used = (uint64_t)((uint8_t *)(key + count) - arena->base); /* most codes list fewer bricks than they may */
+    }
     return 1;
 }
 
@@ -1945,34 +1948,66 @@ static void touch_set_fresh(touch_set_models *m) {
     TOUCH_FRESH(m->context, m->weight);
 }
 
-static int touch_is_set(const touch_set *s, const touch_map *map, int64_t x, int64_t y, int64_t z) {
-    int64_t slot = touch_map_get(map, touch_key(x >> 3, y >> 3, z >> 3));
-    return slot >= 0 && s->is_set[512 * slot + 64 * (x & 7) + 8 * (y & 7) + (z & 7)];
+/* Samples that a caller gives: bricks that ascend within the grid. */
+static int touch_set_of(const touch_grid *grid, const touch_samples *samples, touch_set *set, touch_arena *arena,
+                        touch_cursor *error) {
+    uint64_t *key = (uint64_t *)touch_take(arena, samples->bricks, 8);
+    set->is_set = (uint8_t *)touch_take(arena, 512 * samples->bricks, 1);
+    if (!key || !set->is_set) return touch_fail(error, TOUCH_MEMORY, "no room for a support");
+    for (uint64_t i = 0; i < samples->bricks; i++) {
+        const int32_t *at = samples->brick + 3 * i;
+        for (int n = 0; n < 3; n++)
+            if (at[n] < 0 || at[n] > (int64_t)(grid->shape[n] - 1) >> 3)
+                return touch_fail(error, TOUCH_ARGUMENT, "a brick beyond the grid");
+        key[i] = touch_key(at[0], at[1], at[2]);
+        if (i && key[i] <= key[i - 1]) return touch_fail(error, TOUCH_ARGUMENT, "bricks that do not ascend");
+    }
+    for (uint64_t i = 0; i < 512 * samples->bricks; i++) set->is_set[i] = samples->is_set[i] != 0;
+    set->list.key = key, set->list.count = samples->bricks;
+    return 1;
 }
 
-/* The samples of a brick of a support; `map` has the bricks so far. Whether any is set. */
-static int touch_code_set_brick(touch_coder *b, touch_set_models *m, const touch_grid *grid, const touch_set *before,
-                                const touch_map *map_before, touch_set *set, const touch_map *map, uint64_t slot) {
-    static const int8_t side[12][3] = {{-1, 0, 0}, {0, -1, 0}, {0, 0, -1}, {-1, 0, 1}, {0, -1, -1}, {0, -1, 1},
-                                       {-1, -1, 0}, {-2, 0, 0}, {0, -2, 0}, {-1, 1, 0}, {-1, 1, 1}, {0, 0, -2}};
-    static const int8_t around[7][3] = {{0, 0, 0}, {0, 0, -1}, {0, 0, 1}, {0, -1, 0}, {0, 1, 0}, {-1, 0, 0}, {1, 0, 0}};
-    int32_t at[3];
-    int high[3], any = 0;
-    touch_position(set->list.key[slot], at), touch_brick_samples(grid, at, high);
+/* Samples of a support in and around a brick: 12 x 12 x 12, the first of the brick at (2, 2, 2). */
+static void touch_fill_window(uint8_t window[1728], const touch_set *set, const touch_map *map, const int32_t at[3]) {
+    static const int first[3] = {6, 0, 0}, begin[3] = {0, 2, 10}, length[3] = {2, 8, 2};
+    for (int n = 0; n < 27; n++) {
+        int part[3];
+        part[0] = n / 9, part[1] = n / 3 % 3, part[2] = n % 3;
+        uint64_t key = touch_key(at[0] + part[0] - 1, at[1] + part[1] - 1, at[2] + part[2] - 1);
+        int64_t slot = set->list.count ? touch_map_get(map, key) : -1;
+        const uint8_t *from = slot < 0 ? 0 : set->is_set + 512 * slot;
+        for (int x = 0; x < length[part[0]]; x++)
+            for (int y = 0; y < length[part[1]]; y++) {
+                uint8_t *to = window + ((begin[part[0]] + x) * 12 + begin[part[1]] + y) * 12 + begin[part[2]];
+                int row = (first[part[0]] + x) * 64 + (first[part[1]] + y) * 8 + first[part[2]];
+                if (from) memcpy(to, from + row, (size_t)length[part[2]]);
+                else memset(to, 0, (size_t)length[part[2]]);
+            }
+    }
+}
+
+typedef struct { /* what a brick of a support is coded by: samples around it, of the support so far and the one before */
+    touch_map map, map_before;
+    uint8_t window[1728], before[1728];
+} touch_set_pass;
+
+/* The samples of a brick of a support. Whether any is set. */
+static int touch_code_set_brick(touch_coder *b, touch_set_models *m, touch_set_pass *p, uint8_t is_set[512],
+                                const int high[3]) {
+    static const int near_steps[12] = {-144, -12, -1, -143, -13, -11, -156, -288, -24, -132, -131, -2};
+    static const int before_steps[7] = {0, -1, 1, -12, 12, -144, 144};
+    int any = 0;
     for (int x = 0; x < high[0]; x++)
         for (int y = 0; y < high[1]; y++)
             for (int z = 0; z < high[2]; z++) {
-                int64_t X = 8 * (int64_t)at[0] + x, Y = 8 * (int64_t)at[1] + y, Z = 8 * (int64_t)at[2] + z;
-                uint8_t *own = set->is_set + 512 * slot + (uint64_t)(64 * x + 8 * y + z);
+                uint8_t *window = p->window + ((x + 2) * 12 + y + 2) * 12 + z + 2, *own = is_set + 64 * x + 8 * y + z;
+                const uint8_t *before = p->before + (window - p->window);
                 uint32_t near = 0, was = 0;
-                for (int n = 0; n < 12; n++)
-                    near |= (uint32_t)touch_is_set(set, map, X + side[n][0], Y + side[n][1], Z + side[n][2]) << n;
-                for (int n = 0; n < 7 && before->list.count; n++)
-                    was |= (uint32_t)touch_is_set(before, map_before, X + around[n][0], Y + around[n][1], Z + around[n][2])
-                           << n;
+                for (int n = 0; n < 12; n++) near |= (uint32_t)window[near_steps[n]] << n;
+                for (int n = 0; n < 7; n++) was |= (uint32_t)before[before_steps[n]] << n;
                 *own = (uint8_t)touch_mix2(b, m->context.near + near, &m->context.before[was][near & 7],
                                            m->weight.near[near & 7], TOUCH_CHOOSE(b, *own));
-                any |= *own;
+                *window = *own, any |= *own;
             }
     return any;
 }
@@ -1980,20 +2015,29 @@ static int touch_code_set_brick(touch_coder *b, touch_set_models *m, const touch
 /* A support, given another one of the same grid; a writer passes it, a reader gets it. */
 static int touch_code_set(touch_coder *b, touch_set_models *m, const touch_grid *grid, const touch_set *before,
                           touch_set *set, touch_arena *arena, touch_cursor *error) {
-    touch_map map, map_before;
+    int has_empty = 0;
     if (!touch_code_list(b, &m->list, grid->shape, before->list, &set->list, arena, error)) return 0;
     if (!TOUCH_IS_WRITING(b)) set->is_set = (uint8_t *)touch_take_zero(arena, 512 * set->list.count, 1);
-    if (!set->is_set || !touch_map_make(&map, set->list.count, arena) ||
-        !touch_map_make(&map_before, before->list.count, arena))
+    uint64_t mark = arena->used;
+    touch_set_pass *p = (touch_set_pass *)touch_take_zero(arena, 1, sizeof *p);
+    if (!set->is_set || !p || !touch_map_make(&p->map, set->list.count, arena) ||
+        !touch_map_make(&p->map_before, before->list.count, arena))
         return touch_fail(error, TOUCH_MEMORY, "no room for a support");
-    for (uint64_t i = 0; i < before->list.count; i++) touch_map_put(&map_before, before->list.key[i], (uint32_t)i);
-    for (uint64_t i = 0; i < set->list.count; i++) {
-        touch_map_put(&map, set->list.key[i], (uint32_t)i);
-        int any = touch_code_set_brick(b, m, grid, before, &map_before, set, &map, i);
+    for (uint64_t i = 0; i < before->list.count; i++) touch_map_put(&p->map_before, before->list.key[i], (uint32_t)i);
+    for (uint64_t i = 0; i < set->list.count; i++) { /* `map` has the bricks so far */
+        int32_t at[3];
+        int high[3];
+        touch_position(set->list.key[i], at), touch_brick_samples(grid, at, high);
+        touch_fill_window(p->window, set, &p->map, at);
+        if (before->list.count) touch_fill_window(p->before, before, &p->map_before, at);
+        has_empty |= !touch_code_set_brick(b, m, p, set->is_set + 512 * i, high);
+        touch_map_put(&p->map, set->list.key[i], (uint32_t)i);
         if (!TOUCH_IS_WRITING(b)) touch_check(b, error);
-        if (!touch_need(error, any, "a brick without samples")) return 0;
+        if (error->code) return 0;
     }
-    return 1;
+    if (!TOUCH_IS_WRITING(b)) touch_check(b, error);
+    arena->used = mark;
+    return touch_need(error, !has_empty, "a brick without samples");
 }
 
 typedef struct { /* a list of whole numbers */

@@ -5,10 +5,12 @@
    threads run while C works. The module uses CPython's stable ABI only, so that one binary serves every version from 3.11
    on. Each header ends with the list of its functions. */
 #include "arguments.h"
+#include "parts.h"
 #include "segments.h"
 
 static PyMethodDef methods[] = {
     SEGMENTS_METHODS,
+    PARTS_METHODS,
     {NULL, NULL, 0, NULL},
 };
 

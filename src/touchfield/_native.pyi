@@ -4,7 +4,8 @@
 Arrays are C-contiguous buffers of the given dtype and shape; results are bytes. Every function releases the
 GIL while C works, and holds no state but in the objects that it returns, each of which one thread uses at a
 time. One that fails raises ValueError with two arguments: a code of ``touch.h`` (2 truncated, 3 corrupt, 4 of
-another version, 5 out of memory, 6 an invalid argument), and a text that says what is wrong.
+another version, 5 out of memory, 6 an invalid argument, 8 more than a limit that the caller gives), and a
+text that says what is wrong.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -71,25 +72,27 @@ def add_exact_samples(
 def encode_support(shape: Shape, support: Support, previous: Support | None) -> bytes:
     """The code of a support (docs/format/bits.md)."""
 
-def decode_support(shape: Shape, data: bytes, previous: Support | None) -> tuple[bytes, bytes]:
+def decode_support(shape: Shape, data: Buffer, previous: Support | None) -> tuple[bytes, bytes]:
     """The inverse of `encode_support`: bricks int32 and samples uint8, as in `Support`."""
 
 def encode_numbers(numbers: Buffer) -> bytes:
     """The code of whole numbers int64 [n], below 2^30."""
 
-def decode_numbers(data: bytes, count: int) -> bytes:
+def decode_numbers(data: Buffer, count: int) -> bytes:
     """The inverse of `encode_numbers`: int64 [count]."""
 
 def encode_vibration(shape: Shape, frames: Sequence[tuple[Buffer, Buffer, Buffer]]) -> bytes:
     """The body of VIBR. A frame is positions int32 [n, 3] in raster order, amplitudes float32 [n], newtons,
     and frequencies float32 [n], hertz."""
 
-def decode_vibration(shape: Shape, body: bytes, frame_count: int) -> list[tuple[bytes, bytes, bytes]]:
+def decode_vibration(
+    shape: Shape, body: Buffer, frame_count: int, max_samples: int
+) -> list[tuple[bytes, bytes, bytes]]:
     """The inverse of `encode_vibration`: positions int32 [n, 3], steps of amplitude int32 [n], and hertz
-    int32 [n] of each frame."""
+    int32 [n] of each frame. An error if all frames together have more than `max_samples` samples."""
 
 def encode_poses(numbers: Buffer) -> bytes:
     """The code of poses int64 [n, 7] in steps."""
 
-def decode_poses(data: bytes, count: int, quaternion_unit: int) -> bytes:
+def decode_poses(data: Buffer, count: int, quaternion_unit: int) -> bytes:
     """The inverse of `encode_poses`: int64 [count, 7]. `quaternion_unit` is the number of steps in 1."""

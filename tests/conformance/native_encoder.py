@@ -104,6 +104,15 @@ class CVibration(ctypes.Structure):
     ]
 
 
+class CVibrationSteps(ctypes.Structure):
+    """`touch_vibration_steps`."""
+
+    _fields_ = [
+        ("samples", ctypes.c_uint64),
+        *((name, ctypes.c_void_p) for name in ("position", "step", "hertz")),
+    ]
+
+
 class CExact(ctypes.Structure):
     """`touch_exact_samples`."""
 
@@ -116,6 +125,7 @@ class CBody(ctypes.Structure):
     _fields_ = [("poses", CBytes), ("fields", CBytes), ("is_deforming", ctypes.c_int32)]
 
 
+FIXED_ROOM = 1 << 18  # TOUCH_FIXED_ROOM
 _FIT = ctypes.CFUNCTYPE(
     ctypes.c_int,
     ctypes.c_void_p,
@@ -185,6 +195,11 @@ def _pointer(array: np.ndarray) -> int | None:
     return array.ctypes.data if array.size else None
 
 
+def _view(data: bytes | None) -> CBytes:
+    """Bytes for C; empty ones have no address."""
+    return CBytes(ctypes.cast(ctypes.c_char_p(data or None), ctypes.c_void_p), len(data or b""))
+
+
 class Source:
     """A frame for C; it keeps the arrays that C looks into."""
 
@@ -231,6 +246,12 @@ class NativeEncoder:
         self.c.touch_segment_room.argtypes = [ctypes.c_uint64, ctypes.c_uint32]
         self.c.touch_part_room.restype = ctypes.c_uint64
         self.c.touch_part_room.argtypes = [ctypes.c_uint64] * 3
+        self.c.touch_support_room.restype = ctypes.c_uint64
+        self.c.touch_support_room.argtypes = [ctypes.c_void_p, ctypes.c_uint64, ctypes.c_uint64]
+        self.c.touch_vibration_room.restype = ctypes.c_uint64
+        self.c.touch_vibration_room.argtypes = [ctypes.c_void_p, ctypes.c_uint64, ctypes.c_uint32]
+        self.c.touch_vibration_frames.restype = ctypes.c_uint32
+        self.c.touch_vibration_frames.argtypes = [ctypes.c_uint64, ctypes.c_uint32]
         self.c.touch_longest_n.restype = ctypes.c_double
         arena, pointer = CArena, ctypes.c_void_p
         self.c.touch_encode_start.argtypes = [pointer, pointer, pointer, ctypes.c_double, arena, arena]
@@ -369,14 +390,59 @@ class NativeEncoder:
         arguments = ctypes.c_void_p(values.ctypes.data), ctypes.c_uint32(len(values))
         return self._part("touch_encode_poses", self.c.touch_part_room(0, 7 * len(values), 0), *arguments)
 
+    def decode_support(
+        self, grid: Grid, data: bytes, before: Bricks | None = None, memory_bytes: int | None = None
+    ) -> tuple[int, int]:
+        """The code of `touch_decode_support`, and the number of bricks; by default in the memory it says."""
+        bricks, mask = before or (np.zeros((0, 3), np.int32), np.zeros((0, 8, 8, 8), np.uint8))
+        arrays = np.ascontiguousarray(bricks, np.int32), np.ascontiguousarray(mask, np.uint8)
+        other, out, own = CSamples(len(bricks), *map(_pointer, arrays)), CSamples(), c_grid(grid)
+        if memory_bytes is None:
+            memory_bytes = self.c.touch_support_room(ctypes.byref(own), len(data), len(bricks))
+        given = before and ctypes.byref(other)
+        code = self._decode(
+            "support", memory_bytes, (ctypes.byref(own), _view(data), given), ctypes.byref(out)
+        )
+        return code, 0 if code else out.bricks
+
+    def decode_vibration(
+        self, grid: Grid, body: bytes, frame_count: int, memory_bytes: int | None = None
+    ) -> tuple[int, int]:
+        """The same of `touch_decode_vibration`, and the number of samples."""
+        own, frames = c_grid(grid), self.c.touch_vibration_frames(len(body), frame_count)
+        out = (CVibrationSteps * frames)()
+        if memory_bytes is None:
+            memory_bytes = self.c.touch_vibration_room(ctypes.byref(own), len(body), frame_count)
+        arguments = (
+            ctypes.byref(own), _view(body), ctypes.c_uint32(frame_count), ctypes.c_uint64(1 << 40)
+        )  # fmt: skip
+        code = self._decode("vibration", memory_bytes, arguments, out)
+        return code, 0 if code else sum(frame.samples for frame in out)
+
+    def decode_numbers(self, data: bytes, count: int) -> tuple[int, np.ndarray]:
+        """The same of `touch_decode_numbers`, and the numbers."""
+        out = np.zeros(count, np.int64)
+        arguments = _view(data), ctypes.c_uint64(count)
+        return self._decode("numbers", FIXED_ROOM, arguments, ctypes.c_void_p(out.ctypes.data)), out
+
+    def decode_poses(self, data: bytes, count: int, one: int) -> tuple[int, np.ndarray]:
+        """The same of `touch_decode_poses`, and the poses in steps."""
+        out = np.zeros((count, 7), np.int64)
+        arguments = _view(data), ctypes.c_uint32(count), ctypes.c_int64(one)
+        return self._decode("poses", FIXED_ROOM, arguments, ctypes.c_void_p(out.ctypes.data)), out
+
+    def _decode(self, name: str, memory_bytes: int, arguments: tuple[Any, ...], out: Any) -> int:
+        work, text = memory(memory_bytes), ctypes.c_char_p()
+        arena = CArena(work.ctypes.data, work.size, 0, 0)
+        last = ctypes.byref(arena), out, ctypes.byref(text)
+        code = int(getattr(self.c, f"touch_decode_{name}")(*arguments, *last))
+        assert bool(text.value) == bool(code)
+        return code
+
     def bodies(self, parts: SegmentParts) -> bytes:
         """The body of a segment of objects."""
-
-        def view(data: bytes | None) -> CBytes:
-            return CBytes(ctypes.cast(ctypes.c_char_p(data), ctypes.c_void_p), len(data or b""))
-
         bodies = (CBody * len(parts.objects))(
-            *(CBody(view(part.poses), view(part.fields), part.fields is not None) for part in parts.objects)
+            *(CBody(_view(part.poses), _view(part.fields), part.fields is not None) for part in parts.objects)
         )
         worst = None
         if parts.max_error:

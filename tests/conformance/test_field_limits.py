@@ -21,16 +21,14 @@ import pytest
 from second import CONFORMANCE, decoder, make_golden, reading
 from test_c import CODES, COMPILER, built, run, run_with
 
+from bit_writer import coded_poses, vibration_body
 from container_strategies import OPENING, assembled, cursor_on, framed, good_bytes, refused
 from live_makers import HEAD
 from object_makers import ball
-from touchfield.codec.kernels import BYTES_PER_NUMBER, code_numbers, finish, new_models, writer
 from touchfield.codec.objects import layout
-from touchfield.codec.objects.decoder import MODELS, code_residuals
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.codec.varint import chunk, write_varint
-from touchfield.codec.vibration import VibrationSymbols, encode_symbols
 from touchfield.container import Head, TouchReader, TouchWriter
 from touchfield.container.fields import Array, FieldType, Listed, Octets, Real, Rest, Text, Whole
 from touchfield.container.records import RECORD_OF, rows_of
@@ -171,7 +169,7 @@ UNFIT |= {"HEAD.coder"}  # `touch_open` refuses unsupported coders
 
 def record_cases() -> Iterator[Case]:
     """Each row of each record at and beyond its limits."""
-    vibration = encode_symbols(GRID, [VibrationSymbols(np.array([[0, 0, 0]]), np.array([9]), np.array([9]))])
+    vibration = vibration_body(GRID, [(np.zeros((1, 3), np.int32), np.array([9]), np.array([9]))])
     for data, tags in ((voxels(vibration), ("HEAD", "VIBR", "SEGM")), (scene_file(), ("HEAD", "OBJT"))):
         records = split(data)
         for tag in tags:
@@ -312,9 +310,9 @@ def vibration_cases() -> Iterator[Case]:
                     numbers = [positions, np.full(3, 9, np.int32), np.full(3, 99, np.int32)]
                     if i == frame:
                         numbers[row][sample] = value
-                    frames.append(VibrationSymbols(*numbers))
+                    frames.append((numbers[0], numbers[1], numbers[2]))
                 quantity = "amplitude" if row == 1 else "hertz"
-                data = voxels(encode_symbols(GRID, frames), frames=2)
+                data = voxels(vibration_body(GRID, frames), frames=2)
                 yield Case(f"{quantity} {value}, frame {frame}, sample {sample}", data, is_right)
 
 
@@ -331,20 +329,6 @@ SCENE = HapticScene(
 )
 STEPS = (-20, -20)
 UNIT = 1 << 20
-
-
-def coded_poses(numbers: list[list[int]], orders: list[int]) -> bytes:
-    """Poses in steps [frames][7], as docs/format/objects.md codes them."""
-    table = np.array(numbers, np.int64)
-    bits = writer(BYTES_PER_NUMBER * (table.size + 14) + 64, new_models(*MODELS))
-    code_numbers(bits, 0, 0, np.append(np.array(orders, np.int64), table[0]))
-    for c, order in enumerate(orders):
-        if order:
-            rest = table[:, c] - table[0, c]
-            for _ in range(min(order, 3)):
-                rest = np.diff(rest, prepend=0)
-            code_residuals(bits, c, rest[1:])
-    return bytes(finish(bits))
 
 
 @cache

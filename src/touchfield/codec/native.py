@@ -27,7 +27,7 @@ except ImportError as error:
 
 __all__ = ["argument_errors", "decoding_errors", "native"]
 
-_TRUNCATED, _CORRUPT, _VERSION, _MEMORY, _ARGUMENT = range(2, 7)  # codes of touch.h
+_TRUNCATED, _CORRUPT, _VERSION, _MEMORY, _ARGUMENT, _END, _TOO_MANY = range(2, 9)  # codes of touch.h
 _FORMAT_ERRORS: Final = {
     _TRUNCATED: (TruncatedFile, "more bytes"),
     _CORRUPT: (CorruptFile, "bytes as docs/format describes them"),
@@ -36,12 +36,17 @@ _FORMAT_ERRORS: Final = {
 
 
 @contextmanager
-def decoding_errors(where: str) -> Iterator[None]:
-    """Turn errors of the module into `FormatError`, MemoryError or InvalidArgument that names `where`."""
+def decoding_errors(where: str, limit_hint: str = "") -> Iterator[None]:
+    """Turn errors of the module into `FormatError`, MemoryError or InvalidArgument that names `where`.
+
+    `limit_hint` says how to raise the limit that a function was given.
+    """
     try:
         yield
     except ValueError as error:
         code, text = _code_of(error)
+        if code == _TOO_MANY:
+            raise InvalidArgument(where, text, hint=limit_hint) from None
         if code not in _FORMAT_ERRORS:
             raise _other_error(code, where, text) from None
         kind, expected = _FORMAT_ERRORS[code]

@@ -13,12 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bit_writer import coded_numbers
 from object_makers import F0_N, head_of, moving_scene, tumbling
-from touchfield.codec.kernels import code_numbers, finish, new_models, writer
-from touchfield.codec.objects.decoder import MODELS, PoseSteps, decode_poses
+from touchfield.codec.objects.decoder import PoseSteps, decode_poses
 from touchfield.codec.objects.encoder import ObjectsEncoder, encode_poses
 from touchfield.codec.paper.spec import PaperSpec
-from touchfield.codec.support import pad_payload
 from touchfield.container import TouchReader, TouchWriter
 from touchfield.errors import CorruptFile
 from touchfield.medium import PoseTrack
@@ -119,9 +118,7 @@ def test_faulty_poses_are_refused(reference_decoder: Any) -> None:
         (0, 600, "limit"),
         (0, 512, ""),
     ):
-        bits = writer(400, new_models(*MODELS))
-        code_numbers(bits, 0, 0, np.array([order, *[0] * 9, turn, 0, 0, 0], np.int64))
-        crafted = pad_payload(finish(bits), 0)
+        crafted = coded_numbers([order, *[0] * 9, turn, 0, 0, 0])
         if message:
             with pytest.raises(ValueError, match=message):
                 reference_decoder.pose_numbers(crafted, 1, 512)

@@ -135,3 +135,111 @@ void model_scan(int order, const touch_grid *grid, const int32_t brick[3], int32
     touch_scan_inside(&s, grid, to, low, high);
     for (int n = 0; n < 3; n++) inside[n] = low[n], inside[3 + n] = high[n];
 }
+
+/* -- the range coder, and lists of bricks ---------------------------------------------------------------------------- */
+
+enum { MODEL_CODE, MODEL_MIX, MODEL_EVEN, MODEL_GAMMA };
+
+typedef struct { /* of scripts of calls */
+    touch_context context[64];
+    int64_t weight[3][5][4]; /* by the number of contexts, too */
+} model_bits;
+
+int model_write_bits(const int64_t *calls, uint64_t count, const int64_t *values, touch_arena arena, model_bits *models,
+                     touch_bytes *out, uint64_t *position);
+void model_read_bits(const int64_t *calls, uint64_t count, touch_bytes data, touch_arena arena, model_bits *models,
+                     int64_t *values, uint64_t *position);
+void model_tables(int32_t squash[6143], int32_t stretch[4096]);
+int model_write_list(const uint32_t shape[3], const touch_samples *bricks, const touch_samples *before, touch_arena arena,
+                     touch_bytes *out);
+int model_read_list(const uint32_t shape[3], touch_bytes data, const touch_samples *before, touch_arena arena,
+                    touch_list *out, int32_t *bit, const char **text);
+
+/* Calls [count][3]: a function, and two arguments. */
+static void run_calls(touch_coder *b, model_bits *m, const int64_t *calls, uint64_t count, const int64_t *in, int64_t *out) {
+    TOUCH_FRESH(m->context, m->weight);
+    for (uint64_t i = 0; i < count; i++, calls += 3) {
+        int64_t value = in ? in[i] : 0;
+        touch_context *c[4];
+        for (int64_t n = 0; n < 4; n++) c[n] = m->context + (calls[1] * (n + 3) + (int64_t)i * n) % 64;
+        if (calls[0] == MODEL_CODE) value = touch_code(b, m->context + calls[1], (int)value);
+        else if (calls[0] == MODEL_MIX)
+            value = touch_mix(b, c, m->weight[calls[1] % 3][calls[2]], (int)calls[2], (int)value);
+        else if (calls[0] == MODEL_EVEN) value = touch_even(b, (int)calls[2], value);
+        else value = touch_gamma(b, (int)calls[2], value);
+        out[i] = value;
+    }
+}
+
+int model_write_bits(const int64_t *calls, uint64_t count, const int64_t *values, touch_arena arena, model_bits *models,
+                     touch_bytes *out, uint64_t *position) {
+    int64_t *written = (int64_t *)touch_take(&arena, count, 8);
+    const touch_tables *tables = tables_of(&arena);
+    touch_spent spent;
+    touch_sink s;
+    if (!written || !touch_sink_make(&s, 128 * count + 64, &arena)) return 0;
+    touch_coder b = touch_writing(&s, tables, &spent);
+    run_calls(&b, models, calls, count, values, written);
+    *position = b.position;
+    if (!touch_finish(&b, &s)) return 0;
+    out->bytes = s.bytes, out->size = s.size;
+    return 1;
+}
+
+void model_read_bits(const int64_t *calls, uint64_t count, touch_bytes data, touch_arena arena, model_bits *models,
+                     int64_t *values, uint64_t *position) {
+    touch_cursor c = touch_cursor_of(data.bytes, data.size);
+    touch_coder b = touch_reading(&c, tables_of(&arena));
+    run_calls(&b, models, calls, count, 0, values);
+    *position = b.position;
+}
+
+void model_tables(int32_t squash[6143], int32_t stretch[4096]) {
+    touch_tables tables;
+    touch_fill_tables(&tables);
+    for (int i = 0; i < 6143; i++) squash[i] = tables.squash[i];
+    for (int i = 0; i < 4096; i++) stretch[i] = tables.stretch[i];
+}
+
+static touch_list list_of(const touch_samples *bricks, touch_arena *arena) {
+    touch_list list;
+    list.key = (uint64_t *)touch_take(arena, bricks->bricks, 8), list.count = bricks->bricks;
+    for (uint64_t i = 0; i < list.count; i++)
+        list.key[i] = touch_key(bricks->brick[3 * i], bricks->brick[3 * i + 1], bricks->brick[3 * i + 2]);
+    return list;
+}
+
+/* A list followed by a 1 of a context of its own, padded. */
+int model_write_list(const uint32_t shape[3], const touch_samples *bricks, const touch_samples *before, touch_arena arena,
+                     touch_bytes *out) {
+    touch_cursor error = touch_cursor_of(0, 0);
+    touch_list list = list_of(bricks, &arena), known = list_of(before, &arena);
+    const touch_tables *tables = tables_of(&arena);
+    touch_list_models models;
+    touch_context own = {TOUCH_INITIAL_PROBABILITY, 0};
+    touch_spent spent;
+    touch_sink s;
+    if (!touch_sink_make(&s, 320 * list.count + 64, &arena)) return TOUCH_MEMORY;
+    TOUCH_FRESH(models.context, models.weight);
+    touch_coder b = touch_writing(&s, tables, &spent);
+    touch_code_list(&b, &models, shape, known, &list, &arena, &error);
+    touch_code(&b, &own, 1);
+    if (!touch_finish(&b, &s)) return TOUCH_MEMORY;
+    touch_pad(&s, 0, touch_min_bytes(list.count));
+    out->bytes = s.bytes, out->size = s.size;
+    return error.code;
+}
+
+/* The list, and the bit after it. */
+int model_read_list(const uint32_t shape[3], touch_bytes data, const touch_samples *before, touch_arena arena,
+                    touch_list *out, int32_t *bit, const char **text) {
+    touch_cursor error = touch_cursor_of(0, 0), c = touch_cursor_of(data.bytes, data.size);
+    touch_list known = list_of(before, &arena);
+    touch_coder b = touch_reading(&c, tables_of(&arena));
+    touch_list_models models;
+    touch_context own = {TOUCH_INITIAL_PROBABILITY, 0};
+    TOUCH_FRESH(models.context, models.weight);
+    if (touch_code_list(&b, &models, shape, known, out, &arena, &error)) *bit = touch_code(&b, &own, 0);
+    *text = error.code ? error.what : "";
+    return error.code;
+}

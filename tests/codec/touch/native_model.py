@@ -1,4 +1,4 @@
-"""Parts of the coder by themselves, by ctypes: lattices, the error bound, base layers (`model.c`)."""
+"""Parts of the coder by themselves, by ctypes: bits, lattices, the error bound, base layers (`model.c`)."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ import compiler  # noqa: E402
 from native_encoder import (  # noqa: E402
     CArena,
     CBytes,
+    CSamples,
     CSource,
     CSpline,
     Source,
@@ -93,6 +94,11 @@ def library() -> Any:
         ("columns", ctypes.c_int, [pointer, pointer, f64, f64, f64, CArena, pointer]),
         ("spline", ctypes.c_int, [pointer, pointer, pointer, CArena, pointer]),
         ("read", ctypes.c_int, [pointer, CBytes, CArena, pointer, pointer]),
+        ("write_bits", ctypes.c_int, [pointer, ctypes.c_uint64, pointer, CArena, pointer, pointer, pointer]),
+        ("read_bits", None, [pointer, ctypes.c_uint64, CBytes, CArena, pointer, pointer, pointer]),
+        ("tables", None, [pointer, pointer]),
+        ("write_list", ctypes.c_int, [pointer, pointer, pointer, CArena, pointer]),
+        ("read_list", ctypes.c_int, [pointer, CBytes, pointer, CArena, pointer, pointer, pointer]),
     ):
         function = getattr(c, f"model_{name}")
         function.restype, function.argtypes = result, arguments
@@ -105,6 +111,94 @@ class _Memory:
     def __init__(self, size: int = _BYTES) -> None:
         self.array = np.empty(size, np.uint8)
         self.arena = CArena(self.array.ctypes.data, size, 0, 0)
+
+
+def _view(data: bytes) -> CBytes:
+    return CBytes(ctypes.cast(ctypes.c_char_p(data), ctypes.c_void_p), len(data))
+
+
+# -- bits --------------------------------------------------------------------------------------------------
+
+CODE, MIX, EVEN, GAMMA = range(4)
+CONTEXTS, MAX_INPUTS = 64, 4
+
+
+class Coded(NamedTuple):
+    """What a script of calls has left: its values, bytes that are coded, contexts and weights."""
+
+    values: np.ndarray
+    position: int
+    models: bytes
+
+
+_MODELS_BYTES = 8 * CONTEXTS + 8 * 3 * 5 * 4
+
+
+def write_bits(calls: np.ndarray, values: np.ndarray) -> tuple[Coded, bytes]:
+    """Write values by calls int64 [n, 3]: a function, and two arguments."""
+    calls, values = np.ascontiguousarray(calls, np.int64), np.ascontiguousarray(values, np.int64)
+    models, out, position = np.zeros(_MODELS_BYTES, np.uint8), CBytes(), ctypes.c_uint64()
+    pointers = calls.ctypes.data, len(calls), values.ctypes.data
+    memory = _Memory((1 << 16) + 256 * len(calls))
+    last = models.ctypes.data, ctypes.byref(out), ctypes.byref(position)
+    assert library().model_write_bits(*pointers, memory.arena, *last)
+    return Coded(values, position.value, models.tobytes()), ctypes.string_at(out.bytes, out.size)
+
+
+def read_bits(calls: np.ndarray, data: bytes) -> Coded:
+    """The inverse of `write_bits`."""
+    calls, values = np.ascontiguousarray(calls, np.int64), np.zeros(len(calls), np.int64)
+    models, position, memory = np.zeros(_MODELS_BYTES, np.uint8), ctypes.c_uint64(), _Memory(1 << 16)
+    last = models.ctypes.data, values.ctypes.data, ctypes.byref(position)
+    library().model_read_bits(calls.ctypes.data, len(calls), _view(data), memory.arena, *last)
+    return Coded(values, position.value, models.tobytes())
+
+
+def logistic_tables() -> tuple[np.ndarray, np.ndarray]:
+    """The tables of the logistic function, int32 [6143], and of its inverse, int32 [4096]."""
+    squash, stretch = np.zeros(6143, np.int32), np.zeros(4096, np.int32)
+    library().model_tables(squash.ctypes.data, stretch.ctypes.data)
+    return squash, stretch
+
+
+class _List(ctypes.Structure):
+    _fields_ = [("key", ctypes.c_void_p), ("count", ctypes.c_uint64)]
+
+
+def _list_arguments(
+    brick_shape: Sequence[int], *lists: np.ndarray | None
+) -> tuple[Any, list[Any], list[Any]]:
+    """Samples of a grid of such a shape in bricks, lists for C, and the arrays they point into."""
+    shape = (ctypes.c_uint32 * 3)(*(8 * n for n in brick_shape))
+    arrays = [np.ascontiguousarray([] if a is None else a, np.int32).reshape(-1, 3) for a in lists]
+    return shape, [ctypes.byref(CSamples(len(a), a.ctypes.data, None)) for a in arrays], arrays
+
+
+def write_list(brick_shape: Sequence[int], bricks: np.ndarray, before: np.ndarray | None = None) -> bytes:
+    """The code of a list of bricks, followed by a bit that is 1."""
+    shape, (own, known), arrays = _list_arguments(brick_shape, bricks, before)
+    out, memory = CBytes(), _Memory((4 << 20) + 2048 * sum(map(len, arrays)))
+    assert not library().model_write_list(shape, own, known, memory.arena, ctypes.byref(out))
+    return ctypes.string_at(out.bytes, out.size)
+
+
+def read_list(
+    data: bytes, brick_shape: Sequence[int], before: np.ndarray | None = None, memory_bytes: int = _BYTES
+) -> tuple[np.ndarray, int]:
+    """The list, and the bit after it; CorruptFile for other bytes, MemoryError if the memory is too small."""
+    shape, (known,), _arrays = _list_arguments(brick_shape, before)
+    out, bit, text, memory = _List(), ctypes.c_int32(), ctypes.c_char_p(), _Memory(memory_bytes)
+    last = ctypes.byref(out), ctypes.byref(bit), ctypes.byref(text)
+    code = library().model_read_list(shape, _view(data), known, memory.arena, *last)
+    if code:
+        raise _ERRORS[code]("list of bricks", (text.value or b"").decode())
+    return _bricks_of_keys(out.key, out.count), bit.value
+
+
+def _bricks_of_keys(key: int, count: int) -> np.ndarray:
+    keys = np.frombuffer(ctypes.string_at(key, 8 * count), np.uint64).astype(np.int64)
+    bricks = np.stack([(keys >> 42) - 8, (keys >> 21 & 0x1FFFFF) - 8, (keys & 0x1FFFFF) - 8], axis=1)
+    return bricks.astype(np.int32)
 
 
 # -- lattices ----------------------------------------------------------------------------------------------
@@ -245,11 +339,9 @@ class Layer(NamedTuple):
 
 def _layer_of(layer: _Layer) -> Layer:
     count = layer.bricks
-    keys = np.frombuffer(ctypes.string_at(layer.key, 8 * count), np.uint64).astype(np.int64)
-    bricks = np.stack([(keys >> 42) - 8, (keys >> 21 & 0x1FFFFF) - 8, (keys & 0x1FFFFF) - 8], axis=1)
     size = 512 * 3 * 4
     vectors = np.frombuffer(ctypes.string_at(layer.v, size * count), np.int32).reshape(count, 8, 8, 8, 3)
-    return Layer(bricks.astype(np.int32), vectors)
+    return Layer(_bricks_of_keys(layer.key, count), vectors)
 
 
 def _fitted(found: int, layer: _Layer) -> tuple[bytes, Layer] | None:
@@ -289,8 +381,7 @@ def code_spline(grid: Grid, bricks: np.ndarray, spline: Any) -> tuple[bytes, Lay
 def decode_base_layer(data: bytes, grid: Grid, memory_bytes: int = _BYTES) -> Layer:
     """Decode a base layer, with the kind in front; CorruptFile or TruncatedFile if the bytes are invalid."""
     out, memory, text = _Layer(), _Memory(memory_bytes), ctypes.c_char_p()
-    view = CBytes(ctypes.cast(ctypes.c_char_p(data), ctypes.c_void_p), len(data))
-    arguments = ctypes.byref(c_grid(grid)), view, memory.arena, ctypes.byref(out), ctypes.byref(text)
+    arguments = ctypes.byref(c_grid(grid)), _view(data), memory.arena, ctypes.byref(out), ctypes.byref(text)
     code = library().model_read(*arguments)
     if code < 0:
         raise _ERRORS[-code]("base layer", (text.value or b"").decode())

@@ -16,12 +16,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from touchfield.arrays import Bools, Int64s
-from touchfield.codec.kernels import NUMBER_CONTEXTS, NUMBER_SETS, Bits, code_numbers, new_models, reader
+from touchfield.arrays import Int64s
+from touchfield.codec.native import decoding_errors, native
 from touchfield.codec.objects.layout import NAME, CodedObject, Parameters, SegmentParts
 from touchfield.codec.registry import FieldDecoder, field_decoder
 from touchfield.codec.segment import BitAccount
-from touchfield.codec.support import check_end
 from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
 from touchfield.medium import ForceField, PoseTrack
 
@@ -30,7 +29,6 @@ MAX_SEGMENT_POSES: Final = (1 << 16) - 1  # poses in one code; also the maximum 
 MAX_STEPS: Final = 1 << 50
 POSITION_POWERS: Final = (-40, 0)
 QUATERNION_POWERS: Final = (-30, -2)
-_CHANGED = "The file was changed or cut."
 
 
 @dataclass(frozen=True)
@@ -72,38 +70,11 @@ class PoseSteps:
                 raise CorruptFile(where, f"a step of 2^{power}", f"2^{low} to 2^{high}")
         return cls(2.0 ** powers[0], 2.0 ** powers[1])
 
-    @property
-    def limits(self) -> Int64s:
-        """Largest magnitude of the number of each component, int64 [7]."""
-        return np.array([MAX_STEPS] * 3 + [round(1 / self.quaternion)] * 4, np.int64)
-
-    def are_units(self, quaternions: Int64s) -> Bools:
-        """True for quaternions whose length is within one step of 1, as after rounding.
-
-        `quaternions`: int64 [n, 4], in steps.
-        """
-        unit_length = round(1 / self.quaternion)
-        squares = (quaternions * quaternions).sum(axis=1)
-        is_unit: Bools = (squares >= (unit_length - 1) ** 2) & (squares <= (unit_length + 1) ** 2)
-        return is_unit
-
     def track(self, numbers: Int64s) -> PoseTrack:
         """The poses of whole numbers int64 [n, 7]."""
         quaternions = numbers[:, 3:].astype(np.float64)
         unit = quaternions / np.sqrt((quaternions * quaternions).sum(axis=1, keepdims=True))
         return PoseTrack(unit, numbers[:, :3].astype(np.float64) * self.position_m)
-
-
-# order of a predictor: 0 a constant; 1 the preceding number; 2 and 3 a line and a parabola through preceding
-# ones
-MAX_ORDER: Final = 3
-MODELS: Final = 8 * NUMBER_CONTEXTS, 8 * NUMBER_SETS
-"""Contexts and sets: one part for the first pose and the orders, and one for each of the 7 components."""
-
-
-def code_residuals(bits: Bits, component: int, residuals: Int64s) -> None:
-    """Write or read the residuals of a component, int64 [n]."""
-    code_numbers(bits, (1 + component) * NUMBER_CONTEXTS, (1 + component) * NUMBER_SETS, residuals)
 
 
 def decode_poses(data: bytes, frame_count: int, steps: PoseSteps, where: str = "poses") -> PoseTrack:
@@ -115,31 +86,9 @@ def decode_poses(data: bytes, frame_count: int, steps: PoseSteps, where: str = "
     """
     if not 1 <= frame_count <= MAX_SEGMENT_POSES:
         raise InvalidArgument("frame_count", repr(frame_count), f"1 to {MAX_SEGMENT_POSES}")
-    bits = reader(data, new_models(*MODELS))
-    head = np.zeros(14, np.int64)
-    code_numbers(bits, 0, 0, head)
-    orders, numbers = head[:7].tolist(), np.tile(head[7:], (frame_count, 1))
-    if not 0 <= min(orders) <= max(orders) <= MAX_ORDER:
-        raise CorruptFile(where, f"predictors {orders}", f"0 to {MAX_ORDER} each", _CHANGED)
-    for c, order in enumerate(orders):
-        column = np.zeros(frame_count, np.int64)
-        if order:
-            code_residuals(bits, c, column[1:])
-        for _ in range(order):
-            column = np.cumsum(column)
-        numbers[:, c] += column
-    check_end(bits, 0, where)
-    # a cumulative sum exceeds the limits before it can wrap around
-    if ((numbers > steps.limits) | (numbers < -steps.limits)).any():
-        raise CorruptFile(
-            where, "a number beyond its limit", "positions to 2^50 steps, quaternions to 1", _CHANGED
-        )
-    invalid = np.flatnonzero(~steps.are_units(numbers[:, 3:]))
-    if len(invalid):
-        found = f"the quaternion {tuple(numbers[invalid[0], 3:].tolist())} in steps"
-        expected = f"one of length {round(1 / steps.quaternion)} within 1"
-        raise CorruptFile(f"{where}, frame {invalid[0]}", found, expected, _CHANGED)
-    return steps.track(numbers)
+    with decoding_errors(where):
+        numbers = native.decode_poses(data, frame_count, round(1 / steps.quaternion))
+    return steps.track(np.frombuffer(numbers, np.int64).reshape(-1, 7))
 
 
 class ObjectsDecoder:

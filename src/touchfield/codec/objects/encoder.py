@@ -22,17 +22,14 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from touchfield.arrays import Int64s
-from touchfield.codec.kernels import BYTES_PER_NUMBER, code_numbers, finish, new_models, price, writer
+from touchfield.codec.native import argument_errors, native
 from touchfield.codec.objects import layout
 from touchfield.codec.objects.decoder import (
-    MAX_ORDER,
     MAX_SEGMENT_POSES,
     MAX_STEPS,
-    MODELS,
     POSITION_POWERS,
     QUATERNION_POWERS,
     PoseSteps,
-    code_residuals,
 )
 from touchfield.codec.objects.error_bound import (
     BoundCheck,
@@ -131,36 +128,8 @@ def encode_poses(track: PoseTrack, steps: PoseSteps) -> bytes:
         raise InvalidArgument(
             "pose track", f"{len(track)} poses", f"{MAX_SEGMENT_POSES} at most", "Split it."
         )
-    numbers = round_poses(track, steps)
-    moved = (numbers - numbers[0]).T
-    orders = [_best_order(component) for component in moved]
-    bits = writer(BYTES_PER_NUMBER * (numbers.size + 14) + 64, new_models(*MODELS))
-    code_numbers(bits, 0, 0, np.append(orders, numbers[0]))
-    for c, order in enumerate(orders):
-        if order:
-            code_residuals(bits, c, _residuals(moved[c], order))
-    return finish(bits)
-
-
-def _best_order(moved: Int64s) -> int:
-    """Order of the predictor that makes the code of a component, int64 [n], shortest."""
-
-    def size(order: int) -> float:
-        bits = writer(BYTES_PER_NUMBER * len(moved) + 64, new_models(*MODELS))
-        code_residuals(bits, 0, _residuals(moved, order))
-        return float(price(bits))
-
-    return min(range(1, MAX_ORDER + 1), key=size) if moved.any() else 0
-
-
-def _residuals(moved: Int64s, order: int) -> Int64s:
-    """Differences of the given order, int64 [n - 1].
-
-    The component is taken to be constant before its first number.
-    """
-    for _ in range(order):
-        moved = np.diff(moved, prepend=0)
-    return moved[1:]
+    with argument_errors("pose track"):
+        return native.encode_poses(round_poses(track, steps))
 
 
 # a fifth of the position resolution of a Phantom Omni (0.055 mm); it changes the force of a wall of 500 N/m
