@@ -1,7 +1,7 @@
 """Decodes coder `touch` for the conformance decoder, step by step as docs/format/touch.md says, in plain
 Python and numpy. `decoder.py` calls it.
 
-`decode_touch_guess` makes guesses and `decode_touch_exact` the frames of the exact mode.
+`decode_touch_guess` decodes base layers and `decode_touch_exact` the frames of the exact mode.
 """
 
 import math

@@ -1,8 +1,8 @@
 """Encodes and decodes one scene under many settings of a coder, for the tables. The force fields are made
 once.
 
-Encoded to a file and decoded from it as `touchfield encode` and `touchfield compare` do, so that a
-compression ratio of the whole file counts the whole file.
+Each setting is encoded to a file and decoded from it as `touchfield encode` and `touchfield compare` do, so
+that a compression ratio of the whole file counts the whole file.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Tests sets of figures against the trends that table 3 of the paper shows (which figure is smaller than
 which), and against bounds that no coder can pass.
 
-Checked on any set of figures over k, m and the fineness of directions, the printed ones too.
+They are checked on any set of figures over k, m and the fineness of directions, the printed ones too.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
 """touchfield: passive haptic media. Touch recorded, stored, processed and broadcast like sound and pictures.
+A medium is a force field over time: the package makes it from a scene, codes it to a ``.touch`` file, and
+plays it on a haptic device.
 
     import touchfield as tf
 

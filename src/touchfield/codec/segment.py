@@ -1,5 +1,5 @@
 """What all coders share about segments, which are runs of frames that are coded together: their length, the
-count of coded bits by purpose, the compression ratio, and how an encoder reports the error bound.
+count of coded bits by purpose, the compression ratio, and the report of the largest error and its bound.
 
 Eq. 9 of the paper is CR = (C_a + C_d) / (m V 96), where C_a and C_d are the lengths in bits of the coded
 amplitudes and directions (the paper calls these vectors), m the number of frames, V the number of voxels of

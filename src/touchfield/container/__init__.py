@@ -1,7 +1,7 @@
 """Reads and writes ``.touch`` files as a sequence of records (head, segments, index, end), without decoding
 the segments within.
 
-The table in `records` defines them; docs/format/container.md describes the bytes.
+The table in `records` defines the records; docs/format/container.md describes the bytes.
 """
 
 from touchfield.container.reader import TouchReader

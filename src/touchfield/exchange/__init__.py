@@ -1,6 +1,6 @@
 """Reads and writes haptic effects in the formats of other tools.
 
-HJIF and HMPG (MPEG haptics), AHAP (Apple), .haptic (Meta), .tact (bHaptics) and WAV.
+These are HJIF and HMPG (MPEG haptics), AHAP (Apple), .haptic (Meta), .tact (bHaptics) and WAV.
 """
 
 from touchfield._lazy import lazy_attributes

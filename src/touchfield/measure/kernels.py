@@ -1,7 +1,7 @@
-"""Compiled inner loops of this package.
+"""Compiled inner loops of the measures: counting of symbols, alone or with their neighbours, the curl of a
+field, and sums of forces by direction.
 
-Symbol tables, causal neighbours as packed rows, curl and squares, and sums by direction. Imported only when
-first needed, because it imports numba.
+Imported only when first needed, because it imports numba.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Computes lower bounds on the bits that any coder of a kind needs for a medium, so that real coders can be
-compared with them.
+"""Estimates the fewest bits that a coder could spend on a medium, from entropies of its symbols, so that real
+coders can be compared with them.
 
 Theory sections 4 and 5. For the same symbols S = Q(F) over all voxels of all frames the bounds are H(S) of
 the voxel and of the object, and H(S | causal neighbours) with and without the previous frame. All are plug-in

@@ -1,5 +1,5 @@
-"""Compiled inner loops of deadbands, which decide what samples differ enough to be sent, and of moving points
-to the surface of a field. Imported only when first needed, because it imports numba.
+"""Compiled inner loops that decide which samples changed enough to be sent (deadbands), and that move points
+to where a field reaches a given force. Imported only when first needed, because they import numba.
 
 The gates along a scan run in one thread, because each sample depends on the samples sent before it. Products
 and sums are in float64; comparisons are written so that a NaN is sent, not held.

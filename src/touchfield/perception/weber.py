@@ -1,5 +1,5 @@
-"""Quantisers and deadbands whose steps a hand cannot feel, as they grow with the force by the Weber fraction
-k (paper section 4.2).
+"""Quantisers and deadbands (changes too small to be sent) whose errors a hand cannot feel, because they grow
+with the force by the Weber fraction k (paper section 4.2).
 
 Eq. 6 is Q(x) = sgn(x) Delta [|x| / Delta + 1/2], where the bracket must be the floor. As printed, with Delta
 = k |x|, it is k floor(1/k + 1/2) x: a constant gain and no quantiser. With a fixed Delta the error is

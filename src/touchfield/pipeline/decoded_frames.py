@@ -1,5 +1,5 @@
-"""Returns any frame of a stream, forces or vibration, by its number: decodes the segment that contains it,
-and keeps the segments used last.
+"""Returns any frame of a stream, forces or vibration, by its number: decodes the segment that contains it up
+to that frame, and goes on from there for the next one.
 
 Sequential access is decoded ahead: while one segment is read, the next ones are decoded on the other cores.
 """

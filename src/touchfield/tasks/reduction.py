@@ -1,8 +1,6 @@
 """Reduces a medium to a few modes or points, or to the samples that a hand can reach (paper section 6.1), and
 writes the result as a file.
 
-Samples that no hand can reach can be removed.
-
 medium -> modes -> error, held-out frames, degrees of freedom, bits; the reduced medium as a file
 medium -> a hand, a device, a trace -> unreachable samples; the medium without them as a file
 medium -> the fewest points that determine it, by its modes or a curl-free field; where to measure next (6.2)

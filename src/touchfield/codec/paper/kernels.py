@@ -1,7 +1,5 @@
 """Compiled inner loops of coder `paper`: nearest direction in the codebook, amplitude levels, Huffman bits,
 and prediction.
-
-Nearest directions, levels of amplitudes, Huffman codes and ADPCM.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Opens an animated glTF model as a scene: computes its moving surface (skins, morph targets, moving nodes)
 at the frames of the medium.
 
-They are evaluated at the rate of the medium.
+Models are evaluated at the rate of the medium.
 
 Frame i shows the time i / rate_hz, for all such times before the end of the animation; the end itself is
 excluded, so that a looping animation does not show its first frame twice. Triangles and welded vertices are

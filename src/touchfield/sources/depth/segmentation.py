@@ -1,8 +1,6 @@
 """Divides a depth sequence into objects: surfaces that are connected, tracked from frame to frame (paper
 section 5.1).
 
-Objects are connected surfaces, tracked over time.
-
 The paper's object representation "requires a clear segmentation of the scene that is in general an ill-posed
 problem", and gives no rule. This rule is purely geometric: touching things (a cup and its table) are one
 object, and a partly occluded thing may be two.

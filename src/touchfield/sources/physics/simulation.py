@@ -1,8 +1,6 @@
 """Simulates rigid bodies with MuJoCo and records the pose of each in every frame (the paper's Scene 1,
 section 5.1).
 
-It computes the pose of every body at each frame.
-
 Frame i is the state at the time i / rate, so that frame 0 is the initial state and 2 s at 1 kHz are 2000
 frames. On one machine the same model gives bit-identical poses.
 

@@ -1,8 +1,6 @@
 """`HeightScene`: a height map as a scene that is solid below its surface (paper sections 4 and 5.1). This
 file also reads height maps from files.
 
-Everything behind the surface is solid.
-
 The paper's scenes from depth images treat the depth map as a height map. The distance to the surface is
 approximated to first order, phi = (z - h(x, y)) n_z with h interpolated bilinearly: exact for planes, with an
 error of about c d^2 / 2 at curvature c and depth d. The normal is that of planes fitted to 5 x 5 samples with

@@ -1,8 +1,6 @@
 """Turns a colour video into a haptic medium whose forces are strong where the picture catches the eye
 (*visual saliency*; paper section 5.1, figure 1).
 
-Forces represent visual saliency.
-
 The paper's case 1: "extraction of saliency based features of the videos that are mapped to tactors". The
 picture is a plate with the aspect ratio of its pixels, its longer side 1 m, row 0 at the top. Throughout the
 plate the force is along +z, towards the viewer, and its amplitude is the saliency (0 to 1) times the largest
