@@ -1,4 +1,5 @@
-"""Lossless code of the support: bricks of a frame and their supported samples.
+"""Codes, without loss, at which samples a frame has a force: the list of its bricks, and the samples
+set in each. All coders use it.
 
 Paper section 5.2 codes amplitudes and directions of the supported samples but not their positions.
 

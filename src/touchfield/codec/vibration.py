@@ -1,4 +1,5 @@
-"""Code of vibrations: samples, amplitudes and frequencies (paper section 6.4).
+"""Encodes and decodes the vibration of a segment: the samples that vibrate, their amplitudes and their
+frequencies (paper section 6.4).
 
 The amplitude has four steps per octave, so that its error is at most one ninth: less than the just noticeable
 difference (a fifth, perception/human.toml). The frequency is in whole hertz. The vibrating samples are coded

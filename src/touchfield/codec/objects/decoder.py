@@ -1,4 +1,4 @@
-"""Decoder of the coder `objects`: poses of a segment, and fields on request.
+"""Decodes a scene of bodies (coder `objects`): the poses of a segment, and the fields of bodies on request.
 
 In the paper a rigid object needs one field, and one pose per frame (section 4.3); the paper does not say how
 to code these "parameters of the source model". Here a pose is seven whole numbers, multiples of a position

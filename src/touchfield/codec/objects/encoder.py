@@ -1,4 +1,5 @@
-"""Encoder of the coder `objects`: fields and poses within an error bound.
+"""Encodes a scene of bodies (coder `objects`): a field for each body and its poses, such that the composed
+field keeps the error bound.
 
 "If a model is adopted that describes a scene as several objects, then the parameters will be force vectors
 that correspond to each specific object." A rigid object costs one field, coded by a coder of fields, and one
