@@ -116,6 +116,14 @@ public static class TouchfieldNative
     [DllImport(Library, CallingConvention = CallingConvention.Cdecl)]
     public static extern int touch_start(IntPtr decoder, IntPtr file, touch_arena arena);
 
+    // A segment's body from elsewhere than a file, such as a live stream.
+    [DllImport(Library, CallingConvention = CallingConvention.Cdecl)]
+    public static extern int touch_start_body(IntPtr decoder, IntPtr grid, touch_bytes parameters, touch_bytes body,
+        uint frame_count, touch_arena arena);
+
+    [DllImport(Library, CallingConvention = CallingConvention.Cdecl)]
+    public static extern void touch_body_room(IntPtr grid, touch_bytes body, out ulong decoder, out ulong frame);
+
     [DllImport(Library, CallingConvention = CallingConvention.Cdecl)]
     public static extern uint touch_segment_of(IntPtr file, uint frame);
 

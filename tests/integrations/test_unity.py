@@ -23,6 +23,10 @@ from builders import (
 
 pytestmark = needs("make", "cc")
 SOURCE = (INTEGRATIONS / "unity" / "Touchfield.cs").read_text()
+HEADER = (ROOT / "c" / "touch.h").read_text().partition("#endif\n#endif")[0]
+"""Declarations of the reader."""
+PLAYING = HEADER.partition("/* Codes on their own")[0]
+"""Those that playing a medium needs."""
 BASIC = {"double": (8, 8), "ulong": (8, 8), "IntPtr": (8, 8), "uint": (4, 4), "int": (4, 4)}
 Layouts = dict[str, tuple[int, ...]]
 
@@ -61,15 +65,13 @@ def layouts_of_cs() -> Layouts:
 def test_structs_have_the_layout_of_c(built: Path) -> None:
     in_c = parse_layouts(run(built / "layouts").stdout)
     assert in_c == layouts_of_cs()
-    header = (ROOT / "c" / "touch.h").read_text().partition("#endif\n#endif")[0]
-    assert set(re.findall(r"^} (touch_\w+);", header, re.MULTILINE)) == {n for n in in_c if "." not in n}
+    assert set(re.findall(r"^} (touch_\w+);", PLAYING, re.MULTILINE)) == {n for n in in_c if "." not in n}
 
 
-def test_every_function_of_the_header_is_declared() -> None:
-    header = (ROOT / "c" / "touch.h").read_text().partition("#endif\n#endif")[0]
-    functions = set(re.findall(r"^\w+ (touch_\w+)\(.*\);", header, re.MULTILINE))
+def test_every_function_that_plays_is_declared() -> None:
+    functions = set(re.findall(r"^\w+ (touch_\w+)\(", PLAYING, re.MULTILINE))
     named = set(re.findall(r"static extern \w+ (touch_\w+)\(", SOURCE))
-    assert len(functions) > 8 and functions == named
+    assert PLAYING != HEADER and len(functions) > 8 and functions == named
 
 
 @pytest.fixture(scope="module")
