@@ -91,7 +91,9 @@ def decode_scene(head: dict[str, Any], objects: list[dict[str, Any]], segments: 
     need(count * head["frame_count"] <= 1 << 24, "too many poses")
     scene = Scene(head, damping, tolerance_m, [])
     for told in objects:
-        need(told["field_coder"] in CODERS, f"the coder of fields {told['field_coder']!r}", UnsupportedVersion)
+        need(
+            told["field_coder"] in CODERS, f"the coder of fields {told['field_coder']!r}", UnsupportedVersion
+        )
         CHECKS[told["field_coder"]](told["field_parameters"])
         need(len(told["pose_steps"]) == 2, "the steps of the poses")
         position, turn = struct.unpack("bb", told["pose_steps"])

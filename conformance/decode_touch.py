@@ -57,7 +57,8 @@ def decode_segment(body: bytes, parameters: bytes, shape: Place, frame_count: in
         need(how <= (1 if exact else 7) and support + amplitude <= 255, "the first bytes of a frame")
         need(i or not how & 1, "a first frame that needs the one before")
         chunks = [
-            c.chunk(least) if is_there else None for is_there, least in ((how & 2, 1), (True, 0), (how & 4, 1))
+            c.chunk(least) if is_there else None
+            for is_there, least in ((how & 2, 1), (True, 0), (how & 4, 1))
         ]
         frames.append((how & 1, *chunks))
     c.end()

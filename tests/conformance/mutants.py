@@ -1,5 +1,7 @@
 """Mutants of files whose CRC-32s hold, and what each of the three decoders reports for one.
 
+All read VIBR before the frames, as the C code does: a changed HEAD may make both faulty.
+
 ``python tests/conformance/mutants.py PROGRAM SEED COUNT [FILE.touch...]`` decodes `COUNT` mutants with
 `PROGRAM` (c/touch_decode.c, compiled), the package and the second decoder, and tabulates the differences.
 """
@@ -85,13 +87,13 @@ def by_package(path: Path) -> Outcome:
             for body in opened.scene.objects if isinstance(opened, SceneStream) else ():
                 list(body.medium)  # also a body that lies nowhere in the grid
             medium = opened.medium
-            frames = [np.asarray(frame.to_dense()) for frame in medium]
             vibrations = []
             for i in range(len(medium)) if medium.vibration is not None else ():
                 vibration, both = medium.vibration(i), np.zeros((2, *medium.grid.shape), np.float32)
                 at = tuple(vibration.positions.T)
                 both[(0, *at)], both[(1, *at)] = vibration.amplitudes_n, vibration.frequencies_hz
                 vibrations.append(both)
+            frames = [np.asarray(frame.to_dense()) for frame in medium]
     except FormatError as error:
         return Outcome(type(error).__name__, message=str(error))
     except InvalidArgument as error:
@@ -104,11 +106,11 @@ def by_reference(data: bytes) -> Outcome:
     try:
         file = decoder.read_file(data)
         shape = file.head["grid_shape"]
+        both = decoder.vibration_of(file)
         frames = [
             reading.laid_out(frame, shape) if isinstance(frame, dict) else frame
             for frame in decoder.frames_of(file)
         ]
-        both = decoder.vibration_of(file)
     except reading.FaultyFile as error:
         return Outcome(type(error).__name__, message=str(error))
     if not both:

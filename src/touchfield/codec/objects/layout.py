@@ -103,8 +103,8 @@ class SegmentParts(NamedTuple):
     ) -> SegmentParts:
         """The inverse of `to_bytes`, without decoding the chunks.
 
-        The largest error lies in one of `frame_count` frames. `is_deforming` tells for each object whether it has a chunk of fields. TruncatedFile or CorruptFile if
-        the bytes end too early, or some remain.
+        The largest error lies in one of `frame_count` frames. `is_deforming` tells for each object whether it
+        has a chunk of fields. TruncatedFile or CorruptFile if the bytes end too early, or some remain.
         """
         reader, max_error = Parts(body), None
         if ratio := reader.varint("worst ratio", RATIO_STEPS + 2):

@@ -10,7 +10,14 @@ import numpy as np
 
 from touchfield.codec.native import decoding_errors, native
 from touchfield.codec.segment import FrameCost, MaxError
-from touchfield.codec.touch.body import MAX_FRAMES, WHERE, BodyReader, numbers_of, read_parameters, write_parameters
+from touchfield.codec.touch.body import (
+    MAX_FRAMES,
+    WHERE,
+    BodyReader,
+    numbers_of,
+    read_parameters,
+    write_parameters,
+)
 from touchfield.medium import ForceField, Grid
 
 NAME: Final = "touch"
