@@ -1335,24 +1335,46 @@ static const touch_field *touch_vibration_field(touch_decoder *d, const touch_vi
 
 /* -- the decoder ----------------------------------------------------------------------------------------------------- */
 
-/* Bricks that the fields of some frames may list at most, exceptions included. */
+static uint64_t touch_less(uint64_t a, uint64_t b) { return a < b ? a : b; }
+
+/* Bricks that the fields of some frames may list at most: 16 for a byte of a code. Those of exceptions take two bytes. */
 static uint64_t touch_most_bricks(uint64_t lattice, uint64_t bytes, uint64_t frames) {
-    uint64_t most = 64 * frames + 17 * bytes;
+    uint64_t most = 64 * frames + 16 * bytes;
     return lattice < most / frames ? lattice * frames : most;
 }
 
-/* Bytes of models; of each brick: of a field that stays, of one that is decoded, of what vibrates. */
-enum { TOUCH_FIXED = 6 << 20, TOUCH_KEPT = 6400, TOUCH_WORK = 49152, TOUCH_VIBRATING = 20480 };
+/* Bytes of models; of each brick: of a field that stays, of a frame while it is decoded (vectors 6144, cells 16384, keys and
+   maps), of the frame before or a base layer (vectors, keys, maps), of what vibrates; of each tile of columns. */
+enum {
+    TOUCH_FIXED = 6 << 20,
+    TOUCH_KEPT = 6400,
+    TOUCH_DECODED = 22912,
+    TOUCH_KNOWN = 6400,
+    TOUCH_VIBRATING = 20480,
+    TOUCH_TILE = 64 * sizeof(touch_column) + 64
+};
+
+/* Bytes for the frames of a body, one after the other. Each byte of it is of one code, so the bricks of a frame, of the one
+   before and of a base layer together are bounded by all bytes. Exact frames list 4 bricks for a byte, of less than
+   TOUCH_DECODED. */
+static uint64_t touch_frames_room(uint64_t lattice, uint64_t bytes) {
+    uint64_t decoded = touch_less(lattice, 64 + 16 * bytes), known = 192 + 16 * bytes - decoded;
+    return TOUCH_DECODED * decoded + TOUCH_KNOWN * touch_less(known, 2 * lattice) +
+           TOUCH_TILE * touch_less(lattice, 64 + bytes);
+}
 
 void touch_body_room(const touch_grid *grid, touch_bytes body, uint64_t *decoder, uint64_t *frame) {
-    uint64_t bricks = touch_most_bricks(touch_brick_count(grid), body.size, 1);
-    *decoder = TOUCH_FIXED + TOUCH_WORK * bricks, *frame = 4096 + TOUCH_KEPT * bricks;
+    uint64_t lattice = touch_brick_count(grid);
+    *decoder = TOUCH_FIXED + touch_frames_room(lattice, body.size);
+    *frame = 4096 + TOUCH_KEPT * touch_most_bricks(lattice, body.size, 1);
 }
+
+static uint64_t touch_more(uint64_t a, uint64_t b) { return a > b ? a : b; }
 
 void touch_room(const touch_file *file, uint64_t *decoder, uint64_t *frame) {
     touch_cursor at = touch_cursor_of(file->data + TOUCH_OPENING, file->size - TOUCH_OPENING);
     uint64_t bricks = touch_brick_count(&file->grid), rigid = 0, deforming = 0, bodies = 1, work = 0, segment = 0;
-    uint64_t vibrating = 0, frames = 0;
+    uint64_t vibrating = 0, frames = 0, field = 0;
     int has_bodies = file->object_count > 0;
     while (at.at < at.end && !at.code) {
         touch_record r = touch_read_record(&at, file->data, 0);
@@ -1360,26 +1382,24 @@ void touch_room(const touch_file *file, uint64_t *decoder, uint64_t *frame) {
             touch_object o = touch_read_object(&r.payload);
             uint64_t lattice = touch_brick_count(&o.grid), most = touch_most_bricks(lattice, r.length, 1);
             if (o.is_deforming) deforming += lattice, bodies++;
-            else rigid += most, work = work > most ? work : most;
+            else rigid += most, work = touch_more(work, touch_frames_room(lattice, r.length));
         } else if ((r.tag == TOUCH_SEGM || r.tag == TOUCH_VIBR) && !at.code) {
             touch_u(&r.payload, 4);
-            uint64_t count = touch_u(&r.payload, 2), kept = 0, most = touch_most_bricks(bricks, r.length, 1);
-            frames = frames > count ? frames : count;
-            if (r.tag == TOUCH_VIBR) {
-                most = touch_most_bricks(bricks, r.length, count), vibrating = vibrating > most ? vibrating : most;
-                continue;
+            uint64_t count = touch_u(&r.payload, 2);
+            frames = touch_more(frames, count);
+            if (r.tag == TOUCH_VIBR) vibrating = touch_more(vibrating, touch_most_bricks(bricks, r.length, count));
+            else if (!has_bodies) {
+                field = touch_more(field, touch_most_bricks(bricks, r.length, 1));
+                work = touch_more(work, touch_frames_room(bricks, r.length));
+            } else if (bodies > 1) {
+                segment = touch_more(segment, touch_most_bricks(deforming, r.length, (bodies - 1) * count));
+                work = touch_more(work, touch_frames_room(deforming, r.length));
             }
-            if (has_bodies && bodies > 1) {
-                most = touch_most_bricks(deforming, bodies * 64 + r.length, 1);
-                kept = touch_most_bricks(deforming, r.length, (bodies - 1) * count);
-            }
-            if (!has_bodies || bodies > 1) work = work > most ? work : most;
-            segment = segment > kept ? segment : kept;
         }
     }
-    *decoder = bodies * TOUCH_FIXED + TOUCH_KEPT * (rigid + segment) + TOUCH_WORK * work + TOUCH_VIBRATING * vibrating +
+    *decoder = TOUCH_FIXED + TOUCH_KEPT * (rigid + segment) + work + TOUCH_VIBRATING * vibrating +
                512 * (frames + 4) * (file->object_count + 1);
-    *frame = 4096 + 512 * ((uint64_t)file->object_count + 1) + TOUCH_KEPT * ((has_bodies ? 0 : work) + vibrating);
+    *frame = 4096 + 512 * ((uint64_t)file->object_count + 1) + TOUCH_KEPT * (field + vibrating);
 }
 
 static int touch_start_bodies(touch_decoder *d, touch_cursor *error) {
