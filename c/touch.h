@@ -224,8 +224,8 @@ static uint64_t touch_varint(touch_cursor *c, uint64_t least, uint64_t limit) {
     return 0;
 }
 
-static touch_cursor touch_chunk(touch_cursor *c) {
-    uint64_t n = touch_varint(c, 0, (uint64_t)1 << 56);
+static touch_cursor touch_chunk(touch_cursor *c, uint64_t least) {
+    uint64_t n = touch_varint(c, least, (uint64_t)1 << 56);
     const uint8_t *at = touch_skip(c, n);
     return c->code ? touch_cursor_of(at, 0) : touch_cursor_of(at, n);
 }
@@ -916,33 +916,63 @@ static int touch_check_parameters(touch_bytes b, int *is_exact, touch_cursor *er
     return !error->code;
 }
 
-/* The head of a segment's body; models and borders are taken from the arena. */
-static int touch_begin_fields(touch_fields *f, touch_cursor *c, uint32_t frames, touch_arena *arena, touch_cursor *error) {
+/* The parts of a frame, not decoded. */
+typedef struct {
+    uint64_t flags;
+    touch_cursor layer, payload, outliers; /* empty where there is none */
+} touch_frame_parts;
+
+static touch_frame_parts touch_read_parts(touch_cursor *c, int is_exact, int is_first) {
+    touch_frame_parts parts;
+    parts.flags = touch_u(c, 1);
+    uint64_t support = touch_u(c, 1), amplitude = touch_u(c, 1);
+    touch_need(c, c->code || (parts.flags <= (is_exact ? 1u : 7u) && support + amplitude <= 255), "the first bytes of a frame");
+    touch_need(c, c->code || !is_first || !(parts.flags & 1), "a first frame that needs the one before");
+    parts.layer = parts.flags & 2 ? touch_chunk(c, 1) : touch_cursor_of(c->at, 0);
+    parts.payload = touch_chunk(c, 0);
+    parts.outliers = parts.flags & 4 ? touch_chunk(c, 1) : touch_cursor_of(c->at, 0);
+    return parts;
+}
+
+/* The head of a segment's body, after which the cursor lies; and the parts of all frames, which end with the body:
+   docs/format/container.md, "Order of checks". */
+static int touch_read_layout(touch_fields *f, touch_cursor *c, uint32_t frames, touch_cursor *error) {
     uint64_t flags = touch_u(c, 1);
     touch_steps *s = &f->steps;
+    touch_cursor at;
     touch_need(c, flags <= 1, "flags that there are not");
-    memset(&f->units, 0, sizeof f->units), f->has_exact = 0;
     if (!f->is_exact) {
         s->unit_n = touch_f32_of((uint32_t)touch_u(c, 4));
         touch_need(c, s->unit_n >= 1.17549435e-38f && s->unit_n <= 2.02824096e31f, "the unit");
         s->floor = (int64_t)touch_varint(c, 1, 1u << 16), s->rate = (int64_t)touch_varint(c, 0, 1u << 17);
         s->cross_floor = (int64_t)touch_varint(c, 1, 1u << 16), s->cross_rate = (int64_t)touch_varint(c, 0, 1u << 17);
         touch_need(c, s->floor >= 21 || s->rate >= 64, "a floor and a rate that are too fine");
-        if (c->code) return touch_fail(error, c->code, c->what);
-        if (!touch_step_table(s, arena)) return touch_fail(error, TOUCH_MEMORY, "no room for a table of steps");
-        f->models = (touch_models *)touch_take(arena, 1, sizeof *f->models);
-        if (!f->models) return touch_fail(error, TOUCH_MEMORY, "no room for models");
-        touch_models_fresh(f->models);
-    } else {
-        f->exact_models = (touch_exact_models *)touch_take(arena, 1, sizeof *f->exact_models);
-        if (!f->exact_models) return touch_fail(error, TOUCH_MEMORY, "no room for models");
-        touch_exact_fresh(f->exact_models);
     }
     if (flags) {
         touch_u(c, 2), touch_varint(c, 0, frames);
         for (int n = 0; n < 3; n++) touch_varint(c, 0, f->grid.shape[n]);
     }
-    return c->code ? touch_fail(error, c->code, c->what) : 1;
+    at = *c;
+    for (uint32_t i = 0; i < frames && !at.code; i++) touch_read_parts(&at, f->is_exact, !i);
+    touch_need(&at, at.at == at.end, "bytes behind the last frame of a segment");
+    return at.code ? touch_fail(error, at.code, at.what) : 1;
+}
+
+/* The layout of a segment's body, all of it; models and borders are taken from the arena. */
+static int touch_begin_fields(touch_fields *f, touch_cursor *c, uint32_t frames, touch_arena *arena, touch_cursor *error) {
+    memset(&f->units, 0, sizeof f->units), f->has_exact = 0;
+    if (!touch_read_layout(f, c, frames, error)) return 0;
+    if (f->is_exact) {
+        f->exact_models = (touch_exact_models *)touch_take(arena, 1, sizeof *f->exact_models);
+        if (!f->exact_models) return touch_fail(error, TOUCH_MEMORY, "no room for models");
+        touch_exact_fresh(f->exact_models);
+        return 1;
+    }
+    if (!touch_step_table(&f->steps, arena)) return touch_fail(error, TOUCH_MEMORY, "no room for a table of steps");
+    f->models = (touch_models *)touch_take(arena, 1, sizeof *f->models);
+    if (!f->models) return touch_fail(error, TOUCH_MEMORY, "no room for models");
+    touch_models_fresh(f->models);
+    return 1;
 }
 
 /* A force that was sent as it is: from one to the next of a chunk. */
@@ -1031,26 +1061,20 @@ static void *touch_keep(touch_arena *arena, const void *from, uint64_t bytes) {
 /* The next frame of fields, into `out`; `mark` is where what the frame before left begins. */
 static const touch_field *touch_next_field(touch_fields *f, touch_cursor *c, const touch_tables *tables, int is_first,
                                            uint64_t mark, touch_arena *arena, touch_arena *out, touch_cursor *error) {
-    uint64_t how = touch_u(c, 1), support = touch_u(c, 1), amplitude = touch_u(c, 1);
+    touch_frame_parts parts = touch_read_parts(c, f->is_exact, is_first);
     const touch_field *field;
-    touch_need(c, how <= (f->is_exact ? 1u : 7u) && support + amplitude <= 255, "the first bytes of a frame");
-    touch_need(c, !is_first || !(how & 1), "a first frame that needs the one before");
-    touch_cursor guess = how & 2 ? touch_chunk(c) : touch_cursor_of(c->at, 0);
-    touch_cursor payload = touch_chunk(c);
-    touch_cursor apart = how & 4 ? touch_chunk(c) : touch_cursor_of(c->at, 0);
-    touch_need(c, c->code || ((!(how & 2) || touch_left(&guess)) && (!(how & 4) || touch_left(&apart))), "an empty chunk");
     if (c->code) {
         touch_fail(error, c->code, c->what);
         return 0;
     }
     if (f->is_exact) {
         touch_exact next;
-        if (!(how & 1)) touch_exact_fresh(f->exact_models);
-        if (!touch_read_exact(payload, &f->grid, tables, f->exact_models, how & 1 && f->has_exact ? &f->exact : 0, &next,
+        if (!(parts.flags & 1)) touch_exact_fresh(f->exact_models);
+        if (!touch_read_exact(parts.payload, &f->grid, tables, f->exact_models, parts.flags & 1 && f->has_exact ? &f->exact : 0, &next,
                               arena, error))
             return 0;
         f->exact = next, f->has_exact = 1;
-        field = touch_make_field(f, apart, out, arena, error);
+        field = touch_make_field(f, parts.outliers, out, arena, error);
         arena->used = mark; /* each piece moves down, over what is no longer needed, in the order of places */
         if (field) {
             const void *vertices = next.vertices, *own = next.own, *force = next.force, *key = next.list.key;
@@ -1065,15 +1089,15 @@ static const touch_field *touch_next_field(touch_fields *f, touch_cursor *c, con
     }
     {
         touch_units reference = f->units, next;
-        if (!(how & 1)) touch_models_fresh(f->models), memset(&reference, 0, sizeof reference);
-        if (how & 2) {
-            uint64_t kind = touch_u(&guess, 1);
+        if (!(parts.flags & 1)) touch_models_fresh(f->models), memset(&reference, 0, sizeof reference);
+        if (parts.flags & 2) {
+            uint64_t kind = touch_u(&parts.layer, 1);
             if (!touch_need(error, kind <= 1, "a base layer of a kind that there is not")) return 0;
-            if (!(kind ? touch_read_columns : touch_read_spline)(guess, &f->grid, tables, &reference, arena, error)) return 0;
+            if (!(kind ? touch_read_columns : touch_read_spline)(parts.layer, &f->grid, tables, &reference, arena, error)) return 0;
         }
-        if (!touch_read_frame(payload, &f->grid, &f->steps, tables, f->models, &reference, &next, arena, error)) return 0;
+        if (!touch_read_frame(parts.payload, &f->grid, &f->steps, tables, f->models, &reference, &next, arena, error)) return 0;
         f->units = next;
-        field = touch_make_field(f, apart, out, arena, error);
+        field = touch_make_field(f, parts.outliers, out, arena, error);
         arena->used = mark;
         f->units.list.key = (uint64_t *)touch_keep(arena, next.list.key, 8 * next.list.count);
         f->units.v = (touch_vector *)touch_keep(arena, next.v, 512 * next.list.count * sizeof *next.v);
@@ -1149,37 +1173,57 @@ static int touch_read_deforming(touch_decoder *d, touch_body *body, touch_cursor
         if (!body->deforming[i]) return 0;
     }
     d->arena.used = begin;
-    return touch_need(error, c.at == c.end, "bytes behind the fields of a body");
+    return 1;
 }
 
-/* The bodies' part of a segment: poses into row `first` on, and fields of those that deform where `fields` is asked. */
+/* The chunks of a body in a segment; `fields` is empty for a rigid one. */
+static touch_cursor touch_body_chunks(touch_cursor *c, const touch_body *body, touch_cursor *fields) {
+    touch_cursor poses = touch_chunk(c, 0);
+    *fields = body->told.is_deforming ? touch_chunk(c, 0) : touch_cursor_of(c->at, 0);
+    return poses;
+}
+
+/* Poses of a body in the frames of a segment, into row `row` on; row 0 takes the last of them, and a row behind those of
+   the segment that is decoded takes the first. */
+static int touch_read_body_poses(touch_decoder *d, touch_body *body, touch_cursor poses, uint32_t frames, int64_t row,
+                                 touch_cursor *error) {
+    uint64_t mark = d->arena.used;
+    touch_numbers *models = (touch_numbers *)touch_take(&d->arena, 1, sizeof *models);
+    int64_t *all = (int64_t *)touch_take(&d->arena, 7 * (uint64_t)frames, 8);
+    if (!models || !all) return touch_fail(error, TOUCH_MEMORY, "no room for poses");
+    if (!touch_read_poses(poses, &d->state->tables, body->one, frames, all, models, error)) return 0;
+    if (row == 1) memcpy(body->pose + 7, all, (size_t)(56 * (uint64_t)frames));
+    else memcpy(body->pose + 7 * row, all + (row ? 0 : 7 * ((uint64_t)frames - 1)), 56);
+    d->arena.used = mark;
+    return 1;
+}
+
+/* The bodies' part of a segment: all chunks, then poses into row `row` on, then fields of those that deform where they
+   are asked for. */
 static int touch_read_bodies(touch_decoder *d, uint32_t segment, int64_t row, int has_fields, touch_cursor *error) {
     touch_state *s = d->state;
     touch_entry e;
-    touch_cursor c = touch_segment_body(d->file, segment, &e);
-    uint64_t worst = touch_varint(&c, 0, 65537), mark;
-    if (worst) {
+    touch_cursor c = touch_segment_body(d->file, segment, &e), first, fields, poses;
+    uint32_t count = d->file->object_count;
+    if (touch_varint(&c, 0, 65537)) { /* the largest error */
         touch_varint(&c, 0, e.count);
         for (uint32_t n = 0; n < 3; n++) touch_varint(&c, 0, 1u << 20);
     }
-    for (uint32_t n = 0; n < d->file->object_count; n++) {
-        touch_body *body = s->body + n;
-        touch_cursor poses = touch_chunk(&c), fields = touch_cursor_of(c.at, 0);
-        touch_numbers *models;
-        if (body->told.is_deforming) fields = touch_chunk(&c);
-        if (c.code) return touch_fail(error, c.code, c.what);
-        mark = d->arena.used;
-        models = (touch_numbers *)touch_take(&d->arena, 1, sizeof *models);
-        int64_t *all = (int64_t *)touch_take(&d->arena, 7 * (uint64_t)e.count, 8);
-        if (!models || !all) return touch_fail(error, TOUCH_MEMORY, "no room for poses");
-        if (!touch_read_poses(poses, &s->tables, body->one, e.count, all, models, error)) return 0;
-        if (row == 1) memcpy(body->pose + 7, all, (size_t)(56 * (uint64_t)e.count));
-        else memcpy(body->pose + 7 * row, all + (row ? 0 : 7 * ((uint64_t)e.count - 1)), 56);
-        d->arena.used = mark;
-        if (!body->told.is_deforming || !has_fields) continue;
-        if (!touch_read_deforming(d, body, fields, e.count, error)) return 0;
+    first = c;
+    for (uint32_t n = 0; n < count; n++) touch_body_chunks(&c, s->body + n, &fields);
+    touch_need(&c, c.at == c.end, "bytes behind the bodies of a segment");
+    if (c.code) return touch_fail(error, c.code, c.what);
+    c = first;
+    for (uint32_t n = 0; n < count; n++) {
+        poses = touch_body_chunks(&c, s->body + n, &fields);
+        if (!touch_read_body_poses(d, s->body + n, poses, e.count, row, error)) return 0;
     }
-    return touch_need(error, c.at == c.end, "bytes behind the bodies of a segment");
+    c = first;
+    for (uint32_t n = 0; n < count && has_fields; n++) {
+        touch_body_chunks(&c, s->body + n, &fields);
+        if (s->body[n].told.is_deforming && !touch_read_deforming(d, s->body + n, fields, e.count, error)) return 0;
+    }
+    return 1;
 }
 
 /* The body of VIBR: supports, and differences of values. */
@@ -1291,24 +1335,46 @@ static const touch_field *touch_vibration_field(touch_decoder *d, const touch_vi
 
 /* -- the decoder ----------------------------------------------------------------------------------------------------- */
 
-/* Bricks that the fields of some frames may list at most, exceptions included. */
+static uint64_t touch_less(uint64_t a, uint64_t b) { return a < b ? a : b; }
+
+/* Bricks that the fields of some frames may list at most: 16 for a byte of a code. Those of exceptions take two bytes. */
 static uint64_t touch_most_bricks(uint64_t lattice, uint64_t bytes, uint64_t frames) {
-    uint64_t most = 64 * frames + 17 * bytes;
+    uint64_t most = 64 * frames + 16 * bytes;
     return lattice < most / frames ? lattice * frames : most;
 }
 
-/* Bytes of models; of each brick: of a field that stays, of one that is decoded, of what vibrates. */
-enum { TOUCH_FIXED = 6 << 20, TOUCH_KEPT = 6400, TOUCH_WORK = 49152, TOUCH_VIBRATING = 20480 };
+/* Bytes of models; of each brick: of a field that stays, of a frame while it is decoded (vectors 6144, cells 16384, keys and
+   maps), of the frame before or a base layer (vectors, keys, maps), of what vibrates; of each tile of columns. */
+enum {
+    TOUCH_FIXED = 6 << 20,
+    TOUCH_KEPT = 6400,
+    TOUCH_DECODED = 22912,
+    TOUCH_KNOWN = 6400,
+    TOUCH_VIBRATING = 20480,
+    TOUCH_TILE = 64 * sizeof(touch_column) + 64
+};
+
+/* Bytes for the frames of a body, one after the other. Each byte of it is of one code, so the bricks of a frame, of the one
+   before and of a base layer together are bounded by all bytes. Exact frames list 4 bricks for a byte, of less than
+   TOUCH_DECODED. */
+static uint64_t touch_frames_room(uint64_t lattice, uint64_t bytes) {
+    uint64_t decoded = touch_less(lattice, 64 + 16 * bytes), known = 192 + 16 * bytes - decoded;
+    return TOUCH_DECODED * decoded + TOUCH_KNOWN * touch_less(known, 2 * lattice) +
+           TOUCH_TILE * touch_less(lattice, 64 + bytes);
+}
 
 void touch_body_room(const touch_grid *grid, touch_bytes body, uint64_t *decoder, uint64_t *frame) {
-    uint64_t bricks = touch_most_bricks(touch_brick_count(grid), body.size, 1);
-    *decoder = TOUCH_FIXED + TOUCH_WORK * bricks, *frame = 4096 + TOUCH_KEPT * bricks;
+    uint64_t lattice = touch_brick_count(grid);
+    *decoder = TOUCH_FIXED + touch_frames_room(lattice, body.size);
+    *frame = 4096 + TOUCH_KEPT * touch_most_bricks(lattice, body.size, 1);
 }
+
+static uint64_t touch_more(uint64_t a, uint64_t b) { return a > b ? a : b; }
 
 void touch_room(const touch_file *file, uint64_t *decoder, uint64_t *frame) {
     touch_cursor at = touch_cursor_of(file->data + TOUCH_OPENING, file->size - TOUCH_OPENING);
     uint64_t bricks = touch_brick_count(&file->grid), rigid = 0, deforming = 0, bodies = 1, work = 0, segment = 0;
-    uint64_t vibrating = 0, frames = 0;
+    uint64_t vibrating = 0, frames = 0, field = 0;
     int has_bodies = file->object_count > 0;
     while (at.at < at.end && !at.code) {
         touch_record r = touch_read_record(&at, file->data, 0);
@@ -1316,26 +1382,24 @@ void touch_room(const touch_file *file, uint64_t *decoder, uint64_t *frame) {
             touch_object o = touch_read_object(&r.payload);
             uint64_t lattice = touch_brick_count(&o.grid), most = touch_most_bricks(lattice, r.length, 1);
             if (o.is_deforming) deforming += lattice, bodies++;
-            else rigid += most, work = work > most ? work : most;
+            else rigid += most, work = touch_more(work, touch_frames_room(lattice, r.length));
         } else if ((r.tag == TOUCH_SEGM || r.tag == TOUCH_VIBR) && !at.code) {
             touch_u(&r.payload, 4);
-            uint64_t count = touch_u(&r.payload, 2), kept = 0, most = touch_most_bricks(bricks, r.length, 1);
-            frames = frames > count ? frames : count;
-            if (r.tag == TOUCH_VIBR) {
-                most = touch_most_bricks(bricks, r.length, count), vibrating = vibrating > most ? vibrating : most;
-                continue;
+            uint64_t count = touch_u(&r.payload, 2);
+            frames = touch_more(frames, count);
+            if (r.tag == TOUCH_VIBR) vibrating = touch_more(vibrating, touch_most_bricks(bricks, r.length, count));
+            else if (!has_bodies) {
+                field = touch_more(field, touch_most_bricks(bricks, r.length, 1));
+                work = touch_more(work, touch_frames_room(bricks, r.length));
+            } else if (bodies > 1) {
+                segment = touch_more(segment, touch_most_bricks(deforming, r.length, (bodies - 1) * count));
+                work = touch_more(work, touch_frames_room(deforming, r.length));
             }
-            if (has_bodies && bodies > 1) {
-                most = touch_most_bricks(deforming, bodies * 64 + r.length, 1);
-                kept = touch_most_bricks(deforming, r.length, (bodies - 1) * count);
-            }
-            if (!has_bodies || bodies > 1) work = work > most ? work : most;
-            segment = segment > kept ? segment : kept;
         }
     }
-    *decoder = bodies * TOUCH_FIXED + TOUCH_KEPT * (rigid + segment) + TOUCH_WORK * work + TOUCH_VIBRATING * vibrating +
+    *decoder = TOUCH_FIXED + TOUCH_KEPT * (rigid + segment) + work + TOUCH_VIBRATING * vibrating +
                512 * (frames + 4) * (file->object_count + 1);
-    *frame = 4096 + 512 * ((uint64_t)file->object_count + 1) + TOUCH_KEPT * ((has_bodies ? 0 : work) + vibrating);
+    *frame = 4096 + 512 * ((uint64_t)file->object_count + 1) + TOUCH_KEPT * (field + vibrating);
 }
 
 static int touch_start_bodies(touch_decoder *d, touch_cursor *error) {
@@ -1361,21 +1425,21 @@ static int touch_start_bodies(touch_decoder *d, touch_cursor *error) {
         uint64_t end;
         if (r.tag != TOUCH_OBJT) continue;
         n++, body->told = touch_read_object(&r.payload);
+        if (!touch_is(body->told.field_coder, "touch"))
+            return touch_fail(error, TOUCH_VERSION, "a coder of fields that is not known here");
+        if (!touch_check_parameters(body->told.parameters, &is_exact, error)) return 0;
         int position = body->told.steps.size == 2 ? (int8_t)body->told.steps.bytes[0] : 1;
         int turn = body->told.steps.size == 2 ? (int8_t)body->told.steps.bytes[1] : 1;
         touch_need(error, position >= -40 && position <= 0 && turn >= -30 && turn <= -2, "the steps of the poses");
         if (error->code) return 0;
         body->position_step_m = ldexp(1.0, position), body->one = (int64_t)1 << -turn;
-        if (!touch_is(body->told.field_coder, "touch"))
-            return touch_fail(error, TOUCH_VERSION, "a coder of fields that is not known here");
-        if (!touch_check_parameters(body->told.parameters, &is_exact, error)) return 0;
         c = body->told.field;
         if (!touch_need(error, !body->told.is_deforming || c.at == c.end, "a field of a body that deforms")) return 0;
         if (body->told.is_deforming) continue;
         memset(&own, 0, sizeof own), own.grid = body->told.grid, own.is_exact = is_exact, end = d->arena.used;
         if (!touch_begin_fields(&own, &c, 1, &d->arena, error)) return 0;
         body->rigid = touch_next_field(&own, &c, &s->tables, 1, d->arena.used, &d->arena, &d->arena, error);
-        if (!body->rigid || !touch_need(error, c.at == c.end, "bytes behind the field of a body")) return 0;
+        if (!body->rigid) return 0;
         d->arena.used = end;
     }
     return !error->code;
@@ -1531,8 +1595,6 @@ int touch_next(touch_decoder *decoder, touch_arena *arena, touch_frame *frame) {
         for (uint32_t n = 0; n < count; n++) touch_lay(decoder, s->body + n, own, part + n);
     } else {
         part->field = touch_next_field(&s->fields, &s->at, &s->tables, !own, s->mark, &decoder->arena, arena, &error);
-        if (part->field && own + 1 == s->segment.count)
-            touch_need(&error, s->at.at == s->at.end, "bytes behind the last frame of a segment");
     }
     if (!error.code && s->vibrating) {
         uint64_t begin = decoder->arena.used;

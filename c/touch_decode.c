@@ -1,12 +1,17 @@
 /* Decodes a file to raw numbers, for tests: touch_decode FILE.touch OUT
    Writes for each frame the force field (the count of its bricks as u32, then each brick's number and 1536 floats), and
    the vibration in the same way; for objects, the forces at the points of the grid, as floats. OUT ends with the error
-   code of touch.h and its text. */
+   code of touch.h and its text. A grid of more than MAX_POINTS samples, at which a file of objects would be laid out, is
+   refused with exit code 64. */
 #define TOUCH_IMPLEMENTATION
 #include "touch.h"
 
 #include <stdio.h>
 #include <stdlib.h>
+
+static const uint64_t MAX_POINTS = (uint64_t)1 << 24;
+
+static uint64_t points_of(const touch_grid *g) { return (uint64_t)g->shape[0] * g->shape[1] * g->shape[2]; }
 
 static void put_field(FILE *out, const touch_field *f) {
     uint32_t none = 0, i;
@@ -56,6 +61,9 @@ int main(int count, char **words) {
     if (!bytes || read != size) return fprintf(stderr, "cannot read\n"), 64;
     decoder.error = "";
     code = touch_open(&file, bytes, size);
+    if (!code && file.object_count && points_of(&file.grid) > MAX_POINTS)
+        return fprintf(stderr, "a grid of %llu points, more than 2^24, cannot be laid out\n",
+                       (unsigned long long)points_of(&file.grid)), 64;
     if (!code) {
         touch_room(&file, &room, &each);
         memory = (uint8_t *)malloc(room + each);

@@ -1787,8 +1787,8 @@ static int touch_check_samples(const touch_grid *grid, const touch_exact_samples
 static int touch_put_record(touch_writer *w, touch_cursor *c, const touch_source *frame, const touch_exact_samples *exact,
                             touch_cursor *error) {
     uint64_t flags = touch_u(c, 1), fractions = touch_u(c, 2), mark = w->work.used;
-    touch_cursor layer = flags & 2 ? touch_chunk(c) : touch_cursor_of(c->at, 0), payload = touch_chunk(c);
-    touch_cursor chunk = flags & 4 ? touch_chunk(c) : touch_cursor_of(c->at, 0);
+    touch_cursor layer = flags & 2 ? touch_chunk(c, 1) : touch_cursor_of(c->at, 0), payload = touch_chunk(c, 0);
+    touch_cursor chunk = flags & 4 ? touch_chunk(c, 1) : touch_cursor_of(c->at, 0);
     uint64_t *key = touch_source_keys(frame, &w->work);
     touch_comparison merged;
     if (c->code) return touch_fail(error, c->code, c->what);

@@ -16,6 +16,7 @@ from reading import Array, Cursor, UnsupportedVersion, laid_out, need
 from support import numbers
 from touch_bits import Bits
 
+CHECKS: dict[str, Any] = {"paper": decode_paper.check_parameters, "touch": decode_touch.is_exact}
 CODERS: dict[str, Any] = {"paper": decode_paper.decode_segment, "touch": decode_touch.decode_segment}
 
 
@@ -44,7 +45,6 @@ class Body:
     def add_fields(self, coded: bytes, count: int) -> None:
         """The frames of a segment of the field coder."""
         shape, coder = self.told["grid_shape"], self.told["field_coder"]
-        need(coder in CODERS, f"the coder of fields {coder!r}", UnsupportedVersion)
         frames = CODERS[coder](coded, self.told["field_parameters"], shape, count)
         self.forces_n += [laid_out(bricks, shape) for bricks in frames]
 
@@ -91,6 +91,10 @@ def decode_scene(head: dict[str, Any], objects: list[dict[str, Any]], segments: 
     need(count * head["frame_count"] <= 1 << 24, "too many poses")
     scene = Scene(head, damping, tolerance_m, [])
     for told in objects:
+        need(
+            told["field_coder"] in CODERS, f"the coder of fields {told['field_coder']!r}", UnsupportedVersion
+        )
+        CHECKS[told["field_coder"]](told["field_parameters"])
         need(len(told["pose_steps"]) == 2, "the steps of the poses")
         position, turn = struct.unpack("bb", told["pose_steps"])
         need(-40 <= position <= 0 and -30 <= turn <= -2, "the steps of the poses")
@@ -101,11 +105,13 @@ def decode_scene(head: dict[str, Any], objects: list[dict[str, Any]], segments: 
     for segment in segments:
         c = Cursor(segment.body)
         scene.worst.append(worst_of(c, segment.frame_count))
-        for body in scene.bodies:
-            body.numbers += list(pose_numbers(c.chunk(), segment.frame_count, body.turns_of_1))
-            if body.told["is_deforming"]:
-                body.add_fields(c.chunk(), segment.frame_count)
+        chunks = [(c.chunk(), c.chunk() if body.told["is_deforming"] else b"") for body in scene.bodies]
         c.end()
+        for body, (poses, _) in zip(scene.bodies, chunks):
+            body.numbers += list(pose_numbers(poses, segment.frame_count, body.turns_of_1))
+        for body, (_, fields) in zip(scene.bodies, chunks):
+            if body.told["is_deforming"]:
+                body.add_fields(fields, segment.frame_count)
     return scene
 
 

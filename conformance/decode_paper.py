@@ -17,6 +17,13 @@ ZERO = np.zeros(3, np.float32)
 PARTS = {"dpcm": 1, "adpcm": 16, "dct": 256, "wavelet": 1, "runs": 1}
 
 
+def check_parameters(parameters: bytes) -> None:
+    """Refuse a name that is neither a stage nor a codebook."""
+    name = parameters.decode("ascii", "replace")
+    if name not in PARTS:
+        codebook(name)
+
+
 def decode_segment(body: bytes, parameters: bytes, shape: Place, frame_count: int) -> Iterator[Bricks]:
     """The frames of a segment, one after another."""
     name = parameters.decode("ascii", "replace")

@@ -49,15 +49,17 @@ def decode_segment(body: bytes, parameters: bytes, shape: Place, frame_count: in
     lattice = None if exact else read_lattice(c)
     if flags:  # the worst voxel
         c.number("H")
-        worst = [c.varint(n) for n in (1 << 16, *shape)]
-        need(worst[0] < frame_count, "a worst frame behind the last")
+        for limit in (frame_count, *shape):
+            c.varint(limit)
     frames = []
     for i in range(frame_count):
         how, support, amplitude = c.numbers("3B")
         need(how <= (1 if exact else 7) and support + amplitude <= 255, "the first bytes of a frame")
         need(i or not how & 1, "a first frame that needs the one before")
-        chunks = [c.chunk() if is_there else None for is_there in (how & 2, True, how & 4)]
-        need(chunks[0] != b"" and chunks[2] != b"", "an empty chunk")
+        chunks = [
+            c.chunk(least) if is_there else None
+            for is_there, least in ((how & 2, 1), (True, 0), (how & 4, 1))
+        ]
         frames.append((how & 1, *chunks))
     c.end()
     known: Any = None

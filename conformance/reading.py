@@ -92,9 +92,9 @@ class Cursor:
                 return value
         raise CorruptFile("a varint of more than 8 bytes")
 
-    def chunk(self) -> bytes:
-        """A varint, and so many bytes."""
-        return self.take(self.varint())
+    def chunk(self, least: int = 0) -> bytes:
+        """A varint of at least `least`, and so many bytes."""
+        return self.take(self.varint(least=least))
 
     def rest(self) -> bytes:
         """All that is left."""

@@ -29,7 +29,8 @@ CodedBody = tuple[bytes, list[int], tuple[float, int, Shape]]
 the error bound, with its frame and voxel."""
 
 def open_fields(shape: Shape, parameters: Buffer, body: Buffer, frame_count: int) -> object:
-    """Open the body of a segment before its first frame. `parameters` are those of HEAD."""
+    """Open the body of a segment before its first frame, after a check of its layout: the lengths of all its
+    parts. `parameters` are those of HEAD."""
 
 def next_field(fields: object) -> tuple[bytes, bytes] | None:
     """Bricks int32 [n, 3], ascending, and forces float32 [n, 8, 8, 8, 3] of the next frame; None after the

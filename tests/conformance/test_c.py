@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 import shutil
 import subprocess
@@ -126,6 +127,20 @@ def is_container(name: str) -> bool:
     """Whether a faulty file fails before a coder is selected."""
     return not name.startswith(
         ("paper", "objects-rigid-", "vibration-cut", "vibration-flipped", "vibration-long")
+    )
+
+
+def test_objects_on_a_huge_grid_are_not_laid_out(program: Path, tmp_path: Path) -> None:
+    """The grid is valid: a receiver may query forces at points of it."""
+    faults: Any = importlib.import_module("make_faulty")
+    head, *others = faults.records_of((CONFORMANCE / "v1" / "objects-touch.touch").read_bytes())
+    (tmp_path / "huge.touch").write_bytes(
+        faults.assembled([head.changed(0, "3I", 4096, 4096, 2048), *others])
+    )
+    command = [program, tmp_path / "huge.touch", tmp_path / "raw"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 64 and done.stderr == (
+        "a grid of 34359738368 points, more than 2^24, cannot be laid out\n"
     )
 
 

@@ -8,6 +8,7 @@ import sysconfig
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 from second import CONFORMANCE, GOLDEN
 
+from touchfield.codec.touch.body import BodyReader, write_body
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.codec.touch.encoder import TouchEncoder
 from touchfield.codec.touch.spec import TouchSpec
@@ -351,7 +353,11 @@ def test_damaged_bytes_are_refused_and_end_the_segment(native: Any) -> None:
     assert_refused(
         4, "version", lambda: native.open_fields(GRID.shape, b"\2" + ENCODER.parameters[1:], BODY, 3)
     )
-    fields = native.open_fields(GRID.shape, ENCODER.parameters, BODY[:-9], 3)
+    reader = BodyReader(BODY, GRID, exact=False)
+    *others, last = reader.records(3)
+    cut = write_body(reader.lattice, [*others, replace(last, payload=last.payload[:-9])], reader.max_error)
+    fields = native.open_fields(GRID.shape, ENCODER.parameters, cut, 3)
+    assert native.next_field(fields) is not None
     with pytest.raises(ValueError, match="too early"):
         list(iter(lambda: native.next_field(fields), None))
     assert native.next_field(fields) is None

@@ -130,7 +130,8 @@ class SceneStream(OpenStream):
             return {}
         segments = enumerate(self.reader.segments)
         return max_error_keys(
-            (entry.first_frame, self.decoder.parts(self._body(i)).max_error) for i, entry in segments
+            (entry.first_frame, self.decoder.parts(self._body(i), entry.frame_count).max_error)
+            for i, entry in segments
         )
 
     def _medium(self, index: int, coded: CodedObject) -> HapticMedium:

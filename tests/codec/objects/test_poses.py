@@ -97,9 +97,7 @@ def test_steps_are_two_bytes(steps: PoseSteps) -> None:
 
 
 def test_faulty_steps_are_refused() -> None:
-    with pytest.raises(TruncatedFile):
-        PoseSteps.from_bytes(b"\0")
-    for data in (b"\0\0\0", b"\x01\xf0", b"\xf0\xff", b"\xf0\x80"):
+    for data in (b"", b"\0", b"\0\0\0", b"\x01\xf0", b"\xf0\xff", b"\xf0\x80"):
         with pytest.raises(CorruptFile):
             PoseSteps.from_bytes(data)
     for pair in ((0.3, 0.25), (2.0, 0.25), (1.0, 0.5), (-1.0, 0.25), (np.nan, 0.25), (2.0**-41, 0.25)):

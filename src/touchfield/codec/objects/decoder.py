@@ -18,13 +18,13 @@ import numpy as np
 
 from touchfield.arrays import Int64s
 from touchfield.codec.native import decoding_errors, native
-from touchfield.codec.objects.layout import NAME, CodedObject, Parameters, SegmentParts
+from touchfield.codec.objects.layout import MAX_FRAMES, NAME, CodedObject, Parameters, SegmentParts
 from touchfield.codec.registry import FieldDecoder, field_decoder
 from touchfield.codec.segment import BitAccount
-from touchfield.errors import CorruptFile, InvalidArgument, TruncatedFile
+from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium import ForceField, PoseTrack
 
-MAX_SEGMENT_POSES: Final = (1 << 16) - 1  # poses in one code; also the maximum number of frames of a segment
+MAX_SEGMENT_POSES: Final = MAX_FRAMES  # poses in one code
 # largest position in steps; sums of seven, as in the quadratic predictor, stay exact
 MAX_STEPS: Final = 1 << 50
 POSITION_POWERS: Final = (-40, 0)
@@ -59,11 +59,10 @@ class PoseSteps:
     def from_bytes(cls, data: bytes, where: str = "pose steps") -> PoseSteps:
         """The inverse of `to_bytes`.
 
-        TruncatedFile or CorruptFile, naming `where`, for invalid bytes.
+        CorruptFile, naming `where`, for invalid bytes.
         """
         if len(data) != 2:
-            error = TruncatedFile if len(data) < 2 else CorruptFile
-            raise error(where, f"{len(data)} bytes", "2")
+            raise CorruptFile(where, f"{len(data)} bytes", "2")
         powers = struct.unpack("bb", data)
         for power, (low, high) in zip(powers, (POSITION_POWERS, QUATERNION_POWERS), strict=True):
             if not low <= power <= high:
@@ -107,29 +106,25 @@ class ObjectsDecoder:
         if count != len(objects):
             raise CorruptFile("OBJT records", str(len(objects)), f"{count}, as HEAD.coder_parameters says")
         self.objects = tuple(objects)
-        for i, coded in enumerate(self.objects):
-            if coded.is_deforming and coded.field:
-                raise CorruptFile(
-                    f"OBJT {i} field", f"{len(coded.field)} bytes", "none, as the object deforms"
-                )
         self._latest: tuple[bytes, SegmentParts] | None = None
-        self._steps = [
-            PoseSteps.from_bytes(coded.pose_steps, f"OBJT {i} pose_steps")
-            for i, coded in enumerate(self.objects)
-        ]
-        self.field_decoders: list[FieldDecoder] = [
-            field_decoder(coded.field_coder, coded.grid, coded.field_parameters, f"OBJT {i}")
-            for i, coded in enumerate(self.objects)
-        ]
+        self._steps, self.field_decoders = list[PoseSteps](), list[FieldDecoder]()
+        for i, coded in enumerate(self.objects):  # fields in the order of the record
+            self.field_decoders.append(
+                field_decoder(coded.field_coder, coded.grid, coded.field_parameters, f"OBJT {i}")
+            )
+            self._steps.append(PoseSteps.from_bytes(coded.pose_steps, f"OBJT {i} pose_steps"))
+            if coded.is_deforming and coded.field:
+                found = f"{len(coded.field)} bytes"
+                raise CorruptFile(f"OBJT {i} field", found, "none, as the object deforms")
 
-    def parts(self, body: bytes) -> SegmentParts:
+    def parts(self, body: bytes, frame_count: int = MAX_FRAMES) -> SegmentParts:
         """The parts of a segment's body, not decoded yet; the latest body is cached."""
         # thousands of objects request the same body; read once, as other threads may replace it
         latest = self._latest
         if latest is None or latest[0] is not body:
             self._latest = latest = (
                 body,
-                SegmentParts.from_bytes(body, [coded.is_deforming for coded in self.objects]),
+                SegmentParts.from_bytes(body, [coded.is_deforming for coded in self.objects], frame_count),
             )
         return latest[1]
 
@@ -138,9 +133,7 @@ class ObjectsDecoder:
 
         CorruptFile or TruncatedFile if the bytes are invalid.
         """
-        max_error, parts = self.parts(body)
-        if max_error is not None and max_error.frame >= frame_count:
-            raise CorruptFile("SEGM.body worst frame", str(max_error.frame), f"below {frame_count}")
+        parts = self.parts(body, frame_count).objects
         return tuple(
             decode_poses(part.poses, frame_count, steps, f"SEGM.body poses of object {i}")
             for i, (part, steps) in enumerate(zip(parts, self._steps, strict=True))
@@ -153,7 +146,7 @@ class ObjectsDecoder:
 
     def fields(self, body: bytes, index: int, frame_count: int) -> Iterator[ForceField]:
         """Yield the fields of a deforming object in the frames of a segment, in order."""
-        coded = self.parts(body).objects[index].fields
+        coded = self.parts(body, frame_count).objects[index].fields
         if coded is None:
             raise InvalidArgument("object", f"{index}, which is rigid", "one that deforms")
         return self.field_decoders[index].frames(coded, frame_count)
@@ -165,7 +158,7 @@ class ObjectsDecoder:
 
     def cost(self, body: bytes, frame_count: int) -> BitAccount:
         """Cost of a segment, without decoding it."""
-        parts = self.parts(body).objects
+        parts = self.parts(body, frame_count).objects
         bits = BitAccount(poses=8 * sum(len(part.poses) for part in parts))
         for i, part in enumerate(parts):
             if part.fields is not None:

@@ -17,6 +17,7 @@ from touchfield.medium import Grid
 
 NAME: Final = "objects"
 
+MAX_FRAMES: Final = (1 << 16) - 1  # of a segment
 MAX_OBJECTS: Final = 4096  # objects of a scene
 # frames times objects of a scene: a body at rest costs few bytes in a file, but one pose per frame in memory
 MAX_POSES: Final = 1 << 24
@@ -97,15 +98,17 @@ class SegmentParts(NamedTuple):
         return b"".join([*map(write_varint, numbers), *chunks])
 
     @classmethod
-    def from_bytes(cls, body: bytes, is_deforming: Sequence[bool]) -> SegmentParts:
+    def from_bytes(
+        cls, body: bytes, is_deforming: Sequence[bool], frame_count: int = MAX_FRAMES
+    ) -> SegmentParts:
         """The inverse of `to_bytes`, without decoding the chunks.
 
-        `is_deforming` tells for each object whether it has a chunk of fields. TruncatedFile or CorruptFile if
-        the bytes end too early, or some remain.
+        The largest error lies in one of `frame_count` frames. `is_deforming` tells for each object whether it
+        has a chunk of fields. TruncatedFile or CorruptFile if the bytes end too early, or some remain.
         """
         reader, max_error = Parts(body), None
         if ratio := reader.varint("worst ratio", RATIO_STEPS + 2):
-            frame = reader.varint("worst frame", 1 << 16)
+            frame = reader.varint("worst frame", frame_count)
             x, y, z = (reader.varint("worst voxel", _MAX_AXIS_SAMPLES) for _ in range(3))
             max_error = MaxError((ratio - 1) / RATIO_STEPS, frame, (x, y, z))
         parts = []

@@ -29,6 +29,7 @@ This bounds its table of warped lengths to 200,000 entries for any file: 2^22 / 
 """
 
 FLOOR_LIMIT: Final = 1 << 16
+MAX_FRAMES: Final = (1 << 16) - 1  # of a segment
 RATE_LIMIT: Final = 1 << 17
 
 # smallest normal float32: products with it are exact also on machines that flush subnormal numbers to zero
@@ -137,12 +138,12 @@ def write_body(lattice: Lattice | None, records: Sequence[FrameRecord], max_erro
 
 
 class BodyReader:
-    """Sequential reader of a segment's body.
+    """Sequential reader of a segment's body, of at most `frame_count` frames.
 
     CorruptFile or TruncatedFile if the bytes are invalid.
     """
 
-    def __init__(self, body: bytes, grid: Grid, *, exact: bool) -> None:
+    def __init__(self, body: bytes, grid: Grid, *, exact: bool, frame_count: int = MAX_FRAMES) -> None:
         self._parts, self._exact = Parts(body), exact
         (flags,) = self._parts.take(1, "flags")
         if flags & ~_MAX_ERROR_FLAG:
@@ -151,7 +152,7 @@ class BodyReader:
         self.max_error: MaxError | None = None
         if flags & _MAX_ERROR_FLAG:
             (ratio,) = struct.unpack("<H", self._parts.take(2, "worst ratio"))
-            frame = self._parts.varint("worst frame", 1 << 16)
+            frame = self._parts.varint("worst frame", frame_count)
             x, y, z = (self._parts.varint("worst voxel", n) for n in grid.shape)
             self.max_error = MaxError(ratio / RATIO_STEPS, frame, (x, y, z))
 

@@ -10,7 +10,14 @@ import numpy as np
 
 from touchfield.codec.native import decoding_errors, native
 from touchfield.codec.segment import FrameCost, MaxError
-from touchfield.codec.touch.body import WHERE, BodyReader, numbers_of, read_parameters, write_parameters
+from touchfield.codec.touch.body import (
+    MAX_FRAMES,
+    WHERE,
+    BodyReader,
+    numbers_of,
+    read_parameters,
+    write_parameters,
+)
 from touchfield.medium import ForceField, Grid
 
 NAME: Final = "touch"
@@ -34,7 +41,7 @@ class TouchDecoder:
 
         CorruptFile or TruncatedFile if the bytes are invalid.
         """
-        self._reader(body).records(frame_count)  # names the part of the body that is wrong
+        self._reader(body, frame_count).records(frame_count)  # names the part of the body that is wrong
         with decoding_errors(WHERE):
             fields = native.open_fields(self._grid.shape, self._parameters, body, frame_count)
         while True:
@@ -51,7 +58,7 @@ class TouchDecoder:
 
     def costs(self, body: bytes, frame_count: int) -> list[FrameCost]:
         """Cost of each frame of a segment, without decoding it."""
-        return [record.cost for record in self._reader(body).records(frame_count)]
+        return [record.cost for record in self._reader(body, frame_count).records(frame_count)]
 
     def max_error(self, body: bytes) -> MaxError | None:
         """Largest error of a segment, read without decoding.
@@ -66,5 +73,5 @@ class TouchDecoder:
             name: getattr(self.spec, name) for name in ("mode", "effort", "support", *numbers_of(self.spec))
         }
 
-    def _reader(self, body: bytes) -> BodyReader:
-        return BodyReader(body, self._grid, exact=self.spec.mode == "lossless")
+    def _reader(self, body: bytes, frame_count: int = MAX_FRAMES) -> BodyReader:
+        return BodyReader(body, self._grid, exact=self.spec.mode == "lossless", frame_count=frame_count)
