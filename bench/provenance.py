@@ -34,6 +34,10 @@ NOT_MEASURED: Final = frozenset(
     for name in ("machine.py", "provenance.py", "run_all.py", "quotes.py", "trace/sitecustomize.py")
 )
 """Files that run, report and store, and take no part in a measurement."""
+NATIVE_SOURCES: Final = ("c/touch*.h", "c/python/*.c", "c/python/*.h")
+NOT_DATA: Final = frozenset(
+    (".py", ".pyc", ".pyi", ".nbi", ".nbc", ".typed", ".so", ".pyd", ".pdb", ".dylib")
+)
 VARIABLE: Final = "TOUCHFIELD_BENCH_TRACE"
 """Environment variable with the folder where processes list the files they loaded."""
 _STRINGS: Final = r"\"(?:\\.|[^\"\\])*\"|'(?:\\.|[^'\\])*'|`(?:\\.|[^`\\])*`"
@@ -78,8 +82,13 @@ def _require_this_package() -> None:
 
 
 def _source(name: str) -> Iterator[Path]:
-    """Yield the file of a module if it belongs to the repository."""
+    """Yield the file of a module if it belongs to the repository; of the compiled module, its sources in C.
+
+    Its binary differs between compilers.
+    """
     path = Path(name)
+    if path.name.startswith("_native.") and path.is_relative_to(ROOT):
+        yield from (source for pattern in NATIVE_SOURCES for source in ROOT.glob(pattern))
     if path.suffix == ".py" and path.is_relative_to(ROOT) and path.relative_to(ROOT).parts[0] in FOLDERS:
         yield path
 
@@ -92,7 +101,7 @@ def _data_of(package: Path) -> Iterator[Path]:
     for path in package.iterdir():
         if path.is_dir() and path.name != "__pycache__" and not (path / "__init__.py").exists():
             yield from _data_of(path)
-        elif path.is_file() and path.suffix not in (".py", ".pyc", ".nbi", ".nbc", ".typed"):
+        elif path.is_file() and path.suffix not in NOT_DATA:
             yield path
 
 

@@ -180,3 +180,11 @@ def test_the_verdict_on_a_script(
         if "sleep" in code:
             break
     assert run_all.run_each(["it"], True, 1.0 if "sleep" in code else 30.0, 2) is not is_failure
+
+
+def test_the_compiled_module_counts_by_its_sources(provenance: Any) -> None:
+    """Its binary differs between compilers."""
+    package = BENCH.parent / "src" / "touchfield"
+    sources = {path.name for path in provenance._source(str(package / "_native.abi3.so"))}
+    assert sources >= {"touch.h", "touch_model.h", "touch_encode.h", "segments.h", "module.c"}
+    assert not any(path.name.startswith("_native") for path in provenance._data_of(package))
