@@ -1070,8 +1070,8 @@ static const touch_field *touch_next_field(touch_fields *f, touch_cursor *c, con
     if (f->is_exact) {
         touch_exact next;
         if (!(parts.flags & 1)) touch_exact_fresh(f->exact_models);
-        if (!touch_read_exact(parts.payload, &f->grid, tables, f->exact_models, parts.flags & 1 && f->has_exact ? &f->exact : 0, &next,
-                              arena, error))
+        const touch_exact *before = parts.flags & 1 && f->has_exact ? &f->exact : 0;
+        if (!touch_read_exact(parts.payload, &f->grid, tables, f->exact_models, before, &next, arena, error))
             return 0;
         f->exact = next, f->has_exact = 1;
         field = touch_make_field(f, parts.outliers, out, arena, error);
@@ -1093,7 +1093,8 @@ static const touch_field *touch_next_field(touch_fields *f, touch_cursor *c, con
         if (parts.flags & 2) {
             uint64_t kind = touch_u(&parts.layer, 1);
             if (!touch_need(error, kind <= 1, "a base layer of a kind that there is not")) return 0;
-            if (!(kind ? touch_read_columns : touch_read_spline)(parts.layer, &f->grid, tables, &reference, arena, error)) return 0;
+            if (!(kind ? touch_read_columns : touch_read_spline)(parts.layer, &f->grid, tables, &reference, arena, error))
+                return 0;
         }
         if (!touch_read_frame(parts.payload, &f->grid, &f->steps, tables, f->models, &reference, &next, arena, error)) return 0;
         f->units = next;
