@@ -1,19 +1,8 @@
 /* Fuzzes the decoder with mutated files: touch_fuzz SEED MILLIONS_OF_BYTES FILE.touch... Compile it with
    -fsanitize=address,undefined and -DFUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION, which skips the check of CRC-32s, so
    that the code behind them runs. Prints how many inputs were refused, and with what error code. */
-#include <stddef.h>
-#include <stdint.h>
+#include "watched_arena.h"
 
-void __asan_poison_memory_region(void const volatile *at, size_t bytes);
-void __asan_unpoison_memory_region(void const volatile *at, size_t bytes);
-
-static uint64_t watch(uint8_t *at, uint64_t bytes, uint64_t behind) {
-    __asan_unpoison_memory_region(at, (size_t)bytes);
-    __asan_poison_memory_region(at + bytes, (size_t)behind);
-    return behind;
-}
-
-#define TOUCH_GUARD(at, bytes, behind) watch(at, bytes, behind)
 #define TOUCH_IMPLEMENTATION
 #include "touch.h"
 

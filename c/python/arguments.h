@@ -78,8 +78,9 @@ static inline void free_arena(touch_arena *arena) {
 
 /* -- arguments ------------------------------------------------------------------------------------------------------- */
 
-/* The grid of a shape (int, int, int); spacings and origin are set where a function needs them. 0: an error is raised. */
-static inline int read_shape(PyObject *shape, touch_grid *grid) {
+/* The grid of a shape (int, int, int), of any number of bricks: codes on their own need not be those of a file. Spacings and
+   origin are set where a function needs them. 0: an error is raised. */
+static inline int read_wide_shape(PyObject *shape, touch_grid *grid) {
     Py_ssize_t size[3];
     memset(grid, 0, sizeof *grid);
     if (!PyArg_ParseTuple(shape, "nnn", size, size + 1, size + 2)) return 0;
@@ -87,6 +88,12 @@ static inline int read_shape(PyObject *shape, touch_grid *grid) {
         if (size[n] < 1 || size[n] > (Py_ssize_t)1 << 20) return refuse(TOUCH_ARGUMENT, "a grid of too many samples");
         grid->shape[n] = (uint32_t)size[n], grid->spacing_m[n] = 1;
     }
+    return 1;
+}
+
+/* The same, of no more bricks than a file may have. */
+static inline int read_shape(PyObject *shape, touch_grid *grid) {
+    if (!read_wide_shape(shape, grid)) return 0;
     if (touch_brick_count(grid) > (uint64_t)1 << 27) return refuse(TOUCH_ARGUMENT, "a grid of too many samples");
     return 1;
 }

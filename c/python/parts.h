@@ -47,18 +47,6 @@ static inline int run_part(part_work work, void *self, uint64_t first, uint64_t 
     return !code;
 }
 
-/* As `read_shape`, of any number of bricks: codes on their own need not be those of a file. */
-static inline int read_wide_shape(PyObject *shape, touch_grid *grid) {
-    Py_ssize_t size[3];
-    memset(grid, 0, sizeof *grid);
-    if (!PyArg_ParseTuple(shape, "nnn", size, size + 1, size + 2)) return 0;
-    for (int n = 0; n < 3; n++) {
-        if (size[n] < 1 || size[n] > (Py_ssize_t)1 << 20) return refuse(TOUCH_ARGUMENT, "a grid of too many samples");
-        grid->shape[n] = (uint32_t)size[n];
-    }
-    return 1;
-}
-
 /* -- supports -------------------------------------------------------------------------------------------------------- */
 
 typedef struct {
