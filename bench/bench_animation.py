@@ -118,7 +118,7 @@ def measure(path: Path, samples: int) -> Figures:
     return {
         "samples": samples,
         "threads": worker_count(),
-        "band_samples": counts,
+        "band_voxels": counts,
         "rows": rows,
         "absent": absent,
     }
@@ -148,4 +148,5 @@ def bars(figures: Figures) -> list[Bar]:
 
 if __name__ == "__main__":
     fox = SHARED / "meshes" / "fox" / "Fox.glb"
-    bench("animation", __doc__, measure, bars, path=(fox, fox), samples=(128, 48))
+    peers = ("rows/libigl*", "rows/open3d*")  # installed or not, and in any version
+    bench("animation", __doc__, measure, bars, without=peers, path=(fox, fox), samples=(128, 48))
