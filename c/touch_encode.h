@@ -904,7 +904,7 @@ static int touch_fit_columns(const touch_grid *grid, const touch_tables *tables,
     touch_columns h;
     touch_spent spent;
     touch_cursor filled = touch_cursor_of(0, 0);
-    uint64_t *key = touch_source_keys(frame, arena), start, min;
+    uint64_t *key = touch_source_keys(frame, arena), start;
     int found;
     memset(&fit, 0, sizeof fit), memset(&h, 0, sizeof h);
     if (f0 < 1) f0 = 1;
@@ -932,8 +932,7 @@ static int touch_fit_columns(const touch_grid *grid, const touch_tables *tables,
     if (!touch_finish(&h.coder, s)) return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
     if (!touch_fill_columns(&h, max_bricks, out, arena, &filled)) /* TOUCH_CUT: more bricks than it may have */
         return filled.code == TOUCH_CUT ? 0 : touch_fail(error, filled.code, filled.what);
-    min = touch_min_bytes(out->list.count);
-    touch_pad(s, start, tiles > 64 && tiles - 64 > min ? tiles - 64 : min);
+    touch_pad(s, start, touch_min_column_bytes(tiles, out->list.count));
     touch_sink_close(s, arena);
     return 1;
 }
@@ -1834,10 +1833,6 @@ enum {
     TOUCH_MAX_BORDERS = 199730, /* of a table of steps: that of a floor of 21 and a rate below 64 */
     TOUCH_SLACK = 1 << 16       /* alignment of all pieces, small structures, and heads */
 };
-
-static uint64_t touch_larger(uint64_t a, uint64_t b) { return a > b ? a : b; }
-
-static uint64_t touch_smaller(uint64_t a, uint64_t b) { return a < b ? a : b; }
 
 static uint64_t touch_map_room(uint64_t count) {
     uint64_t size = 16;
