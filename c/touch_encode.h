@@ -717,7 +717,7 @@ static double touch_unit_of(double u[3]) {
     return length;
 }
 
-static double touch_dot(const double a[3], const double b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+static double touch_inner_product(const double a[3], const double b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
 /* A sample of the column, or of what the first surface leaves. */
 static void touch_column_sample(const struct touch_column_fit *f, int is_rest, int64_t t, double out[3]) {
@@ -741,7 +741,7 @@ static double touch_ramp_start(const struct touch_column_fit *f, int is_rest, co
     double total = 0, weight = 0, d[3];
     for (int64_t t = start; t < stop; t++) {
         touch_column_sample(f, is_rest, t, d);
-        double fraction = touch_dot(d, u) / amplitude;
+        double fraction = touch_inner_product(d, u) / amplitude;
         if (0.0 < fraction && fraction < 0.97) total += f->weight[t] * ((double)t - fraction / slope), weight += f->weight[t];
     }
     return weight > 0 ? total / weight : (double)start - 0.5;
@@ -776,7 +776,7 @@ static double touch_fit_cut(struct touch_column_fit *f, int64_t depth, int64_t c
     double u[3], v[3], growth, amplitude = 0, cost = 0, before[3], after[3];
     touch_direction(f, 0, f->first, cut, u);
     touch_column_sample(f, 0, f->first + 1, before), touch_column_sample(f, 0, cut - 1, after);
-    growth = (touch_dot(after, u) - touch_dot(before, u)) / (double)(cut - f->first - 2);
+    growth = (touch_inner_product(after, u) - touch_inner_product(before, u)) / (double)(cut - f->first - 2);
     if (u[2] > 0.05) amplitude = growth / (f->ramp * u[2]);
     if (amplitude < 0.01 * f->top || amplitude > 1.5 * f->top) return -1;
     double start = touch_ramp_start(f, 0, u, amplitude, f->ramp * u[2], f->first, cut);
@@ -793,7 +793,7 @@ static double touch_fit_cut(struct touch_column_fit *f, int64_t depth, int64_t c
         double fraction = ((double)t - start_behind) * f->ramp * v[2], e[3];
         double size = behind * (fraction < 0 ? 0.0 : fraction > 1 ? 1.0 : fraction);
         for (int n = 0; n < 3; n++) e[n] = f->rest[t][n] - size * v[n];
-        double error = touch_dot(e, e) * f->weight[t];
+        double error = touch_inner_product(e, e) * f->weight[t];
         cost += error < 4.0 ? error : 4.0;
     }
     touch_set_fit(one, u, start, amplitude), touch_set_fit(two, v, start_behind, behind);
