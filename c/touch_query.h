@@ -83,8 +83,7 @@ TOUCH_INLINE touch_vector touch_arm_of(const touch_body_pair *b, double blend, t
 
 /* The square of the distance from the body's origin within which all its forces lie; below 0: it has none. */
 TOUCH_INLINE double touch_reach2_of(const touch_body_pair *b) {
-    double before_m2 = b->cells_before->reach2_m2, after_m2 = b->cells_after->reach2_m2;
-    return before_m2 > after_m2 ? before_m2 : after_m2;
+    return touch_larger(b->cells_before->reach2_m2, b->cells_after->reach2_m2);
 }
 
 /* Whether a point is beyond all forces of a body; true of an arm that is not finite, too. */
@@ -278,8 +277,6 @@ TOUCH_INLINE double touch_square_sum(const double w[4]) {
     return w[0] * w[0] + w[1] * w[1] + w[2] * w[2] + w[3] * w[3];
 }
 
-TOUCH_INLINE double touch_within(double x, double limit) { return x > limit ? limit : x < -limit ? -limit : x; }
-
 static inline void touch_yield(touch_receiver *receiver, const touch_instant *t, touch_vector point_m, touch_vector force_n,
                                double dt_s) {
     const touch_deformation *d = touch_deformation_of(t->before);
@@ -300,9 +297,9 @@ static inline void touch_yield(touch_receiver *receiver, const touch_instant *t,
                 int64_t point = ((axis[0].first + m) * ny + axis[1].first + n) * nz + axis[2].first + o;
                 touch_vector *yield_m = yields_m + point;
                 double weight = m_per_n * x[m] * y[n] * z[o];
-                yield_m->x = touch_within(yield_m->x + weight * force_n.x, max_m);
-                yield_m->y = touch_within(yield_m->y + weight * force_n.y, max_m);
-                yield_m->z = touch_within(yield_m->z + weight * force_n.z, max_m);
+                yield_m->x = touch_clamp(yield_m->x + weight * force_n.x, -max_m, max_m);
+                yield_m->y = touch_clamp(yield_m->y + weight * force_n.y, -max_m, max_m);
+                yield_m->z = touch_clamp(yield_m->z + weight * force_n.z, -max_m, max_m);
             }
 }
 
