@@ -582,11 +582,11 @@ static int touch_read_frame(touch_cursor c, const touch_grid *grid, const touch_
     if (!touch_code_list(&coder, &models->list, grid->shape, reference->list, &out->list, arena, error)) return 0;
     touch_check(&coder, error);
     if (error->code) return 0;
-    out->v = (touch_vector *)touch_take_zero(arena, 512 * out->list.count, sizeof *out->v);
+    out->v = (touch_int_vector *)touch_take_zero(arena, 512 * out->list.count, sizeof *out->v);
     if (!out->v) return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
     uint64_t mark = arena->used;
     if (!touch_code_bricks(p, grid, out, arena, error)) return 0;
-    touch_close(&coder, out->list.count, error);
+    touch_close(&coder, touch_min_bytes(out->list.count), error);
     arena->used = mark;
     return !error->code;
 }
@@ -610,12 +610,12 @@ static int touch_read_spline(touch_cursor c, const touch_grid *grid, const touch
     if (!touch_code_list(&coder, &models->list, grid->shape, none, &out->list, arena, error)) return 0;
     touch_check(&coder, error);
     if (!touch_need(error, out->list.count > 0, "a base layer without bricks")) return 0;
-    out->v = (touch_vector *)touch_take_zero(arena, 512 * out->list.count, sizeof *out->v);
+    out->v = (touch_int_vector *)touch_take_zero(arena, 512 * out->list.count, sizeof *out->v);
     uint64_t mark = arena->used;
     if (!out->v || !touch_nodes_of(&nodes, head.shift, out->list, arena))
         return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
     touch_code_nodes(&coder, models, &nodes, head.step);
-    touch_check(&coder, error);
+    touch_close(&coder, touch_min_bytes(out->list.count), error);
     if (error->code) return 0;
     touch_fill_spline(&head, &nodes, grid, out);
     arena->used = mark;
@@ -639,10 +639,12 @@ static int touch_read_columns(touch_cursor c, const touch_grid *grid, const touc
     h.ratio[1] = (int64_t)number[3], h.coder = touch_reading(&c, tables);
     for (int n = 0; n < 3; n++) h.step[n] = (int64_t)number[4 + n];
     for (int n = 0; n < 2; n++) h.view.tile[n] = (int64_t)box[n][0], h.view.tiles[n] = (int64_t)box[n][1];
-    if (box[0][1] * box[1][1] > 64 + h.coder.size) return touch_fail(error, TOUCH_CUT, "a box of many tiles");
+    if (h.coder.size < touch_min_column_bytes(box[0][1] * box[1][1], 0)) return touch_fail(error, TOUCH_CUT, "a box of many tiles");
     if (!touch_columns_make(&h, arena)) return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
     if (!touch_code_columns(&h, error)) return 0;
-    return touch_fill_columns(&h, 64 + 16 * h.coder.size, out, arena, error); /* what it took goes with the frame */
+    if (!touch_fill_columns(&h, 64 + 16 * h.coder.size, out, arena, error)) return 0; /* what it took goes with the frame */
+    touch_close(&h.coder, touch_min_column_bytes(box[0][1] * box[1][1], out->list.count), error);
+    return !error->code;
 }
 
 /* An exact frame (docs/format/touch-exact.md), given the one before. */
@@ -673,12 +675,14 @@ static int touch_read_exact(touch_cursor c, const touch_grid *grid, const touch_
     touch_coder coder = touch_reading(&c, tables);
     pass.coder = &coder, pass.models = m, pass.grid = grid, pass.before = before;
     if (!touch_code_list(&coder, &m->list, grid->shape, before ? before->list : none, &out->list, arena, error)) return 0;
-    if (4 * out->list.count > 64 + 16 * coder.size) return touch_fail(error, TOUCH_CUT, "bricks without bytes");
+    touch_check(&coder, error);
+    if (4 * out->list.count > 64 + 16 * coder.size) touch_fail(error, TOUCH_CUT, "bricks without bytes");
+    if (error->code) return 0;
     out->own = (touch_symbols *)touch_take_zero(arena, 512 * out->list.count, sizeof *out->own);
     out->force = (float *)touch_take_zero(arena, 3 * 512 * out->list.count, 4);
     if (!out->own || !out->force) return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
     if (!touch_code_samples(&pass, out, arena, error)) return 0;
-    touch_close(&coder, 4 * out->list.count, error);
+    touch_close(&coder, touch_min_bytes(4 * out->list.count), error);
     return !error->code;
 }
 
@@ -922,37 +926,57 @@ typedef struct {
     touch_cursor layer, payload, outliers; /* empty where there is none */
 } touch_frame_parts;
 
+/* Whether a part of a body was read; if not, its error is called `what`. */
+static int touch_is_read(touch_cursor *c, const char *what) {
+    if (c->code) c->what = what;
+    return !c->code;
+}
+
 static touch_frame_parts touch_read_parts(touch_cursor *c, int is_exact, int is_first) {
     touch_frame_parts parts;
     parts.flags = touch_u(c, 1);
     uint64_t support = touch_u(c, 1), amplitude = touch_u(c, 1);
-    touch_need(c, c->code || (parts.flags <= (is_exact ? 1u : 7u) && support + amplitude <= 255), "the first bytes of a frame");
-    touch_need(c, c->code || !is_first || !(parts.flags & 1), "a first frame that needs the one before");
+    if (touch_is_read(c, "a frame that is missing")) {
+        touch_need(c, parts.flags <= (is_exact ? 1u : 7u), "flags of a frame that there are not");
+        touch_need(c, !is_first || !(parts.flags & 1), "a first frame that needs the one before");
+        touch_need(c, support + amplitude <= 255, "bit fractions of a frame that are above 1 together");
+    }
+    int is_valid = !c->code;
     parts.layer = parts.flags & 2 ? touch_chunk(c, 1) : touch_cursor_of(c->at, 0);
     parts.payload = touch_chunk(c, 0);
     parts.outliers = parts.flags & 4 ? touch_chunk(c, 1) : touch_cursor_of(c->at, 0);
+    if (is_valid) touch_is_read(c, "a base layer, payload or outliers that are cut, or empty");
     return parts;
+}
+
+/* The step table and the largest error of a segment, before its frames. */
+static int touch_read_segment_head(touch_fields *f, touch_cursor *c, uint32_t frames) {
+    uint64_t flags = touch_u(c, 1);
+    touch_steps *s = &f->steps;
+    if (!touch_is_read(c, "flags of a segment that are missing")) return 0;
+    touch_need(c, flags <= 1, "flags of a segment that there are not");
+    if (!f->is_exact && !c->code) {
+        s->unit_n = touch_f32_of((uint32_t)touch_u(c, 4));
+        if (!touch_is_read(c, "a unit that is cut")) return 0;
+        if (!touch_need(c, s->unit_n >= 1.17549435e-38f && s->unit_n <= 2.02824096e31f, "a unit out of its bounds")) return 0;
+        s->floor = (int64_t)touch_varint(c, 1, 1u << 16), s->rate = (int64_t)touch_varint(c, 0, 1u << 17);
+        s->cross_floor = (int64_t)touch_varint(c, 1, 1u << 16), s->cross_rate = (int64_t)touch_varint(c, 0, 1u << 17);
+        if (!touch_is_read(c, "a step table that is cut, or out of its bounds")) return 0;
+        touch_need(c, s->floor >= 21 || s->rate >= 64, "a floor and a rate that are too fine");
+    }
+    if (flags && !c->code) {
+        touch_u(c, 2), touch_varint(c, 0, frames);
+        for (int n = 0; n < 3; n++) touch_varint(c, 0, f->grid.shape[n]);
+        return touch_is_read(c, "a largest error that is cut, or not within the segment");
+    }
+    return !c->code;
 }
 
 /* The head of a segment's body, after which the cursor lies; and the parts of all frames, which end with the body:
    docs/format/container.md, "Order of checks". */
 static int touch_read_layout(touch_fields *f, touch_cursor *c, uint32_t frames, touch_cursor *error) {
-    uint64_t flags = touch_u(c, 1);
-    touch_steps *s = &f->steps;
-    touch_cursor at;
-    touch_need(c, flags <= 1, "flags that there are not");
-    if (!f->is_exact) {
-        s->unit_n = touch_f32_of((uint32_t)touch_u(c, 4));
-        touch_need(c, s->unit_n >= 1.17549435e-38f && s->unit_n <= 2.02824096e31f, "the unit");
-        s->floor = (int64_t)touch_varint(c, 1, 1u << 16), s->rate = (int64_t)touch_varint(c, 0, 1u << 17);
-        s->cross_floor = (int64_t)touch_varint(c, 1, 1u << 16), s->cross_rate = (int64_t)touch_varint(c, 0, 1u << 17);
-        touch_need(c, s->floor >= 21 || s->rate >= 64, "a floor and a rate that are too fine");
-    }
-    if (flags) {
-        touch_u(c, 2), touch_varint(c, 0, frames);
-        for (int n = 0; n < 3; n++) touch_varint(c, 0, f->grid.shape[n]);
-    }
-    at = *c;
+    if (!touch_read_segment_head(f, c, frames)) return touch_fail(error, c->code, c->what);
+    touch_cursor at = *c;
     for (uint32_t i = 0; i < frames && !at.code; i++) touch_read_parts(&at, f->is_exact, !i);
     touch_need(&at, at.at == at.end, "bytes behind the last frame of a segment");
     return at.code ? touch_fail(error, at.code, at.what) : 1;
@@ -1101,7 +1125,7 @@ static const touch_field *touch_next_field(touch_fields *f, touch_cursor *c, con
         field = touch_make_field(f, parts.outliers, out, arena, error);
         arena->used = mark;
         f->units.list.key = (uint64_t *)touch_keep(arena, next.list.key, 8 * next.list.count);
-        f->units.v = (touch_vector *)touch_keep(arena, next.v, 512 * next.list.count * sizeof *next.v);
+        f->units.v = (touch_int_vector *)touch_keep(arena, next.v, 512 * next.list.count * sizeof *next.v);
     }
     return field;
 }
@@ -1138,7 +1162,7 @@ static int touch_read_poses(touch_cursor c, const touch_tables *tables, int64_t 
     touch_numbers_fresh(models);
     touch_read_numbers(&b, models, 14, 1, head);
     for (int n = 0; n < 7; n++)
-        if (!touch_need(error, head[n] >= 0 && head[n] <= 3, "a predictor that there is not")) return 0;
+        if (!touch_need_coded(&b, error, head[n] >= 0 && head[n] <= 3, "a predictor that there is not")) return 0;
     for (int n = 0; n < 7; n++) {
         for (uint64_t i = 0; i < count; i++) out[7 * i + (uint64_t)n] = 0;
         if (head[n] && count > 1) {
@@ -1255,24 +1279,38 @@ static int touch_read_vibration(touch_cursor c, const touch_tables *tables, cons
         touch_read_numbers(&b, numbers, samples, 1, value);
         for (uint32_t i = 0; i < count; i++) frames[i].value[n] = value, value += frames[i].samples;
     }
-    touch_close(&b, bricks, error);
+    touch_close(&b, touch_min_bytes(bricks), error);
     return !error->code;
 }
 
-/* Samples of a set in the order of the grid: their bricks' columns do not follow each other. */
-static uint64_t touch_raster(const touch_set *set, uint64_t *key, uint32_t *tag) {
-    uint64_t count = 0;
-    for (uint64_t i = 0; i < set->list.count; i++) {
-        int32_t at[3];
-        touch_position(set->list.key[i], at);
-        for (uint64_t k = 0; k < 512; k++)
-            if (set->is_set[512 * i + k]) {
-                key[count] = touch_key(8 * at[0] + (int64_t)(k >> 6), 8 * at[1] + (int64_t)(k >> 3 & 7),
-                                       8 * at[2] + (int64_t)(k & 7));
-                tag[count++] = (uint32_t)(512 * i + k);
+/* The first brick from `i` on whose key differs above the lowest `bits`. */
+static uint64_t touch_run_stop(const touch_list *list, uint64_t i, int bits) {
+    uint64_t stop = i;
+    while (stop < list->count && list->key[stop] >> bits == list->key[i] >> bits) stop++;
+    return stop;
+}
+
+/* Samples of a set in raster order of the grid, which runs through all bricks of a row: their keys, and where they lie. */
+static uint64_t touch_raster(const touch_set *set, uint64_t *key, uint32_t *index) {
+    uint64_t count = 0, plane_stop, row_stop;
+    for (uint64_t plane = 0; plane < set->list.count; plane = plane_stop) {
+        plane_stop = touch_run_stop(&set->list, plane, 42);
+        for (int x = 0; x < 8; x++)
+            for (uint64_t row = plane; row < plane_stop; row = row_stop) {
+                row_stop = touch_run_stop(&set->list, row, 21);
+                for (int y = 0; y < 8; y++)
+                    for (uint64_t i = row; i < row_stop; i++) {
+                        int32_t at[3];
+                        touch_position(set->list.key[i], at);
+                        for (int z = 0; z < 8; z++) {
+                            uint64_t sample = 512 * i + (uint64_t)(64 * x + 8 * y + z);
+                            if (!set->is_set[sample]) continue;
+                            key[count] = touch_key(8 * at[0] + x, 8 * at[1] + y, 8 * at[2] + z);
+                            index[count++] = (uint32_t)sample;
+                        }
+                    }
             }
     }
-    touch_sort(key, tag, count);
     return count;
 }
 
@@ -1336,8 +1374,6 @@ static const touch_field *touch_vibration_field(touch_decoder *d, const touch_vi
 
 /* -- the decoder ----------------------------------------------------------------------------------------------------- */
 
-static uint64_t touch_less(uint64_t a, uint64_t b) { return a < b ? a : b; }
-
 /* Bricks that the fields of some frames may list at most: 16 for a byte of a code. Those of exceptions take two bytes. */
 static uint64_t touch_most_bricks(uint64_t lattice, uint64_t bytes, uint64_t frames) {
     uint64_t most = 64 * frames + 16 * bytes;
@@ -1359,9 +1395,9 @@ enum {
    before and of a base layer together are bounded by all bytes. Exact frames list 4 bricks for a byte, of less than
    TOUCH_DECODED. */
 static uint64_t touch_frames_room(uint64_t lattice, uint64_t bytes) {
-    uint64_t decoded = touch_less(lattice, 64 + 16 * bytes), known = 192 + 16 * bytes - decoded;
-    return TOUCH_DECODED * decoded + TOUCH_KNOWN * touch_less(known, 2 * lattice) +
-           TOUCH_TILE * touch_less(lattice, 64 + bytes);
+    uint64_t decoded = touch_smaller(lattice, 64 + 16 * bytes), known = 192 + 16 * bytes - decoded;
+    return TOUCH_DECODED * decoded + TOUCH_KNOWN * touch_smaller(known, 2 * lattice) +
+           TOUCH_TILE * touch_smaller(lattice, 64 + bytes);
 }
 
 void touch_body_room(const touch_grid *grid, touch_bytes body, uint64_t *decoder, uint64_t *frame) {
@@ -1369,8 +1405,6 @@ void touch_body_room(const touch_grid *grid, touch_bytes body, uint64_t *decoder
     *decoder = TOUCH_FIXED + touch_frames_room(lattice, body.size);
     *frame = 4096 + TOUCH_KEPT * touch_most_bricks(lattice, body.size, 1);
 }
-
-static uint64_t touch_more(uint64_t a, uint64_t b) { return a > b ? a : b; }
 
 void touch_room(const touch_file *file, uint64_t *decoder, uint64_t *frame) {
     touch_cursor at = touch_cursor_of(file->data + TOUCH_OPENING, file->size - TOUCH_OPENING);
@@ -1383,18 +1417,18 @@ void touch_room(const touch_file *file, uint64_t *decoder, uint64_t *frame) {
             touch_object o = touch_read_object(&r.payload);
             uint64_t lattice = touch_brick_count(&o.grid), most = touch_most_bricks(lattice, r.length, 1);
             if (o.is_deforming) deforming += lattice, bodies++;
-            else rigid += most, work = touch_more(work, touch_frames_room(lattice, r.length));
+            else rigid += most, work = touch_larger(work, touch_frames_room(lattice, r.length));
         } else if ((r.tag == TOUCH_SEGM || r.tag == TOUCH_VIBR) && !at.code) {
             touch_u(&r.payload, 4);
             uint64_t count = touch_u(&r.payload, 2);
-            frames = touch_more(frames, count);
-            if (r.tag == TOUCH_VIBR) vibrating = touch_more(vibrating, touch_most_bricks(bricks, r.length, count));
+            frames = touch_larger(frames, count);
+            if (r.tag == TOUCH_VIBR) vibrating = touch_larger(vibrating, touch_most_bricks(bricks, r.length, count));
             else if (!has_bodies) {
-                field = touch_more(field, touch_most_bricks(bricks, r.length, 1));
-                work = touch_more(work, touch_frames_room(bricks, r.length));
+                field = touch_larger(field, touch_most_bricks(bricks, r.length, 1));
+                work = touch_larger(work, touch_frames_room(bricks, r.length));
             } else if (bodies > 1) {
-                segment = touch_more(segment, touch_most_bricks(deforming, r.length, (bodies - 1) * count));
-                work = touch_more(work, touch_frames_room(deforming, r.length));
+                segment = touch_larger(segment, touch_most_bricks(deforming, r.length, (bodies - 1) * count));
+                work = touch_larger(work, touch_frames_room(deforming, r.length));
             }
         }
     }
@@ -1655,7 +1689,7 @@ int touch_decode_support(const touch_grid *grid, touch_bytes code, const touch_s
     if (error.code) return touch_error_in(&error, text);
     touch_set_fresh(models);
     if (touch_code_set(&coder, models, grid, &other, &set, arena, &error)) {
-        touch_close(&coder, set.list.count, &error);
+        touch_close(&coder, touch_min_bytes(set.list.count), &error);
         out->bricks = set.list.count, out->is_set = set.is_set;
         int32_t *brick = (int32_t *)touch_take(arena, 3 * set.list.count, 4);
         if (!brick) touch_fail(&error, TOUCH_MEMORY, "no room for a support");

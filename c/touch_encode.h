@@ -532,7 +532,7 @@ static int touch_code_frame(const touch_grid *grid, const touch_steps *steps, co
     touch_coder coder;
     memset(out, 0, sizeof *out);
     out->models = (touch_models *)touch_take(arena, 1, sizeof *out->models);
-    out->units.v = (touch_vector *)touch_take_zero(arena, 512 * frame->bricks, sizeof *out->units.v);
+    out->units.v = (touch_int_vector *)touch_take_zero(arena, 512 * frame->bricks, sizeof *out->units.v);
     out->units.list.key = touch_source_keys(frame, arena), out->units.list.count = frame->bricks;
     if (!target || !p || !out->models || !out->units.v || !out->units.list.key ||
         !touch_sink_open(&out->payload, (frame->bricks + 1) * TOUCH_BRICK_BYTES, arena))
@@ -904,7 +904,7 @@ static int touch_fit_columns(const touch_grid *grid, const touch_tables *tables,
     touch_columns h;
     touch_spent spent;
     touch_cursor filled = touch_cursor_of(0, 0);
-    uint64_t *key = touch_source_keys(frame, arena), start, min;
+    uint64_t *key = touch_source_keys(frame, arena), start;
     int found;
     memset(&fit, 0, sizeof fit), memset(&h, 0, sizeof h);
     if (f0 < 1) f0 = 1;
@@ -932,8 +932,7 @@ static int touch_fit_columns(const touch_grid *grid, const touch_tables *tables,
     if (!touch_finish(&h.coder, s)) return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
     if (!touch_fill_columns(&h, max_bricks, out, arena, &filled)) /* TOUCH_CUT: more bricks than it may have */
         return filled.code == TOUCH_CUT ? 0 : touch_fail(error, filled.code, filled.what);
-    min = touch_min_bytes(out->list.count);
-    touch_pad(s, start, tiles > 64 && tiles - 64 > min ? tiles - 64 : min);
+    touch_pad(s, start, touch_min_column_bytes(tiles, out->list.count));
     touch_sink_close(s, arena);
     return 1;
 }
@@ -956,7 +955,7 @@ static int touch_put_spline(const touch_grid *grid, const touch_tables *tables, 
     none.key = 0, none.count = 0, head.step = spline->step;
     for (int n = 0; n < 3; n++) head.shift[n] = spline->shift[n], head.scale[n] = spline->scale[n];
     out->list.key = touch_source_keys(frame, arena), out->list.count = frame->bricks;
-    out->v = (touch_vector *)touch_take_zero(arena, 512 * frame->bricks, sizeof *out->v);
+    out->v = (touch_int_vector *)touch_take_zero(arena, 512 * frame->bricks, sizeof *out->v);
     if (!models || !out->list.key || !out->v || !touch_nodes_of(&nodes, head.shift, out->list, arena) ||
         !touch_sink_open(s, touch_spline_bytes(frame->bricks, nodes.count), arena))
         return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
@@ -1140,7 +1139,7 @@ int touch_encode_move(touch_encoder *encoder, touch_arena work) {
     w->fresh = (touch_models *)touch_moved(w->fresh, from, to);
     w->steps.border = (int32_t *)touch_moved(w->steps.border, from, to);
     w->previous.list.key = (uint64_t *)touch_moved(w->previous.list.key, from, to);
-    w->previous.v = (touch_vector *)touch_moved(w->previous.v, from, to);
+    w->previous.v = (touch_int_vector *)touch_moved(w->previous.v, from, to);
     w->work = work, w->mark = work.used - behind, encoder->error = "";
     return TOUCH_OK;
 }
@@ -1245,7 +1244,7 @@ static void touch_keep_layer(touch_layer *layer, touch_arena *arena) {
     touch_units *u = &layer->units;
     uint64_t count = u->list.count;
     u->list.key = (uint64_t *)touch_keep(arena, u->list.key, 8 * count);
-    u->v = (touch_vector *)touch_keep(arena, u->v, 512 * count * sizeof *u->v);
+    u->v = (touch_int_vector *)touch_keep(arena, u->v, 512 * count * sizeof *u->v);
     layer->bytes.bytes = (uint8_t *)touch_keep(arena, layer->bytes.bytes, layer->bytes.size);
 }
 
@@ -1341,7 +1340,7 @@ int touch_encode_next(touch_encoder *encoder, const touch_source *frame, const t
         uint64_t count = best.units.list.count;
         memcpy(w->models, best.models, sizeof *w->models);
         w->work.used = w->mark; /* the frame moves down, over what is no longer needed */
-        w->previous.v = (touch_vector *)touch_keep(&w->work, best.units.v, 512 * count * sizeof *best.units.v);
+        w->previous.v = (touch_int_vector *)touch_keep(&w->work, best.units.v, 512 * count * sizeof *best.units.v);
         w->previous.list.key = (uint64_t *)touch_keep(&w->work, best.units.list.key, 8 * count);
         w->previous.list.count = count, w->frames++;
     }
@@ -1835,10 +1834,6 @@ enum {
     TOUCH_SLACK = 1 << 16       /* alignment of all pieces, small structures, and heads */
 };
 
-static uint64_t touch_larger(uint64_t a, uint64_t b) { return a > b ? a : b; }
-
-static uint64_t touch_smaller(uint64_t a, uint64_t b) { return a < b ? a : b; }
-
 static uint64_t touch_map_room(uint64_t count) {
     uint64_t size = 16;
     while (size < 2 * count + 2) size *= 2;
@@ -1846,7 +1841,7 @@ static uint64_t touch_map_room(uint64_t count) {
 }
 
 /* A frame in units. */
-static uint64_t touch_units_room(uint64_t bricks) { return (512 * sizeof(touch_vector) + 8) * bricks; }
+static uint64_t touch_units_room(uint64_t bricks) { return (512 * sizeof(touch_int_vector) + 8) * bricks; }
 
 /* A list of bricks while it is coded: boxes of a level, and maps of them and of both lists; a reader's keys. */
 static uint64_t touch_list_room(const touch_grid *grid, uint64_t bricks, uint64_t before, uint64_t bytes) {

@@ -75,6 +75,10 @@ static int64_t touch_max(int64_t a, int64_t b) { return a > b ? a : b; }
 
 static int64_t touch_min(int64_t a, int64_t b) { return a < b ? a : b; }
 
+static uint64_t touch_larger(uint64_t a, uint64_t b) { return a > b ? a : b; }
+
+static uint64_t touch_smaller(uint64_t a, uint64_t b) { return a < b ? a : b; }
+
 static int64_t touch_abs(int64_t n) { return n < 0 ? -n : n; }
 
 /* n / d rounded down; d is above 0. */
@@ -251,17 +255,27 @@ static int64_t touch_gamma(touch_coder *b, int max_digits, int64_t value) {
 
 /* Reading: an error if the bytes end before the code. */
 static void touch_check(const touch_coder *b, touch_cursor *c) {
-    if (b->position > b->size + 6) touch_fail(c, TOUCH_CUT, "a code that ends too early");
+    if (!TOUCH_IS_WRITING(b) && b->position > b->size + 6) touch_fail(c, TOUCH_CUT, "a code that ends too early");
+}
+
+/* As touch_need for what a code contains: behind the end of the bytes any contradiction means that the code is cut. */
+static int touch_need_coded(const touch_coder *b, touch_cursor *c, int holds, const char *what) {
+    if (!holds) touch_check(b, c);
+    return touch_need(c, holds, what);
 }
 
 /* Bytes that a code of so many bricks has at least: a short code cannot ask for much memory. */
 static uint64_t touch_min_bytes(uint64_t bricks) { return bricks > 64 ? (bricks - 64 + 15) / 16 : 0; }
 
-/* Reading: a code of `bricks` bricks ends where its bytes do; zeros may follow up to `touch_min_bytes`. */
-static void touch_close(const touch_coder *b, uint64_t bricks, touch_cursor *c) {
-    uint64_t max = b->position;
+/* As touch_min_bytes, of columns: also by the tiles of their box. */
+static uint64_t touch_min_column_bytes(uint64_t tiles, uint64_t bricks) {
+    return touch_larger(tiles > 64 ? tiles - 64 : 0, touch_min_bytes(bricks));
+}
+
+/* Reading: a code ends where its bytes do; zeros may follow until it has `min_bytes`. */
+static void touch_close(const touch_coder *b, uint64_t min_bytes, touch_cursor *c) {
+    uint64_t max = min_bytes > b->position ? min_bytes : b->position;
     touch_check(b, c);
-    if (touch_min_bytes(bricks) > max) max = touch_min_bytes(bricks);
     touch_need(c, b->size <= max, "bytes behind a code");
     for (uint64_t i = b->position; i < b->size && !c->code; i++) touch_need(c, !b->data[i], "bytes behind a code");
 }
@@ -457,7 +471,7 @@ static int touch_code_list(touch_coder *b, touch_list_models *m, const uint32_t 
             return touch_fail(error, TOUCH_MEMORY, "no room for a list of bricks");
         touch_code_level(b, m, &l);
         for (uint64_t i = 0; i < l.count; i++) occupied += l.state[i] == 1;
-        if (occupied > max) return touch_fail(error, TOUCH_CORRUPT, "more bricks than the bytes may list");
+        if (!touch_need_coded(b, error, occupied <= max, "more bricks than the bytes may list")) return 0;
         count = 0;
         for (uint64_t i = 0; i < l.count; i++)
             if (l.state[i] == 1) key[count++] = l.key[i];
@@ -474,11 +488,11 @@ static int touch_code_list(touch_coder *b, touch_list_models *m, const uint32_t 
 
 typedef struct {
     int32_t v[3];
-} touch_vector;
+} touch_int_vector;
 
 typedef struct { /* vectors in units, 512 a brick, in the order of the grid; (0, 0, 0): none there */
     touch_list list;
-    touch_vector *v;
+    touch_int_vector *v;
 } touch_units;
 
 typedef struct { /* a decoded voxel that has a force, in the order of the scan */
@@ -1096,10 +1110,10 @@ static void touch_code_brick(touch_pass *p, int64_t slot, const int low[3], cons
 }
 
 /* Cells of a brick as vectors of the grid. */
-static void touch_unscan(const touch_scan *s, const touch_cell *cell, touch_vector *out) {
+static void touch_unscan(const touch_scan *s, const touch_cell *cell, touch_int_vector *out) {
     for (int n = 0; n < 512; n++) {
         if (!cell[n].length) continue;
-        touch_vector *v = out + touch_grid_sample(s, n >> 6, n >> 3 & 7, n & 7);
+        touch_int_vector *v = out + touch_grid_sample(s, n >> 6, n >> 3 & 7, n & 7);
         for (int k = 0; k < 3; k++) v->v[s->axis[k]] = s->sign[k] * cell[n].vector[k];
     }
 }
@@ -1142,7 +1156,7 @@ static int touch_code_bricks(touch_pass *p, const touch_grid *grid, touch_units 
 #endif
         touch_code_brick(p, slot[i], low, high);
         touch_unscan(&p->scan, p->cell + 512 * (uint64_t)slot[i], out->v + 512 * (uint64_t)slot[i]);
-        if (!TOUCH_IS_WRITING(p->coder)) touch_check(p->coder, error);
+        touch_check(p->coder, error);
         if (error->code) return 0;
     }
     return 1;
@@ -1285,7 +1299,7 @@ static void touch_corners(const touch_nodes *nodes, const int32_t brick[3], cons
 }
 
 /* Forces of a brick: the depth against its gradient, which is limited where the potential has a fold. */
-static void touch_spline_brick(int64_t v[9][9][9], const int64_t scale[3], const int high[3], touch_vector *out) {
+static void touch_spline_brick(int64_t v[9][9][9], const int64_t scale[3], const int high[3], touch_int_vector *out) {
     for (int x = 0; x < high[0]; x++)
         for (int y = 0; y < high[1]; y++)
             for (int z = 0; z < high[2]; z++) {
@@ -1529,7 +1543,7 @@ static int touch_code_columns(touch_columns *h, touch_cursor *error) {
 #endif
             touch_code_column(h, near, own, &choice);
         }
-        if (!TOUCH_IS_WRITING(&h->coder)) touch_check(&h->coder, error);
+        touch_check(&h->coder, error);
         if (error->code) return 0;
     }
     return 1;
@@ -1559,7 +1573,7 @@ static void touch_fill_column(const touch_columns *h, const touch_column *own, i
             int64_t fraction = touch_ramp(h, own->surface + s, t);
             for (int n = 0; n < 3; n++) sum[n] += fraction * deep[s][n];
         }
-        touch_vector *v = out->v + 512 * slot + 64 * (at[0] & 7) + 8 * (at[1] & 7) + (at[2] & 7);
+        touch_int_vector *v = out->v + 512 * slot + 64 * (at[0] & 7) + 8 * (at[1] & 7) + (at[2] & 7);
         for (int n = 0; n < 3; n++) sum[n] = touch_limit(sum[n] >> 16);
         v->v[view->across[0]] = (int32_t)sum[0], v->v[view->across[1]] = (int32_t)sum[1];
         v->v[view->axis] = (int32_t)(view->is_inverted ? sum[2] : -sum[2]);
@@ -1602,7 +1616,7 @@ static int touch_fill_columns(const touch_columns *h, uint64_t max, touch_units 
         if (!out->list.key) return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
     }
     uint32_t *tag = (uint32_t *)touch_take_zero(arena, out->list.count, 4);
-    out->v = (touch_vector *)touch_take_zero(arena, 512 * out->list.count, sizeof *out->v);
+    out->v = (touch_int_vector *)touch_take_zero(arena, 512 * out->list.count, sizeof *out->v);
     if (!start || !tag || !out->v || !touch_map_make(&map, out->list.count, arena))
         return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
     touch_sort(out->list.key, tag, out->list.count);
@@ -1836,7 +1850,7 @@ static touch_symbols touch_code_sample(touch_coder *b, touch_exact_models *m, co
         for (int k = 0; k < 5; k++) near[k] = row[k].is_supported ? (int64_t)row[k].symbol[p] : -1;
         int64_t symbol = touch_code_symbol(b, m, p, size[p], near, p ? (int64_t)own.symbol[p - 1] : 0,
                                            TOUCH_CHOOSE(b, (int64_t)own.symbol[p]));
-        touch_need(error, symbol < (int64_t)size[p], "a symbol that there is not");
+        touch_need_coded(b, error, symbol < (int64_t)size[p], "a symbol that there is not");
         own.symbol[p] = (uint32_t)symbol;
         TOUCH_ACCOUNT(b, p ? 2 : 1);
         if (error->code) return own;
@@ -1876,19 +1890,20 @@ static void touch_exact_rows(const touch_exact_pass *p, const touch_exact *f, co
 }
 
 /* The force of a sample that is read. */
-static void touch_exact_force(const touch_exact *f, const touch_symbols *own, float force[3], touch_cursor *error) {
+static void touch_exact_force(const touch_coder *b, const touch_exact *f, const touch_symbols *own, float force[3],
+                              touch_cursor *error) {
     int has_bits = 0;
     for (int n = 0; n < 3; n++) {
         if (f->book) force[n] = touch_level_at(f, own->symbol[0]) * f->vertices[3 * (uint64_t)own->symbol[1] + (uint64_t)n];
         else force[n] = touch_unordered(own->symbol[n]);
         has_bits |= touch_f32_bits(force[n]) != 0;
-        touch_need(error, (touch_f32_bits(force[n]) >> 23 & 255) != 255, "a force that is not finite");
+        touch_need_coded(b, error, (touch_f32_bits(force[n]) >> 23 & 255) != 255, "a force that is not finite");
     }
-    touch_need(error, has_bits, "a force of zero");
+    touch_need_coded(b, error, has_bits, "a force of zero");
 }
 
-/* The samples of a brick; whether there is any. */
-static int touch_code_exact_brick(touch_exact_pass *p, touch_exact *f, uint64_t slot, touch_cursor *error) {
+/* The samples of a brick, of which one is supported. */
+static void touch_code_exact_brick(touch_exact_pass *p, touch_exact *f, uint64_t slot, touch_cursor *error) {
     int32_t at[3];
     int high[3], any = 0;
     touch_position(f->list.key[slot], at), touch_brick_samples(p->grid, at, high);
@@ -1899,12 +1914,13 @@ static int touch_code_exact_brick(touch_exact_pass *p, touch_exact *f, uint64_t 
         touch_exact_rows(p, f, at, slot, slot_before, n, row);
         *own = touch_code_sample(p->coder, p->models, row, f->book ? 2 : 3, p->size,
                                  TOUCH_IS_WRITING(p->coder) ? *own : row[13], error);
-        if (error->code) return 0;
+        if (error->code) return;
         if (!own->is_supported) continue;
         any = 1;
-        if (!TOUCH_IS_WRITING(p->coder)) touch_exact_force(f, own, f->force + 3 * (own - f->own), error);
+        if (!TOUCH_IS_WRITING(p->coder)) touch_exact_force(p->coder, f, own, f->force + 3 * (own - f->own), error);
     }
-    return any;
+    touch_need_coded(p->coder, error, any, "a brick without a force");
+    touch_check(p->coder, error);
 }
 
 /* The samples of all bricks of `f->list`. */
@@ -1918,8 +1934,7 @@ static int touch_code_samples(touch_exact_pass *p, touch_exact *f, touch_arena *
     p->size[1] = f->book ? f->vertex_count : (uint64_t)1 << 32;
     for (uint64_t i = 0; i < f->list.count; i++) {
         touch_map_put(&p->map, f->list.key[i], (uint32_t)i);
-        if (!touch_code_exact_brick(p, f, i, error) && !error->code)
-            touch_fail(error, TOUCH_CORRUPT, "a brick without a force");
+        touch_code_exact_brick(p, f, i, error);
         if (error->code) return 0;
     }
     return 1;
@@ -2015,7 +2030,6 @@ static int touch_code_set_brick(touch_coder *b, touch_set_models *m, touch_set_p
 /* A support, given another one of the same grid; a writer passes it, a reader gets it. */
 static int touch_code_set(touch_coder *b, touch_set_models *m, const touch_grid *grid, const touch_set *before,
                           touch_set *set, touch_arena *arena, touch_cursor *error) {
-    int has_empty = 0;
     if (!touch_code_list(b, &m->list, grid->shape, before->list, &set->list, arena, error)) return 0;
     if (!TOUCH_IS_WRITING(b)) set->is_set = (uint8_t *)touch_take_zero(arena, 512 * set->list.count, 1);
     uint64_t mark = arena->used;
@@ -2030,14 +2044,15 @@ static int touch_code_set(touch_coder *b, touch_set_models *m, const touch_grid 
         touch_position(set->list.key[i], at), touch_brick_samples(grid, at, high);
         touch_fill_window(p->window, set, &p->map, at);
         if (before->list.count) touch_fill_window(p->before, before, &p->map_before, at);
-        has_empty |= !touch_code_set_brick(b, m, p, set->is_set + 512 * i, high);
+        int is_any = touch_code_set_brick(b, m, p, set->is_set + 512 * i, high);
         touch_map_put(&p->map, set->list.key[i], (uint32_t)i);
-        if (!TOUCH_IS_WRITING(b)) touch_check(b, error);
+        touch_need_coded(b, error, is_any, "a brick without samples");
+        touch_check(b, error);
         if (error->code) return 0;
     }
-    if (!TOUCH_IS_WRITING(b)) touch_check(b, error);
+    touch_check(b, error);
     arena->used = mark;
-    return touch_need(error, !has_empty, "a brick without samples");
+    return !error->code;
 }
 
 typedef struct { /* a list of whole numbers */

@@ -129,7 +129,7 @@ def pose_numbers(data: bytes, count: int, one: int) -> Array:
     """Poses in steps, int64 [count, 7]; `one` is how many steps of a quaternion make 1."""
     bits = Bits(data)
     head = numbers(bits, 14)
-    need(all(0 <= order <= 3 for order in head[:7]), "a predictor that there is not")
+    bits.need(all(0 <= order <= 3 for order in head[:7]), "a predictor that there is not")
     poses = np.zeros((count, 7), object)  # of any size
     for c, order in enumerate(head[:7]):
         if order:

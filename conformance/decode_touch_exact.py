@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from decode_paper import codebook
-from reading import Array, Cursor, Forces, Place, TruncatedFile, brick_of, moved, need, samples_of
+from reading import Array, Cursor, Forces, Place, TruncatedFile, moved, need, samples_of
 from touch_bits import Bits, Models, bricks
 
 CODEBOOKS = [f"ico{n}" for n in range(1, 21)] + [f"octa{n}" for n in range(1, 6)]
@@ -64,7 +64,7 @@ def symbol(bits: Bits, p: int, size: int, rows: list[int], last: int) -> int:
         contexts = [about(32 + p, guess, node, left), about(36 + p, late, node, left)]
         contexts += [hashed(h, node << 5 | left) & 262143 for h in (above, beside)]
         node = 2 * node + bits.mix(contexts, 32 * p + width - 1 - left)
-    need(node < size, "a symbol that there is not")
+    bits.need(node < size, "a symbol that there is not")
     return node
 
 
@@ -117,13 +117,14 @@ def decode_exact(data: bytes, shape: Place, before: Known | None) -> Known:
     absent, symbols, forces = (-1,) * len(sizes), dict[Place, Symbols](), Forces()
     listed = bricks(bits, shape, before.bricks if before else ())
     need(4 * len(listed) <= bits.most, "more bricks than the bytes may tell", TruncatedFile)
-    for at in (at for brick in listed for at in samples_of(brick, shape)):
-        rows = [known.get(at, absent), *(symbols.get(moved(at, step), absent) for step in BESIDE), absent]
-        own = sample(bits, sizes, rows)
-        if own != absent:
-            symbols[at], forces[at] = own, force_of(own, levels, vertices)
-            sound = np.isfinite(forces[at]).all() and forces[at].view(np.uint32).any()
-            need(sound, "a force of zero, or one that is not finite")
-    need(set(map(brick_of, forces)) == set(listed), "a brick without force")
+    for brick in listed:
+        for at in samples_of(brick, shape):
+            rows = [known.get(at, absent), *(symbols.get(moved(at, step), absent) for step in BESIDE), absent]
+            own = sample(bits, sizes, rows)
+            if own != absent:
+                symbols[at], forces[at] = own, force_of(own, levels, vertices)
+                sound = np.isfinite(forces[at]).all() and forces[at].view(np.uint32).any()
+                bits.need(sound, "a force of zero, or one that is not finite")
+        bits.need(any(at in forces for at in samples_of(brick, shape)), "a brick without force")
     bits.end(4 * len(listed))
     return Known(forces, listed, book, levels, vertices, symbols, bits.models)

@@ -37,7 +37,7 @@ def spline(data: bytes, shape: Place) -> Units:
         r = residual(bits, 24 * min(sum(sizes.get(beside(node, d), 0) for d in STEPS).bit_length(), 9))
         sizes[node] = abs(r)
         nodes[node] = bounded(expected(nodes, node) + r * step, 1 << 23)
-    bits.check()
+    bits.end(len(told))
     vectors: dict[Place, Array] = {}
     for brick, ranges in zip(told, around):
         own = np.array([nodes[node] for node in product(*ranges)]).reshape([len(r) for r in ranges])
@@ -232,6 +232,7 @@ def columns(data: bytes, shape: Place) -> Units:
             if 8 * n < depth - start if inverted else 8 * n + 8 > start:
                 told.add((*tile[:axis], n, *tile[axis:]))
     need(-(-(len(told) - 64) // 16) <= len(bits.data), f"{len(told)} bricks", TruncatedFile)
+    bits.end(len(told), len(box[0]) * len(box[1]))
     out, t = Units(sorted(told), {}), np.arange(depth)
     for (a, b), own in surfaces.items():
         total = np.zeros((depth, 3), np.int64)

@@ -115,10 +115,19 @@ class Bits:
         """Refuse a code that ends too early."""
         need(self.place <= len(self.data) + 6, "the end of the code", TruncatedFile)
 
-    def end(self, count: int) -> None:
-        """Refuse bytes that end before the code of `count` bricks, or go on behind it."""
+    def need(self, condition: object, message: str) -> None:
+        """Refuse what was decoded unless `condition` holds; after the end of the bytes it is cut short."""
+        if not condition:
+            self.check()
+        need(condition, message)
+
+    def end(self, bricks: int, tiles: int = 0) -> None:
+        """Refuse bytes that end before the code, or go on after it.
+
+        It lists `bricks` bricks, and has columns of `tiles` tiles.
+        """
         self.check()
-        most = max(self.place, -(-(count - 64) // 16))
+        most = max(self.place, -(-(bricks - 64) // 16), tiles - 64)
         need(len(self.data) <= most and not any(self.data[self.place :]), "bytes behind the code")
 
 
@@ -156,5 +165,5 @@ def bricks(bits: Bits, shape: Place, before: Collection[Place] = ()) -> list[Pla
             state[box] = bits.mix(contexts, ("list", old)) if found[parent] or left[parent] else 1
             found[parent] += state[box]
         boxes = [box for box in family if state[box]]
-        need(len(boxes) <= bits.most, "more bricks than the bytes may list")
+        bits.need(len(boxes) <= bits.most, "more bricks than the bytes may list")
     return boxes

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import io
+import random
 import struct
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from second import decoder, reading
 from test_c import CODES, COMPILER, built, run
@@ -40,10 +42,12 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return built(tmp_path_factory.mktemp("c"), "touch_decode", "-O0")
 
 
-def file_of(body: bytes, parameters: bytes = ENCODER.parameters) -> bytes:
+def file_of(
+    body: bytes, parameters: bytes = ENCODER.parameters, shape: tuple[int, int, int] = GRID.shape
+) -> bytes:
     """A file of one frame."""
     file = io.BytesIO()
-    head = replace(HEAD, grid_shape=GRID.shape, spacing_m=GRID.spacing_m, coder_parameters=parameters)
+    head = replace(HEAD, grid_shape=shape, spacing_m=GRID.spacing_m, coder_parameters=parameters)
     with TouchWriter(file) as writer:
         writer.write_head(head)
         writer.write_segment(0, 1, body)
@@ -178,6 +182,47 @@ def test_three_decoders_agree(name: str, program: Path, tmp_path: Path) -> None:
     else:
         parameters, expected = HEADS[name]
         data = file_of(body(), parameters)
+    check_outcome(data, expected, program, tmp_path)
+
+
+EMPTY = b"\0\0\0\0\x80"  # payload of a frame without bricks
+SPLINE = bytes([0, 2, 2, 2, 16, 1, 1, 1, *range(40, 240, 20)]) + random.Random(1).randbytes(50)
+COLUMNS = bytes([1, 4, 0, 0, 8, 8, 1, 1, 0, 0, 1, 1, 1])  # along z, in all 9 x 9 tiles
+BASE_LAYERS: dict[str, tuple[tuple[int, int, int], bytes, str]] = {
+    "a spline": ((9, 8, 7), SPLINE, ""),
+    "a spline, and another byte": ((9, 8, 7), SPLINE + b"\1", "CorruptFile"),
+    "a spline, and a zero": ((9, 8, 7), SPLINE + b"\0", "CorruptFile"),
+    "a spline cut": ((9, 8, 7), SPLINE[:-7], "TruncatedFile"),
+    # no column has a surface, which takes 6 bytes; 81 tiles need 17
+    "columns": ((72, 72, 8), COLUMNS + 6 * b"\xff" + bytes(11), ""),
+    "columns, and other bytes": ((72, 72, 8), COLUMNS + 6 * b"\xff" + bytes(10) + b"\1", "CorruptFile"),
+    "columns, and a zero": ((72, 72, 8), COLUMNS + 6 * b"\xff" + bytes(12), "CorruptFile"),
+    "columns of too few bytes": ((72, 72, 8), COLUMNS + 6 * b"\xff" + bytes(10), "TruncatedFile"),
+}
+
+
+@pytest.mark.parametrize("name", BASE_LAYERS)
+def test_base_layers_end_with_their_code(name: str, program: Path, tmp_path: Path) -> None:
+    shape, layer, expected = BASE_LAYERS[name]
+    check_outcome(file_of(body(base_layer=layer, payload=EMPTY), shape=shape), expected, program, tmp_path)
+
+
+NOISE = ForceField.from_dense(
+    GRID, np.random.default_rng(0).normal(0.0, 1.0, (*GRID.shape, 3)).astype(np.float32)
+)
+
+
+def test_a_cut_lossless_payload_is_cut_short(program: Path, tmp_path: Path) -> None:
+    """Zeros follow a cut code; whatever they decode to, the error is that the bytes have ended."""
+    (frame,) = BodyReader(EXACT.encode_segment([NOISE]).body, GRID, exact=True).records(1)
+    check_outcome(file_of(body(**exact(frame.payload)), EXACT.parameters), "", program, tmp_path)
+    for size in range(2, len(frame.payload), len(frame.payload) // 20):
+        data = file_of(body(**exact(frame.payload[:size])), EXACT.parameters)
+        check_outcome(data, "TruncatedFile", program, tmp_path)
+
+
+def check_outcome(data: bytes, expected: str, program: Path, tmp_path: Path) -> None:
+    """Check that three decoders raise the expected error, or none if it is ""."""
     path, errors = tmp_path / "crafted.touch", ["", ""]
     path.write_bytes(data)
     try:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mutants import compare, mutant
+from mutants import by_reference, compare, mutant
 from second import decoder, make_golden
 from test_c import COMPILER, built
 
@@ -25,8 +25,9 @@ from touchfield.medium.medium import VibrationFrame
 SEED = 45
 MUTANTS = 1500
 GRID = Grid((9, 8, 7), (0.01,) * 3, (0.0,) * 3)
-# a spline of nodes every four samples, whose code is arbitrary
-SPLINE = bytes([0, 2, 2, 2, 16, 1, 1, 1]) + bytes(range(40, 240, 20))
+# a spline of nodes every four samples; its code is arbitrary, and ends after 60 bytes
+SPLINE = bytes([0, 2, 2, 2, 16, 1, 1, 1]) + bytes(range(40, 240, 20)) + random.Random(1).randbytes(50)
+EMPTY = b"\0\0\0\0\x80"  # payload of a frame without bricks
 OUTLIERS = b"".join(
     write_varint(gap) + write_varint(2 * sample) + struct.pack("<3f", 0.0, 1.5, -0.25)
     for gap, sample in ((0, 3), (0, 9), (1, 5))
@@ -88,7 +89,8 @@ def streams(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     }  # fmt: skip
     files = {name: frames_stream(folder / name, spec) for name, spec in specs.items()}
     files["outliers"] = frames_stream(folder / "outliers", TouchSpec(), outliers=OUTLIERS)
-    files["spline"] = frames_stream(folder / "spline", TouchSpec(), base_layer=SPLINE)
+    independent = TouchSpec(interframe="off")
+    files["spline"] = frames_stream(folder / "spline", independent, base_layer=SPLINE, payload=EMPTY)
     make_golden.write_scene(folder / "scene", scene(), TouchSpec())
     return files | {"scene": (folder / "scene").read_bytes()}
 
@@ -99,6 +101,11 @@ def test_decoders_report_the_same_for_mutants(streams: dict[str, bytes], tmp_pat
     kinds, differences = compare(program, list(streams.values()), SEED, MUTANTS, tmp_path)
     assert not differences, "\n".join(differences)
     assert min(kinds[kind] for kind in ("", "TruncatedFile", "CorruptFile")) > MUTANTS // 20
+
+
+def test_unchanged_files_are_valid(streams: dict[str, bytes]) -> None:
+    for name, data in streams.items():
+        assert by_reference(data).kind == "", name
 
 
 def test_mutants_have_valid_records(streams: dict[str, bytes]) -> None:

@@ -67,10 +67,10 @@ class DecodingTrace:
 def example(parameters: bytes, body: bytes, monkeypatch: Any) -> list[str]:
     """The lines of the example."""
     c = reading.Cursor(body)
-    out = [f"{parameters.hex()} parameters"]
+    out = [f"{parameters.hex():38}parameters"]
 
     def line(start: int, meaning: str) -> None:
-        out.append(f"{body[start : c.at].hex()} {meaning}")
+        out.append(f"{body[start : c.at].hex():38}{meaning}")
 
     at, _ = c.at, c.number("B")
     line(at, "flags")
@@ -79,13 +79,13 @@ def example(parameters: bytes, body: bytes, monkeypatch: Any) -> list[str]:
     at, steps = c.at, [c.varint() for _ in range(4)]
     line(at, "floor {}, rate {}, cross floor {}, cross rate {}".format(*steps))
     at, max_error = c.at, (c.number("H"), c.varint(), c.varint(), c.varint(), c.varint())
-    line(at, f"worst {max_error[0]}/65535, frame {max_error[1]}, voxel {max_error[2:]}")
+    line(at, f"largest error {max_error[0]}/65535, frame {max_error[1]}, voxel {max_error[2:]}")
     at, (kind, _, _) = c.at, c.numbers("3B")
-    line(at, f"how {kind}, shares")
+    line(at, f"frame flags {kind}, bit fractions")
     at, size = c.at, c.varint()
     line(at, f"payload of {size} bytes")
     at, scan_order, slope = c.at, c.number("B"), [c.varint() for _ in range(3)]
-    line(at, "course {}, slope {}, {}, {}".format(scan_order, *slope))
+    line(at, "scan order {}, slope {}, {}, {}".format(scan_order, *slope))
     at, _ = c.at, c.take(len(body) - c.at)
     line(at, "code")
     with monkeypatch.context() as inner:
@@ -95,12 +95,8 @@ def example(parameters: bytes, body: bytes, monkeypatch: Any) -> list[str]:
 
 
 def test_the_example(monkeypatch: Any) -> None:
-    block = CHAPTER.read_text().split("## Example")[1].split("```text\n")[1].split("```")[0]
-    lines = [" ".join(line.split()) for line in block.splitlines()]
-    parameters, body = (
-        bytes.fromhex(lines[0].split()[0]),
-        bytes.fromhex("".join(n.split()[0] for n in lines[1:9])),
-    )
+    lines = CHAPTER.read_text().split("## Example")[1].split("```text\n")[1].split("\n```")[0].splitlines()
+    parameters, body = encoded()
     assert example(parameters, body, monkeypatch) == lines
     (decoded,) = TouchDecoder(GRID, parameters).frames(body, 1)
     (reference,) = part.decode_segment(body, parameters, GRID.shape, 1)

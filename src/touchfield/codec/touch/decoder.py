@@ -41,7 +41,6 @@ class TouchDecoder:
 
         CorruptFile or TruncatedFile if the bytes are invalid.
         """
-        self._reader(body, frame_count).records(frame_count)  # names the part of the body that is wrong
         with decoding_errors(WHERE):
             fields = native.open_fields(self._grid.shape, self._parameters, body, frame_count)
         while True:
