@@ -21,7 +21,7 @@ static inline int touch_has_passed(const touch_settings *settings, double dt_s) 
 
 /* The time for which forces and gains may move. */
 static inline double touch_clamped_dt(const touch_settings *settings, double dt_s) {
-    return touch_lesser(dt_s, TOUCH_MAX_LATE_PERIODS / settings->rate_hz);
+    return touch_fmin(dt_s, TOUCH_MAX_LATE_PERIODS / settings->rate_hz);
 }
 
 /* -- limits ----------------------------------------------------------------------------------------------------------- */
@@ -55,7 +55,7 @@ static inline touch_vector touch_limit(const touch_settings *settings, const tou
     double max_step = limits->slew_per_s * touch_clamped_dt(settings, dt_s) * TOUCH_LIMIT_USED;
     max_step -= TOUCH_STEP_ROUNDING * limits->peak;
     if (max_step <= 0.0) return before; /* the time is too short for any step that a double can represent */
-    limit = touch_larger(limit, state->limit - 0.5 * max_step);
+    limit = touch_fmax(limit, state->limit - 0.5 * max_step);
     state->limit = limit;
     limit *= TOUCH_LIMIT_USED;
     double size = touch_norm(wanted);
@@ -63,7 +63,7 @@ static inline touch_vector touch_limit(const touch_settings *settings, const tou
     size = touch_norm(before);
     if (size > limit) {
         before = touch_scale(limit / size, before);
-        max_step = touch_larger(0.0, max_step - (size - limit));
+        max_step = touch_fmax(0.0, max_step - (size - limit));
     }
     touch_vector step = touch_subtract(wanted, before);
     size = touch_norm(step);
@@ -130,7 +130,7 @@ static inline double touch_added_stiffness(touch_proxy *proxy, touch_vector pull
     touch_vector step = proxy->coupling_step_m;
     double added = proxy->added_n_per_m * TOUCH_STIFFNESS_DECAY;
     double way2 = touch_dot(step, step), before = touch_dot(proxy->coupling_pull_n, step), now = touch_dot(pull_n, step);
-    if (way2 > TOUCH_MIN_WAY2_M2 && now < -TOUCH_MIN_PULL_BACK * before) added = touch_larger(added, (before - now) / way2);
+    if (way2 > TOUCH_MIN_WAY2_M2 && now < -TOUCH_MIN_PULL_BACK * before) added = touch_fmax(added, (before - now) / way2);
     proxy->added_n_per_m = added;
     return added;
 }
@@ -158,7 +158,7 @@ static inline touch_vector touch_coupling_force(touch_receiver *receiver, const 
     touch_vector hand_step = touch_subtract(hand, proxy->hand_m);
     double c = k + touch_added_stiffness(proxy, touch_add_scaled(pull, -k, hand_step));
     double xy = (j.row[0].y + j.row[1].x) / 2.0, xz = (j.row[0].z + j.row[2].x) / 2.0, yz = (j.row[1].z + j.row[2].y) / 2.0;
-    c += touch_larger(0.0, touch_largest_eigenvalue(j.row[0].x, j.row[1].y, j.row[2].z, xy, xz, yz));
+    c += touch_fmax(0.0, touch_largest_eigenvalue(j.row[0].x, j.row[1].y, j.row[2].z, xy, xz, yz));
     touch_vector step = touch_solve_step(c, &j, pull);
     q = touch_add(q, step);
     if (!touch_is_finite(q)) {
@@ -189,7 +189,7 @@ static inline void touch_approach_settings(touch_receiver *receiver) {
 #define TOUCH_MIN_SLIP (1.0 / 140737488355328.0)      /* 2^-47 of the largest component of v: 32 units of rounding */
 
 static inline double touch_largest_component(touch_vector v) {
-    return touch_larger(touch_larger(fabs(v.x), fabs(v.y)), fabs(v.z));
+    return touch_fmax(touch_fmax(fabs(v.x), fabs(v.y)), fabs(v.z));
 }
 
 static inline touch_vector touch_scale_by_power(touch_vector v, int exponent) {
@@ -265,12 +265,12 @@ static inline touch_vector touch_passive_force(const touch_receiver *receiver, t
     if (!settings->is_passive || !(speed > TOUCH_MIN_SPEED_M_S && way > TOUCH_MIN_WAY_M)) return force_n;
     double energy = receiver->state.energy_j, left = settings->delay_ticks;
     for (int n = 0; left > 0.0 && n < TOUCH_PAST_FORCES; n++, left -= 1.0)
-        energy -= touch_lesser(left, 1.0) * touch_dot(receiver->state.past_forces_n[n], touch_scale(dt_s, velocity_m_s));
+        energy -= touch_fmin(left, 1.0) * touch_dot(receiver->state.past_forces_n[n], touch_scale(dt_s, velocity_m_s));
     touch_vector onwards = touch_vector_of(velocity_m_s.x / speed, velocity_m_s.y / speed, velocity_m_s.z / speed);
     double driving = touch_dot(force_n, onwards), lacking = driving - energy / way;
     if (!(lacking > 0.0)) return force_n;
-    double max_braking = touch_larger(driving, 0.0) + 0.5 * TOUCH_MIN_HAND_KG * settings->rate_hz * speed;
-    return touch_add_scaled(force_n, -touch_lesser(lacking, max_braking), onwards);
+    double max_braking = touch_fmax(driving, 0.0) + 0.5 * TOUCH_MIN_HAND_KG * settings->rate_hz * speed;
+    return touch_add_scaled(force_n, -touch_fmin(lacking, max_braking), onwards);
 }
 
 /* -- vibration -------------------------------------------------------------------------------------------------------- */
@@ -325,7 +325,7 @@ static inline double touch_material_friction(const touch_receiver *receiver, con
     /* from an eighth of the rate on, slips are too many for the loop, and their mean takes over until a quarter */
     double slips_per_s = touch_norm(receiver->state.velocity_m_s) / slip;
     double rendered = touch_clamp((rate / 4.0 - slips_per_s) / (rate / 8.0), 0.0, 1.0);
-    double phase = touch_lesser(receiver->state.slid_m / slip, 1.0);
+    double phase = touch_fmin(receiver->state.slid_m / slip, 1.0);
     return mu + (static_mu - mu) * (0.5 + rendered * (phase - 0.5));
 }
 
@@ -415,12 +415,12 @@ static inline double touch_texture(touch_receiver *receiver, const touch_materia
     for (int band = 0; band < TOUCH_BANDS; band++) {
         double slow = touch_level(levels + band, at_speed.low, material->force_count, at_force);
         double fast = touch_level(levels + band, at_speed.high, material->force_count, at_force);
-        double level = (slow + at_speed.fraction * (fast - slow)) * sqrt(2.0 / TOUCH_BAND_SINES);
+        double level = (slow + at_speed.fraction * (fast - slow)) * sqrt(2.0 / (double)TOUCH_BAND_SINES);
         double highest_rad_s = sines->frequency_rad_s[TOUCH_BAND_SINES * (band + 1) - 1];
         if (level > 0.0 && highest_rad_s < max_rad_s) touch_add_band(&chord, sines, band, level, dt_s);
     }
     double max_change = TOUCH_MATERIAL_CREST * sqrt(chord.change2_n2_s2) * settings->force_scale;
-    return max_change > 0.0 ? chord.force_n * touch_lesser(1.0, settings->force_limits.slew_per_s / max_change) : 0.0;
+    return max_change > 0.0 ? chord.force_n * touch_fmin(1.0, settings->force_limits.slew_per_s / max_change) : 0.0;
 }
 
 #endif

@@ -171,7 +171,7 @@ static inline void touch_add_plane(touch_planes *planes, touch_vector normal) {
 /* Move a proxy out of a surface that came over it, some steps, and onto the surface. */
 static inline touch_contact touch_push_out(const touch_surface *s, touch_contact at) {
     for (int n = 0; n < TOUCH_PROXY_STEPS && at.force_n > TOUCH_PROXY_SLIDE_LEVELS * s->level_n; n++) {
-        double way = touch_lesser((at.force_n - s->level_n) / s->stiffness_n_per_m, s->max_step_m);
+        double way = touch_fmin((at.force_n - s->level_n) / s->stiffness_n_per_m, s->max_step_m);
         at = touch_probe(s, touch_add_scaled(at.position_m, way, at.normal));
     }
     return at.force_n > s->level_n ? touch_settle(s, at) : at;
@@ -185,7 +185,7 @@ static inline void touch_adapt_step(const touch_surface *s, touch_vector way, to
     if (cosine < -TOUCH_PROXY_TURN_BACK * touch_dot(before, before))
         *step_m = 0.4 * *step_m, *growth = 1.0;
     else if (cosine > TOUCH_PROXY_SAME_NORMAL * touch_length(way) * touch_length(before))
-        *step_m = touch_lesser(*growth * *step_m, s->max_step_m);
+        *step_m = touch_fmin(*growth * *step_m, s->max_step_m);
 }
 
 /* Bring the end of a step onto the surface. 0: it cannot be found, as where forces turn within a sample. */
@@ -212,14 +212,14 @@ static inline int touch_seek_goal(const touch_surface *s, touch_vector hand_m, t
     touch_vector before = touch_zero();
     int left_planes = 0; /* how many planes the proxy left; they hold on where no step is left to find out */
     double growth = 2.0, step_m = s->max_step_m, min_step_m = TOUCH_PROXY_MIN_STEP * s->max_step_m;
-    if (proxy->is_in_contact) step_m = touch_larger(proxy->step_m, 2.0 * min_step_m);
+    if (proxy->is_in_contact) step_m = touch_fmax(proxy->step_m, 2.0 * min_step_m);
     for (int n = 0; n < TOUCH_PROXY_STEPS; n++) {
         touch_vector way = touch_allowed_way(touch_subtract(hand_m, at.position_m), &planes);
         double length = touch_length(way);
         touch_adapt_step(s, way, before, &step_m, &growth);
         if (length <= TOUCH_PROXY_NO_WAY_M || step_m < min_step_m) break;
         before = way;
-        touch_contact next = touch_probe(s, touch_add_scaled(at.position_m, touch_lesser(length, step_m) / length, way));
+        touch_contact next = touch_probe(s, touch_add_scaled(at.position_m, touch_fmin(length, step_m) / length, way));
         int is_leaving = touch_dot(touch_subtract(hand_m, next.position_m), next.normal) >= 0.0;
         if (next.force_n <= s->level_n && (next.force_n < 0.5 * s->level_n || is_leaving)) {
             if (!planes.count && length <= step_m) { /* the hand itself is free */
@@ -286,9 +286,9 @@ static inline double touch_ramp_depth(const touch_surface *s, touch_vector posit
     double far_n = touch_probe(s, touch_add_scaled(position_m, TOUCH_PROXY_RAMP_SAMPLES * sample, inwards)).force_n;
     double near_n = touch_probe(s, touch_add_scaled(position_m, sample, inwards)).force_n;
     double depth = far_n / k - TOUCH_PROXY_RAMP_SAMPLES * sample;
-    depth = touch_larger(depth, near_n / k - (1.0 + TOUCH_PROXY_RAMP_DOUBT) * sample);
-    depth = touch_larger(depth, -sample);
-    return touch_lesser(touch_lesser(depth, sample), 0.5 * depth_m);
+    depth = touch_fmax(depth, near_n / k - (1.0 + TOUCH_PROXY_RAMP_DOUBT) * sample);
+    depth = touch_fmax(depth, -sample);
+    return touch_fmin(touch_fmin(depth, sample), 0.5 * depth_m);
 }
 
 /* The force of the proxy on a hand, N, without friction; `*friction_n` is what friction adds. */
@@ -297,7 +297,7 @@ static inline touch_vector touch_contact_force(touch_receiver *receiver, const t
     const touch_settings *settings = &receiver->settings;
     const touch_tick_state *state = &receiver->state;
     touch_surface s = {receiver, t, settings->wall_n_per_m, settings->wall_level_n, 0.0, settings->wall_spacing_m};
-    s.max_step_m = 0.5 * touch_lesser(touch_lesser(s.spacing_m.x, s.spacing_m.y), s.spacing_m.z);
+    s.max_step_m = 0.5 * touch_fmin(touch_fmin(s.spacing_m.x, s.spacing_m.y), s.spacing_m.z);
     int was_in_contact = state->proxy.is_active && state->proxy.is_in_contact;
     touch_vector before = state->proxy.is_active ? touch_carried_position(&s) : hand_m, goal = before;
     *friction_n = touch_zero();
@@ -309,13 +309,13 @@ static inline touch_vector touch_contact_force(touch_receiver *receiver, const t
     double k = 1.0 / (1.0 / s.stiffness_n_per_m + state->softness_m_per_n); /* softer where the loop would be unstable */
     double depth = touch_length(pull), mu = state->friction;
     touch_vector outwards = touch_scale(1.0 / depth, pull);
-    double force = touch_larger(0.0, k * (depth + touch_ramp_depth(&s, goal, touch_scale(-1.0, outwards), depth)));
+    double force = touch_fmax(0.0, k * (depth + touch_ramp_depth(&s, goal, touch_scale(-1.0, outwards), depth)));
     touch_vector position = was_in_contact ? touch_drag(&s, before, goal, mu * force / k) : goal;
     touch_store_proxy(&s, position, 1);
     touch_vector way = touch_subtract(position, goal);
     /* moved onto the surface the proxy may be a little farther off than friction allows */
-    double max_fraction = mu * force / touch_larger(k * touch_length(way), 1e-12);
-    *friction_n = touch_scale(k * touch_lesser(1.0, max_fraction), way);
+    double max_fraction = mu * force / touch_fmax(k * touch_length(way), 1e-12);
+    *friction_n = touch_scale(k * touch_fmin(1.0, max_fraction), way);
     return touch_scale(force, outwards);
 }
 

@@ -83,7 +83,7 @@ TOUCH_INLINE touch_vector touch_arm_of(const touch_body_pair *b, double blend, t
 
 /* The square of the distance from the body's origin within which all its forces lie; below 0: it has none. */
 TOUCH_INLINE double touch_reach2_of(const touch_body_pair *b) {
-    return touch_max(b->cells_before->reach2_m2, b->cells_after->reach2_m2);
+    return touch_fmax(b->cells_before->reach2_m2, b->cells_after->reach2_m2);
 }
 
 /* Whether a point is beyond all forces of a body; true of an arm that is not finite, too. */

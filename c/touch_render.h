@@ -34,6 +34,7 @@
 
 #include "touch_effects.h"
 #include "touch_proxy.h"
+#include "touch_tool.h"
 
 /* -- memory that two programs share ----------------------------------------------------------------------------------- */
 
@@ -174,7 +175,7 @@ static inline touch_vector touch_tick(touch_receiver *receiver, int64_t before_o
     const touch_settings *settings = &receiver->settings;
     touch_tick_state *state = &receiver->state;
     if (!touch_has_passed(settings, dt_s)) return state->force.output;
-    dt_s = touch_lesser(dt_s, TOUCH_MAX_TICK_S);
+    dt_s = touch_fmin(dt_s, TOUCH_MAX_TICK_S);
     state->since_s += dt_s;
     touch_store_past_force(receiver);
     int is_known = touch_is_position(device_m) && touch_orient_tool(receiver);
@@ -182,11 +183,11 @@ static inline touch_vector touch_tick(touch_receiver *receiver, int64_t before_o
     double gain_step = touch_clamped_dt(settings, dt_s) / settings->ramp_s;
     if (before_offset && after_offset && is_known) {
         touch_instant t = touch_instant_of(receiver, before_offset, after_offset, blend);
-        double gain = touch_lesser(1.0, state->gain + gain_step);
+        double gain = touch_fmin(1.0, state->gain + gain_step);
         state->force.wanted = touch_wanted_force(receiver, &t, dt_s);
         state->gain = gain;
     } else {
-        state->gain = touch_larger(0.0, state->gain - gain_step);
+        state->gain = touch_fmax(0.0, state->gain - gain_step);
         touch_leave_field(state);
         if (state->gain == 0.0) state->force.wanted = touch_zero();
     }
@@ -200,7 +201,7 @@ static inline touch_vector touch_release(touch_receiver *receiver, double dt_s) 
     const touch_settings *settings = &receiver->settings;
     touch_tick_state *state = &receiver->state;
     if (!touch_has_passed(settings, dt_s)) return state->force.output;
-    double gain = touch_larger(0.0, state->gain - touch_clamped_dt(settings, dt_s) / settings->ramp_s);
+    double gain = touch_fmax(0.0, state->gain - touch_clamped_dt(settings, dt_s) / settings->ramp_s);
     double fraction = gain > 0.0 ? gain / state->gain : 0.0;
     state->gain = gain, state->is_started = 0;
     touch_leave_field(state);
@@ -435,7 +436,7 @@ static inline touch_vector touch_receiver_tick(touch_receiver *receiver, touch_v
         clock_s = (double)ticks / receiver->settings.rate_hz;
     } else {
         clock_s = 1e-9 * (double)(now_ns - receiver->counts.first_ns);
-        if (ticks) dt_s = touch_larger(clock_s - clock->clock_s, 0.0);
+        if (ticks) dt_s = touch_fmax(clock_s - clock->clock_s, 0.0);
     }
     clock->clock_s = clock_s;
     touch_take_order(receiver, clock_s);

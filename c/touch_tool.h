@@ -148,7 +148,7 @@ static inline void touch_add_tool_body(const touch_receiver *receiver, const tou
                                        touch_tool_vectors *total) {
     const touch_matrix *field_from_tool = &receiver->state.tool_rotation;
     touch_vector arm_m = touch_arm_of(b, blend, point_m);
-    double reach_m = sqrt(touch_max(touch_reach2_of(b), 0.0)) + receiver->settings.tool_reach_m;
+    double reach_m = sqrt(touch_fmax(touch_reach2_of(b), 0.0)) + receiver->settings.tool_reach_m;
     if (!(touch_dot(arm_m, arm_m) <= reach_m * reach_m)) return;
     touch_tool_vectors force;
     touch_tool_pose pose;

@@ -26,11 +26,11 @@ TOUCH_INLINE touch_vector touch_vector_of(double x, double y, double z) {
 }
 
 /* The larger and the smaller of two numbers; `a` where one is not a number. Unlike fmax, as a comparison does it. */
-TOUCH_INLINE double touch_max(double a, double b) { return b > a ? b : a; }
-TOUCH_INLINE double touch_min(double a, double b) { return b < a ? b : a; }
+TOUCH_INLINE double touch_fmax(double a, double b) { return b > a ? b : a; }
+TOUCH_INLINE double touch_fmin(double a, double b) { return b < a ? b : a; }
 
 /* x within [low, high] */
-TOUCH_INLINE double touch_clamp(double x, double low, double high) { return touch_min(touch_max(x, low), high); }
+TOUCH_INLINE double touch_clamp(double x, double low, double high) { return touch_fmin(touch_fmax(x, low), high); }
 
 TOUCH_INLINE touch_vector touch_zero(void) { return touch_vector_of(0.0, 0.0, 0.0); }
 
