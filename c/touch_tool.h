@@ -179,8 +179,8 @@ static inline touch_vector touch_tool_force(const touch_receiver *receiver, cons
     touch_vector force = touch_zero(), torque = touch_zero();
     for (int64_t first = 0; first < all; first += TOUCH_TOOL_BLOCK) {
         const float *own = points + first;
-        int count = (int)(all - first < TOUCH_TOOL_BLOCK ? all - first : TOUCH_TOOL_BLOCK);
-        touch_tool_points p = {own, own + all, own + 2 * all, own + 3 * all, own + 4 * all, own + 5 * all, count};
+        int64_t left = all - first, count = left < TOUCH_TOOL_BLOCK ? left : (int64_t)TOUCH_TOOL_BLOCK;
+        touch_tool_points p = {own, own + all, own + 2 * all, own + 3 * all, own + 4 * all, own + 5 * all, (int)count};
         touch_tool_vectors total;
         memset(&total, 0, sizeof total);
         for (int64_t n = 0; n < bodies; n++) {
