@@ -319,16 +319,17 @@ static inline void touch_use_frames(touch_receiver *receiver, double media_s, do
 static inline void touch_wait_for_frames(touch_receiver *receiver, double media_s, double clock_s, int is_silent) {
     touch_clock *clock = &receiver->clock;
     touch_counts *counts = &receiver->counts;
+    int is_over = is_silent || touch_shared(&receiver->orders.has_feed_failed); /* no frame will come */
     if (clock->mode != TOUCH_PLAYING) return;
     if (clock->feed == TOUCH_RUNNING)
-        clock->feed = TOUCH_STALLED, counts->underruns++;
+        clock->feed = TOUCH_STALLED, counts->underruns += !is_over;
     else if (clock->feed == TOUCH_READY)
         clock->feed = TOUCH_WAITING, counts->waits++;
     if (clock->feed == TOUCH_STALLED)
         counts->stalled_ticks++;
     else
         counts->waiting_ticks++;
-    if (is_silent || touch_shared(&receiver->orders.has_feed_failed)) {
+    if (is_over) {
         clock->media_s = media_s;
         touch_anchor(clock, media_s, clock_s);
     }
