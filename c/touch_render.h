@@ -368,7 +368,10 @@ static inline touch_frames touch_find_frames(touch_receiver *receiver, double cl
 
 /* -- a tick at a time of the clock ------------------------------------------------------------------------------------ */
 
-static inline int64_t touch_bin(int64_t ns) { return ns / 1000 < TOUCH_TIME_BINS ? ns / 1000 : TOUCH_TIME_BINS; }
+static inline int64_t touch_bin(int64_t ns) {
+    int64_t us = ns / 1000;
+    return us < TOUCH_TIME_BINS ? us : (int64_t)TOUCH_TIME_BINS;
+}
 
 /* Count jitter and lateness of this tick, and set the deadline of the next. */
 static inline void touch_count_time(touch_receiver *receiver, int64_t now_ns) {
