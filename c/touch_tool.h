@@ -51,8 +51,8 @@ TOUCH_INLINE float touch_interpolate_float(const float *corner, float x, float y
 
 /* Positions of the points in samples of cells: row . point + start. */
 static inline void touch_place_tool(const touch_tool_points *p, const touch_float_vector row[3], touch_float_vector start,
-                                    touch_tool_vectors *restrict position) {
-    const float *restrict px = p->x, *restrict py = p->y, *restrict pz = p->z;
+                                    touch_tool_vectors *__restrict position) {
+    const float *__restrict px = p->x, *__restrict py = p->y, *__restrict pz = p->z;
     for (int n = 0; n < p->count; n++) {
         position->x[n] = start.x + row[0].x * px[n] + row[0].y * py[n] + row[0].z * pz[n];
         position->y[n] = start.y + row[1].x * px[n] + row[1].y * py[n] + row[1].z * pz[n];
@@ -62,7 +62,7 @@ static inline void touch_place_tool(const touch_tool_points *p, const touch_floa
 
 /* Add `weight` times the force of cells at positions in its samples. */
 static inline void touch_add_tool_samples(const touch_cells *cells, float weight, int count,
-                                          const touch_tool_vectors *restrict position, touch_tool_vectors *restrict force) {
+                                          const touch_tool_vectors *__restrict position, touch_tool_vectors *__restrict force) {
     const int64_t *table = touch_table_of(cells);
     const uint64_t *supported = touch_supported_of(cells);
     const float *samples = touch_samples_of(cells);
@@ -85,10 +85,10 @@ static inline void touch_add_tool_samples(const touch_cells *cells, float weight
 
 /* Add a body's forces, rotated into the tool's axes by `row`, to `total`, each with what the motion of the surface adds:
    `shift` + `spin` x point. A force of a square of at most `floor2_n2` counts as none. */
-static inline void touch_gather_tool(const touch_tool_points *p, const touch_tool_vectors *restrict force,
+static inline void touch_gather_tool(const touch_tool_points *p, const touch_tool_vectors *__restrict force,
                                      const touch_float_vector row[3], touch_float_vector shift, touch_float_vector spin,
-                                     float floor2_n2, touch_tool_vectors *restrict total) {
-    const float *restrict px = p->x, *restrict py = p->y, *restrict pz = p->z;
+                                     float floor2_n2, touch_tool_vectors *__restrict total) {
+    const float *__restrict px = p->x, *__restrict py = p->y, *__restrict pz = p->z;
     for (int n = 0; n < p->count; n++) {
         float x = force->x[n], y = force->y[n], z = force->z[n];
         float is_there = x * x + y * y + z * z > floor2_n2 ? 1.0f : 0.0f;
@@ -99,8 +99,8 @@ static inline void touch_gather_tool(const touch_tool_points *p, const touch_too
 }
 
 /* Weight each force F, of at most the length `limit_n`, by max(0, -n . F / |F|). */
-static inline void touch_weight_tool(const touch_tool_points *p, float limit_n, touch_tool_vectors *restrict force) {
-    const float *restrict nx = p->normal_x, *restrict ny = p->normal_y, *restrict nz = p->normal_z;
+static inline void touch_weight_tool(const touch_tool_points *p, float limit_n, touch_tool_vectors *__restrict force) {
+    const float *__restrict nx = p->normal_x, *__restrict ny = p->normal_y, *__restrict nz = p->normal_z;
     const float tiny = 1e-30f; /* the square of a force that is none, so that nothing is divided by zero */
     for (int n = 0; n < p->count; n++) {
         float x = force->x[n], y = force->y[n], z = force->z[n];
@@ -112,7 +112,7 @@ static inline void touch_weight_tool(const touch_tool_points *p, float limit_n, 
 }
 
 /* Add the sum of forces, and that of point x force. */
-static inline void touch_sum_tool(const touch_tool_points *p, const touch_tool_vectors *restrict force, touch_vector *total_n,
+static inline void touch_sum_tool(const touch_tool_points *p, const touch_tool_vectors *__restrict force, touch_vector *total_n,
                                   touch_vector *torque_nm) {
     touch_vector sum = touch_zero(), torque = touch_zero();
     for (int n = 0; n < p->count; n++) {
@@ -179,8 +179,8 @@ static inline touch_vector touch_tool_force(const touch_receiver *receiver, cons
     touch_vector force = touch_zero(), torque = touch_zero();
     for (int64_t first = 0; first < all; first += TOUCH_TOOL_BLOCK) {
         const float *own = points + first;
-        int count = (int)(all - first < TOUCH_TOOL_BLOCK ? all - first : TOUCH_TOOL_BLOCK);
-        touch_tool_points p = {own, own + all, own + 2 * all, own + 3 * all, own + 4 * all, own + 5 * all, count};
+        int64_t left = all - first, count = left < TOUCH_TOOL_BLOCK ? left : (int64_t)TOUCH_TOOL_BLOCK;
+        touch_tool_points p = {own, own + all, own + 2 * all, own + 3 * all, own + 4 * all, own + 5 * all, (int)count};
         touch_tool_vectors total;
         memset(&total, 0, sizeof total);
         for (int64_t n = 0; n < bodies; n++) {
