@@ -46,7 +46,7 @@ static inline double touch_heat_limit(const touch_settings *settings, const touc
 }
 
 /* The force, N, or torque, N m, that may be put out where `wanted` is; stored in the state, with heat and limit. */
-static inline touch_vector touch_limit(const touch_settings *settings, const touch_limits *limits, touch_limited *state,
+static inline touch_vector touch_limit_output(const touch_settings *settings, const touch_limits *limits, touch_limited *state,
                                        touch_vector wanted, double dt_s) {
     touch_vector before = state->output;
     if (!touch_has_passed(settings, dt_s)) return before;
@@ -282,7 +282,8 @@ static inline double touch_advance_phase(double phase_rad, double turns) {
 }
 
 /* The vibration of the medium at a point, N; zero above half the rate of the ticks. */
-static inline double touch_vibration(touch_receiver *receiver, const touch_instant *t, touch_vector point_m, double dt_s) {
+static inline double touch_vibration_force(touch_receiver *receiver, const touch_instant *t, touch_vector point_m,
+                                           double dt_s) {
     double amplitude, frequency;
     touch_vibration_at(t, point_m, &amplitude, &frequency);
     if (!(amplitude > 0.0 && frequency > 0.0 && 2.0 * frequency < receiver->settings.rate_hz)) return 0.0;
@@ -307,7 +308,7 @@ static inline touch_material_sines *touch_sines(const touch_receiver *receiver) 
     return (touch_material_sines *)((char *)receiver + receiver->settings.material_offset);
 }
 
-static inline const double *touch_numbers(const touch_receiver *receiver, int64_t offset) {
+static inline const double *touch_table(const touch_receiver *receiver, int64_t offset) {
     return (const double *)((const char *)receiver + offset);
 }
 
@@ -372,7 +373,7 @@ static inline touch_bracket touch_find(const double *row, int64_t count, double 
 }
 
 /* N rms of a band at entry `speed` of the table, and at a force; -1 is zero. */
-static inline double touch_level(const double *levels, int64_t speed, int64_t force_count, touch_bracket force) {
+static inline double touch_band_level(const double *levels, int64_t speed, int64_t force_count, touch_bracket force) {
     if (speed < 0) return 0.0;
     const double *row = levels + speed * force_count * TOUCH_BANDS;
     double low = force.low >= 0 ? row[force.low * TOUCH_BANDS] : 0.0;
@@ -406,15 +407,15 @@ static inline double touch_texture(touch_receiver *receiver, const touch_materia
     double way = state->slid_m + speed * dt_s;
     state->slid_m = way - material->slip_m * floor(way / material->slip_m);
     if (!material->force_count) return 0.0;
-    touch_bracket at_speed = touch_find(touch_numbers(receiver, material->speed_offset), material->speed_count, speed);
-    touch_bracket at_force = touch_find(touch_numbers(receiver, material->force_offset), material->force_count, size);
+    touch_bracket at_speed = touch_find(touch_table(receiver, material->speed_offset), material->speed_count, speed);
+    touch_bracket at_force = touch_find(touch_table(receiver, material->force_offset), material->force_count, size);
     touch_material_sines *sines = touch_sines(receiver);
-    const double *levels = touch_numbers(receiver, material->level_offset);
+    const double *levels = touch_table(receiver, material->level_offset);
     double max_rad_s = TOUCH_PI * settings->rate_hz / TOUCH_BAND_EDGE;
     touch_chord chord = {0.0, 0.0};
     for (int band = 0; band < TOUCH_BANDS; band++) {
-        double slow = touch_level(levels + band, at_speed.low, material->force_count, at_force);
-        double fast = touch_level(levels + band, at_speed.high, material->force_count, at_force);
+        double slow = touch_band_level(levels + band, at_speed.low, material->force_count, at_force);
+        double fast = touch_band_level(levels + band, at_speed.high, material->force_count, at_force);
         double level = (slow + at_speed.fraction * (fast - slow)) * sqrt(2.0 / (double)TOUCH_BAND_SINES);
         double highest_rad_s = sines->frequency_rad_s[TOUCH_BAND_SINES * (band + 1) - 1];
         if (level > 0.0 && highest_rad_s < max_rad_s) touch_add_band(&chord, sines, band, level, dt_s);

@@ -34,7 +34,7 @@ typedef struct { /* the field at this time and its surfaces */
     double stiffness_n_per_m, level_n;
     double max_step_m;
     touch_vector spacing_m;
-} touch_surface;
+} touch_wall;
 
 typedef struct { /* a point of the field: size and direction of the force there */
     touch_vector position_m;
@@ -47,12 +47,13 @@ typedef struct { /* the surfaces that stop the proxy: up to three normals, the l
     int count;
 } touch_planes;
 
-static inline double touch_length(touch_vector v) { return sqrt(touch_dot(v, v)); }
+/* Half the time of touch_norm, where no square is beyond the range of double. */
+static inline double touch_magnitude(touch_vector v) { return sqrt(touch_dot(v, v)); }
 
-static inline touch_contact touch_probe(const touch_surface *s, touch_vector point_m) {
+static inline touch_contact touch_probe(const touch_wall *s, touch_vector point_m) {
     touch_vector force = touch_force_at(s->instant, point_m);
     touch_contact found;
-    found.position_m = point_m, found.force_n = touch_length(force), found.normal = touch_zero();
+    found.position_m = point_m, found.force_n = touch_magnitude(force), found.normal = touch_zero();
     if (found.force_n > 0.0 && found.force_n < HUGE_VAL)
         found.normal = touch_scale(1.0 / found.force_n, force);
     else
@@ -63,7 +64,7 @@ static inline touch_contact touch_probe(const touch_surface *s, touch_vector poi
 /* -- points on the surface -------------------------------------------------------------------------------------------- */
 
 /* A point at a surface, moved onto it along the normal by the secant method. */
-static inline touch_contact touch_settle(const touch_surface *s, touch_contact at) {
+static inline touch_contact touch_move_onto_surface(const touch_wall *s, touch_contact at) {
     double slope = s->stiffness_n_per_m;
     for (int n = 0; n < TOUCH_PROXY_ROUNDS; n++) {
         if (fabs(at.force_n - s->level_n) <= TOUCH_PROXY_TOLERANCE * s->level_n) break;
@@ -82,7 +83,7 @@ static inline touch_contact touch_settle(const touch_surface *s, touch_contact a
 
 /* Where the way from a point outside to one within enters the surface: false position, with the value at an end that stays
    halved (the Illinois rule). */
-static inline touch_contact touch_enter(const touch_surface *s, touch_contact outside, touch_contact inside) {
+static inline touch_contact touch_find_crossing(const touch_wall *s, touch_contact outside, touch_contact inside) {
     double low = 0.0, high = 1.0, low_n = outside.force_n - s->level_n, high_n = inside.force_n - s->level_n;
     touch_vector way = touch_subtract(inside.position_m, outside.position_m);
     touch_contact found = inside;
@@ -106,13 +107,13 @@ static inline touch_contact touch_enter(const touch_surface *s, touch_contact ou
 }
 
 /* Spacing of the samples along a direction, metres. */
-static inline double touch_sample_length(const touch_surface *s, touch_vector normal) {
+static inline double touch_sample_length(const touch_wall *s, touch_vector normal) {
     touch_vector d = s->spacing_m;
-    return touch_length(touch_vector_of(d.x * normal.x, d.y * normal.y, d.z * normal.z));
+    return touch_magnitude(touch_vector_of(d.x * normal.x, d.y * normal.y, d.z * normal.z));
 }
 
 /* The normal at the surface: that of the force some samples behind it, which is steadier; its own where the wall is thin. */
-static inline touch_vector touch_steady_normal(const touch_surface *s, touch_contact at) {
+static inline touch_vector touch_steady_normal(const touch_wall *s, touch_contact at) {
     double depth = TOUCH_PROXY_RAMP_SAMPLES * touch_sample_length(s, at.normal);
     touch_vector behind = touch_probe(s, touch_add_scaled(at.position_m, -depth, at.normal)).normal;
     return touch_dot(behind, at.normal) > TOUCH_PROXY_SAME_NORMAL ? behind : at.normal;
@@ -123,7 +124,7 @@ static inline touch_vector touch_steady_normal(const touch_surface *s, touch_con
 /* True if a way goes into none of the planes. */
 static inline int touch_is_free_way(touch_vector way, const touch_planes *planes) {
     for (int n = 0; n < planes->count; n++)
-        if (touch_dot(way, planes->normal[n]) < -1e-9 * touch_length(way)) return 0;
+        if (touch_dot(way, planes->normal[n]) < -1e-9 * touch_magnitude(way)) return 0;
     return 1;
 }
 
@@ -135,7 +136,8 @@ static inline touch_vector touch_allowed_way(touch_vector way, const touch_plane
     if (touch_is_free_way(way, planes)) return way;
     for (int n = 0; n < planes->count; n++) {
         touch_vector along = touch_add_scaled(way, -touch_dot(way, planes->normal[n]), planes->normal[n]);
-        if (touch_length(along) > longest && touch_is_free_way(along, planes)) best = along, longest = touch_length(along);
+        if (touch_magnitude(along) > longest && touch_is_free_way(along, planes))
+            best = along, longest = touch_magnitude(along);
     }
     if (longest > 0.0) return best;
     for (int n = 0; n < planes->count; n++) {
@@ -143,7 +145,8 @@ static inline touch_vector touch_allowed_way(touch_vector way, const touch_plane
             touch_vector line = touch_cross(planes->normal[n], planes->normal[m]);
             double square = touch_dot(line, line);
             touch_vector along = touch_scale(square > 1e-12 ? touch_dot(way, line) / square : 0.0, line);
-            if (touch_length(along) > longest && touch_is_free_way(along, planes)) best = along, longest = touch_length(along);
+            if (touch_magnitude(along) > longest && touch_is_free_way(along, planes))
+                best = along, longest = touch_magnitude(along);
         }
     }
     return best;
@@ -169,42 +172,42 @@ static inline void touch_add_plane(touch_planes *planes, touch_vector normal) {
 /* -- the search of a tick --------------------------------------------------------------------------------------------- */
 
 /* Move a proxy out of a surface that came over it, some steps, and onto the surface. */
-static inline touch_contact touch_push_out(const touch_surface *s, touch_contact at) {
+static inline touch_contact touch_push_out(const touch_wall *s, touch_contact at) {
     for (int n = 0; n < TOUCH_PROXY_STEPS && at.force_n > TOUCH_PROXY_SLIDE_LEVELS * s->level_n; n++) {
         double way = touch_fmin((at.force_n - s->level_n) / s->stiffness_n_per_m, s->max_step_m);
         at = touch_probe(s, touch_add_scaled(at.position_m, way, at.normal));
     }
-    return at.force_n > s->level_n ? touch_settle(s, at) : at;
+    return at.force_n > s->level_n ? touch_move_onto_surface(s, at) : at;
 }
 
 /* Adapt the length of the steps: shorter where the way turns back over an edge, so that the proxy comes to rest between, and
    longer again where it goes on. */
-static inline void touch_adapt_step(const touch_surface *s, touch_vector way, touch_vector before, double *step_m,
+static inline void touch_adapt_step(const touch_wall *s, touch_vector way, touch_vector before, double *step_m,
                                     double *growth) {
     double cosine = touch_dot(way, before);
     if (cosine < -TOUCH_PROXY_TURN_BACK * touch_dot(before, before))
         *step_m = 0.4 * *step_m, *growth = 1.0;
-    else if (cosine > TOUCH_PROXY_SAME_NORMAL * touch_length(way) * touch_length(before))
+    else if (cosine > TOUCH_PROXY_SAME_NORMAL * touch_magnitude(way) * touch_magnitude(before))
         *step_m = touch_fmin(*growth * *step_m, s->max_step_m);
 }
 
 /* Bring the end of a step onto the surface. 0: it cannot be found, as where forces turn within a sample. */
-static inline int touch_find_surface(const touch_surface *s, touch_contact at, touch_vector way, int is_sliding,
+static inline int touch_find_surface(const touch_wall *s, touch_contact at, touch_vector way, int is_sliding,
                                      touch_vector hand_m, touch_contact *next) {
-    double max_approach = is_sliding ? 0.5 * touch_length(way) : 0.0;
+    double max_approach = is_sliding ? 0.5 * touch_magnitude(way) : 0.0;
     if (next->force_n <= TOUCH_PROXY_SLIDE_LEVELS * s->level_n && touch_dot(next->normal, way) <= max_approach) {
-        *next = touch_settle(s, *next);
+        *next = touch_move_onto_surface(s, *next);
     } else if (next->force_n > s->level_n) {
         if (at.force_n > s->level_n) return 0; /* no way in can be sought from within */
-        *next = touch_enter(s, at, *next);
+        *next = touch_find_crossing(s, at, *next);
     }
-    double farther = touch_length(touch_subtract(hand_m, next->position_m));
-    farther -= touch_length(touch_subtract(hand_m, at.position_m));
+    double farther = touch_magnitude(touch_subtract(hand_m, next->position_m));
+    farther -= touch_magnitude(touch_subtract(hand_m, at.position_m));
     return !(next->force_n > TOUCH_PROXY_OFF_LEVELS * s->level_n || farther > s->max_step_m);
 }
 
 /* Move `*position_m` to where the proxy comes to without friction; whether a surface stops it there. */
-static inline int touch_seek_goal(const touch_surface *s, touch_vector hand_m, touch_vector *position_m) {
+static inline int touch_seek_goal(const touch_wall *s, touch_vector hand_m, touch_vector *position_m) {
     touch_proxy *proxy = &s->receiver->state.proxy;
     touch_planes planes = {{{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}}, 0};
     touch_contact at = touch_push_out(s, touch_probe(s, *position_m));
@@ -215,7 +218,7 @@ static inline int touch_seek_goal(const touch_surface *s, touch_vector hand_m, t
     if (proxy->is_in_contact) step_m = touch_fmax(proxy->step_m, 2.0 * min_step_m);
     for (int n = 0; n < TOUCH_PROXY_STEPS; n++) {
         touch_vector way = touch_allowed_way(touch_subtract(hand_m, at.position_m), &planes);
-        double length = touch_length(way);
+        double length = touch_magnitude(way);
         touch_adapt_step(s, way, before, &step_m, &growth);
         if (length <= TOUCH_PROXY_NO_WAY_M || step_m < min_step_m) break;
         before = way;
@@ -242,7 +245,7 @@ static inline int touch_seek_goal(const touch_surface *s, touch_vector hand_m, t
 /* -- bodies that move ------------------------------------------------------------------------------------------------- */
 
 /* Where a body has carried the proxy of the tick before. */
-static inline touch_vector touch_carried_position(const touch_surface *s) {
+static inline touch_vector touch_carried_position(const touch_wall *s) {
     const touch_proxy *proxy = &s->receiver->state.proxy;
     if (proxy->body < 0 || proxy->body >= touch_body_count(s->instant)) return proxy->position_m;
     touch_matrix rotation = touch_body_rotation(s->instant, proxy->body);
@@ -250,7 +253,7 @@ static inline touch_vector touch_carried_position(const touch_surface *s) {
 }
 
 /* Store the position of the proxy, also in the axes of the body that pushes most there. */
-static inline void touch_store_proxy(const touch_surface *s, touch_vector position_m, int is_in_contact) {
+static inline void touch_store_proxy(const touch_wall *s, touch_vector position_m, int is_in_contact) {
     touch_proxy *proxy = &s->receiver->state.proxy;
     const touch_body_pose *poses = (const touch_body_pose *)(s->instant->before + 1);
     proxy->is_active = 1, proxy->is_in_contact = is_in_contact, proxy->body = -1;
@@ -266,14 +269,14 @@ static inline void touch_store_proxy(const touch_surface *s, touch_vector positi
 /* -- the force -------------------------------------------------------------------------------------------------------- */
 
 /* Where friction leaves a proxy on its way to the goal: at most `max_m` from there. */
-static inline touch_vector touch_drag(const touch_surface *s, touch_vector before_m, touch_vector goal_m, double max_m) {
+static inline touch_vector touch_drag(const touch_wall *s, touch_vector before_m, touch_vector goal_m, double max_m) {
     touch_vector way = touch_subtract(before_m, goal_m);
-    double length = touch_length(way);
+    double length = touch_magnitude(way);
     if (length <= max_m) return before_m;
     touch_vector position = touch_add_scaled(goal_m, max_m / length, way);
     if (max_m > 0.0) {
         touch_contact at = touch_probe(s, position);
-        if (at.force_n > 0.5 * s->level_n) position = touch_settle(s, at).position_m;
+        if (at.force_n > 0.5 * s->level_n) position = touch_move_onto_surface(s, at).position_m;
     }
     return position;
 }
@@ -281,7 +284,7 @@ static inline touch_vector touch_drag(const touch_surface *s, touch_vector befor
 /* Depth of a proxy below the surface that the ramp of forces behind it extrapolates to, metres; negative above. Two samples
    behind the surface the low-pass of the field is over. Where the force has its maximum before that, or the wall ends, the
    force half as far behind is taken, with a margin. */
-static inline double touch_ramp_depth(const touch_surface *s, touch_vector position_m, touch_vector inwards, double depth_m) {
+static inline double touch_ramp_depth(const touch_wall *s, touch_vector position_m, touch_vector inwards, double depth_m) {
     double sample = touch_sample_length(s, inwards), k = s->stiffness_n_per_m;
     double far_n = touch_probe(s, touch_add_scaled(position_m, TOUCH_PROXY_RAMP_SAMPLES * sample, inwards)).force_n;
     double near_n = touch_probe(s, touch_add_scaled(position_m, sample, inwards)).force_n;
@@ -296,7 +299,7 @@ static inline touch_vector touch_contact_force(touch_receiver *receiver, const t
                                                touch_vector *friction_n) {
     const touch_settings *settings = &receiver->settings;
     const touch_tick_state *state = &receiver->state;
-    touch_surface s = {receiver, t, settings->wall_n_per_m, settings->wall_level_n, 0.0, settings->wall_spacing_m};
+    touch_wall s = {receiver, t, settings->wall_n_per_m, settings->wall_level_n, 0.0, settings->wall_spacing_m};
     s.max_step_m = 0.5 * touch_fmin(touch_fmin(s.spacing_m.x, s.spacing_m.y), s.spacing_m.z);
     int was_in_contact = state->proxy.is_active && state->proxy.is_in_contact;
     touch_vector before = state->proxy.is_active ? touch_carried_position(&s) : hand_m, goal = before;
@@ -307,14 +310,14 @@ static inline touch_vector touch_contact_force(touch_receiver *receiver, const t
     }
     touch_vector pull = touch_subtract(goal, hand_m);
     double k = 1.0 / (1.0 / s.stiffness_n_per_m + state->softness_m_per_n); /* softer where the loop would be unstable */
-    double depth = touch_length(pull), mu = state->friction;
+    double depth = touch_magnitude(pull), mu = state->friction;
     touch_vector outwards = touch_scale(1.0 / depth, pull);
     double force = touch_fmax(0.0, k * (depth + touch_ramp_depth(&s, goal, touch_scale(-1.0, outwards), depth)));
     touch_vector position = was_in_contact ? touch_drag(&s, before, goal, mu * force / k) : goal;
     touch_store_proxy(&s, position, 1);
     touch_vector way = touch_subtract(position, goal);
     /* moved onto the surface the proxy may be a little farther off than friction allows */
-    double max_fraction = mu * force / touch_fmax(k * touch_length(way), 1e-12);
+    double max_fraction = mu * force / touch_fmax(k * touch_magnitude(way), 1e-12);
     *friction_n = touch_scale(k * touch_fmin(1.0, max_fraction), way);
     return touch_scale(force, outwards);
 }

@@ -24,8 +24,9 @@
        position -> axes, scale, clutch -> velocity -> proxy, or tool, or coupling, or field -> friction, damping
                 -> vibration, texture -> axes, force scale -> passivity -> gravity -> gain -> limits -> force
 
-   touch_tick and touch_release are the only two that put forces out, and both do so through touch_limit. Without a frame or a
-   position (or an orientation) of the device the gain goes to zero in the time of the ramp, and so does the last force.
+   touch_tick and touch_release are the only two that put forces out, and both do so through touch_limit_output. Without a
+   frame or a position (or an orientation) of the device the gain goes to zero in the time of the ramp, and so does the last
+   force.
 
    The media clock stands at the beginning and after a seek until the first frames are there. Where a later one is late there
    is no force, but the clock goes on; only where nothing more will come does it stand. */
@@ -138,7 +139,7 @@ static inline touch_vector touch_wanted_force(touch_receiver *receiver, const to
     touch_vector force = touch_field_force(receiver, t, &point, &friction, dt_s);
     state->field_force_n = force, state->friction_n = friction;
 
-    double size = touch_norm(force), vibration = touch_vibration(receiver, t, point, dt_s);
+    double size = touch_norm(force), vibration = touch_vibration_force(receiver, t, point, dt_s);
     if (material) vibration += touch_texture(receiver, material, force, velocity, dt_s);
     touch_vector added = touch_add_scaled(friction, -settings->damping_n_s_per_m, velocity);
     touch_vector shaking = touch_vector_of(0.0, 0.0, vibration); /* along the force; upwards where there is none */
@@ -162,8 +163,8 @@ static inline void touch_leave_field(touch_tick_state *state) {
 static inline touch_vector touch_put_out(touch_receiver *receiver, touch_vector force_n, touch_vector torque_nm, double dt_s) {
     const touch_settings *settings = &receiver->settings;
     touch_tick_state *state = &receiver->state;
-    (void)touch_limit(settings, &settings->torque_limits, &state->torque, torque_nm, dt_s);
-    return touch_limit(settings, &settings->force_limits, &state->force, force_n, dt_s);
+    (void)touch_limit_output(settings, &settings->torque_limits, &state->torque, torque_nm, dt_s);
+    return touch_limit_output(settings, &settings->force_limits, &state->force, force_n, dt_s);
 }
 
 /* The force of one tick, N, in the device's axes, for a device at `device_m`. The torque is in state.torque.output.
@@ -222,7 +223,7 @@ static inline int64_t touch_tag(int64_t generation, int64_t unrolled_frame) {
     return (int64_t)((uint64_t)generation << TOUCH_FRAME_BITS) | unrolled_frame;
 }
 
-static inline touch_directory_entry *touch_entry(touch_receiver *receiver, int64_t unrolled_frame) {
+static inline touch_directory_entry *touch_slot_of(touch_receiver *receiver, int64_t unrolled_frame) {
     touch_directory_entry *entries = (touch_directory_entry *)((char *)receiver + receiver->layout.directory_offset);
     return entries + (unrolled_frame & (receiver->layout.directory_slots - 1));
 }
@@ -241,7 +242,7 @@ static inline void touch_give_order(touch_receiver *receiver, int64_t generation
 
 /* Show an unrolled frame that is written at an offset. */
 static inline void touch_publish(touch_receiver *receiver, int64_t generation, int64_t unrolled_frame, int64_t frame_offset) {
-    touch_directory_entry *entry = touch_entry(receiver, unrolled_frame);
+    touch_directory_entry *entry = touch_slot_of(receiver, unrolled_frame);
     touch_share(&entry->tag, -1);
     TOUCH_FENCE();
     touch_share(&entry->frame_offset, frame_offset);
@@ -292,7 +293,7 @@ static inline void touch_take_order(touch_receiver *receiver, double clock_s) {
 
 /* Where an unrolled frame lies; 0 if it is not there. */
 static inline int64_t touch_frame_offset(touch_receiver *receiver, int64_t unrolled_frame) {
-    const touch_directory_entry *entry = touch_entry(receiver, unrolled_frame);
+    const touch_directory_entry *entry = touch_slot_of(receiver, unrolled_frame);
     if (touch_shared(&entry->tag) != touch_tag(receiver->clock.generation, unrolled_frame)) return 0;
     TOUCH_FENCE();
     return touch_shared(&entry->frame_offset);
@@ -367,7 +368,10 @@ static inline touch_frames touch_find_frames(touch_receiver *receiver, double cl
 
 /* -- a tick at a time of the clock ------------------------------------------------------------------------------------ */
 
-static inline int64_t touch_bin(int64_t ns) { return ns / 1000 < TOUCH_TIME_BINS ? ns / 1000 : TOUCH_TIME_BINS; }
+static inline int64_t touch_bin(int64_t ns) {
+    int64_t us = ns / 1000;
+    return us < TOUCH_TIME_BINS ? us : (int64_t)TOUCH_TIME_BINS;
+}
 
 /* Count jitter and lateness of this tick, and set the deadline of the next. */
 static inline void touch_count_time(touch_receiver *receiver, int64_t now_ns) {

@@ -5,12 +5,16 @@
    threads run while C works. The module uses CPython's stable ABI only, so that one binary serves every version from 3.11
    on. Each header ends with the list of its functions. */
 #include "arguments.h"
+#include "hand.h"
 #include "parts.h"
+#include "receiver.h"
 #include "segments.h"
 
 static PyMethodDef methods[] = {
     SEGMENTS_METHODS,
     PARTS_METHODS,
+    RECEIVER_METHODS,
+    HAND_METHODS,
     {NULL, NULL, 0, NULL},
 };
 
