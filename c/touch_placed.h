@@ -56,7 +56,7 @@ TOUCH_INLINE touch_vector touch_placed_samples(const touch_placement *o, touch_v
                            a[6] * d.x + a[7] * d.y + a[8] * d.z - o->corner[2]);
 }
 
-TOUCH_INLINE int touch_is_in_box(const touch_placed_box *box, touch_vector p) {
+TOUCH_INLINE int touch_is_in_placed_box(const touch_placed_box *box, touch_vector p) {
     const int64_t *count = box->brick_count;
     return 0.0 <= p.x && p.x < 8.0 * (double)count[0] && 0.0 <= p.y && p.y < 8.0 * (double)count[1] && 0.0 <= p.z &&
            p.z < 8.0 * (double)count[2];
@@ -84,7 +84,7 @@ typedef struct { /* a brick of an object's cells, as the last one looked up */
 TOUCH_INLINE touch_cell_point touch_placed_point(const touch_placed_objects *all, const touch_placed_box *box, touch_vector p,
                                                  touch_found_brick *last) {
     touch_cell_point found = {NULL, {0.0, 0.0, 0.0}};
-    if (!touch_is_in_box(box, p)) return found;
+    if (!touch_is_in_placed_box(box, p)) return found;
     int64_t i = (int64_t)p.x, j = (int64_t)p.y, k = (int64_t)p.z, brick = touch_box_brick(box, i, j, k);
     if (brick != last->brick)
         last->brick = brick, last->index = touch_find_brick(all->table + 2 * box->table_start, box->table_shift, brick);

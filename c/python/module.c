@@ -7,12 +7,14 @@
 #include "arguments.h"
 #include "hand.h"
 #include "parts.h"
+#include "query.h"
 #include "receiver.h"
 #include "segments.h"
 
 static PyMethodDef methods[] = {
     SEGMENTS_METHODS,
     PARTS_METHODS,
+    QUERY_METHODS,
     RECEIVER_METHODS,
     HAND_METHODS,
     {NULL, NULL, 0, NULL},

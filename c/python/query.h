@@ -278,7 +278,7 @@ static PyObject *native_start_cells(PyObject *module, PyObject *arguments) {
 }
 
 static PyObject *native_fill_cells(PyObject *module, PyObject *arguments) {
-    PyObject *memory, *corner, *cell_bricks, *bricks, *forces;
+    PyObject *memory, *cell_bricks, *bricks, *forces;
     long long start, stop;
     int64_t count = -1;
     touch_cell_box box;
