@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from touchfield import _native
+from touchfield.compute.native import native
 from touchfield.errors import TouchfieldError
 from touchfield.medium import HapticScene
 from touchfield.render.block import Layout, Memory, Ring, aligned, check_fits, layout, too_little
@@ -214,7 +214,7 @@ class Feeder:
         if frame > self._next:
             if self._offset and self._ring.hold(frame - 1):
                 for dropped in range(self._next, frame):
-                    _native.publish(self._memory.bytes, self._generation, dropped, self._offset)
+                    native.publish(self._memory.bytes, self._generation, dropped, self._offset)
             self.dropped_frames += frame - self._next
             self._next = frame
         return self._is_loop or frame < self._source.frame_count
@@ -233,7 +233,7 @@ class Feeder:
         self._offset = offset = ready.write(self._memory, start)
         if self._on_stiffness is not None:
             self._on_stiffness(ready.stiffest_n_per_m)
-        _native.publish(self._memory.bytes, self._generation, self._next, offset)
+        native.publish(self._memory.bytes, self._generation, self._next, offset)
         self._next, self._ready, self._is_published = self._next + 1, None, True
         return True
 

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield import _native
+from touchfield.compute.native import native
 from touchfield.errors import InvalidArgument, is_finite, require_positive, require_up_to
 from touchfield.render.block import (
     DEFAULT_BYTES,
@@ -401,7 +401,7 @@ class Session:
 
     def frame_at(self, time_s: float) -> int:
         """Return the unrolled frame at a media time."""
-        return _native.unrolled_frame(time_s, self.source.rate_hz)
+        return native.unrolled_frame(time_s, self.source.rate_hz)
 
     def set_up(self, memory: Memory, mode: int = layout.IDLE) -> None:
         """Write everything that the servo needs before its first tick."""
@@ -461,7 +461,7 @@ class Session:
             changes |= {"generation": self.orders.generation + 1, "start_s": self.media_time_s(seek_s)}
         self.orders = orders = replace(self.orders, **changes)
         order = orders.generation, orders.start_s, float(orders.speed), orders.mode, int(orders.is_stopping)
-        _native.give_order(memory.bytes, *order)
+        native.give_order(memory.bytes, *order)
         return orders
 
     def feeder(

@@ -25,7 +25,7 @@ from pathlib import Path
 from pickle import PickleError
 from typing import Any, Final
 
-from touchfield import _native
+from touchfield.compute.native import native
 from touchfield.errors import DeviceError, InvalidArgument, TouchfieldError
 from touchfield.render.block import Block, Memory, layout
 from touchfield.render.point_device import Point, PointDevice
@@ -125,7 +125,7 @@ def serve(memory: Memory, device: PointDevice, clock: Clock, must_stop: Callable
                     clock_state["is_stopping"] = 1
                 latest_m = position_m()
                 link.read()
-                link.put(_native.cycle(memory.bytes, *latest_m, clock.now_ns() if is_paced else now_ns))
+                link.put(native.cycle(memory.bytes, *latest_m, clock.now_ns() if is_paced else now_ns))
                 device.advance(0.0 if orders["mode"] == layout.IDLE else dt_s)
         except BaseException:
             _ramp_to_zero(memory, device, link, clock, latest_m)
@@ -150,7 +150,7 @@ def _ramp_to_zero(
             with contextlib.suppress(Exception):
                 link.put((0.0, 0.0, 0.0))
             return
-        force = _native.cycle(memory.bytes, *position_m, now_ns)
+        force = native.cycle(memory.bytes, *position_m, now_ns)
         with contextlib.suppress(Exception):
             link.put(force)
             device.advance(dt_s)
@@ -268,9 +268,9 @@ def warm_up(memory: Memory) -> None:
     scratch = Memory.empty(max(arena, layout.RECEIVER.itemsize))
     scratch.bytes[:] = memory.bytes[: scratch.size_bytes]
     for n in range(32):
-        _native.cycle(scratch.bytes, 0.0, 0.0, 0.0, 1 + n * int(scratch.receiver["layout"]["tick_ns"]))
+        native.cycle(scratch.bytes, 0.0, 0.0, 0.0, 1 + n * int(scratch.receiver["layout"]["tick_ns"]))
     scratch.receiver["clock"]["is_stopping"] = 1
-    _native.cycle(scratch.bytes, 0.0, 0.0, 0.0, 1 << 40)
+    native.cycle(scratch.bytes, 0.0, 0.0, 0.0, 1 << 40)
 
 
 def make_realtime(is_realtime: bool = True) -> dict[str, str]:
