@@ -31,7 +31,7 @@ from touchfield.medium import ForceField
 from touchfield.perception.hand_motion import in_band, points_on_surface, slide_m, surface_walks
 from touchfield.pipeline.preparation import prepare
 from touchfield.pipeline.spec import EncodeSpec
-from touchfield.render.block import words as W
+from touchfield.render.block import layout
 from touchfield.render.kernels.proxy import held
 from touchfield.render.spec import wall_of
 from touchfield.sources.shapes.shapes import Box, Sphere
@@ -115,7 +115,7 @@ def truth() -> Figures:
                 (ball, 0.03 * unit, (0.025 - depth) * unit),
                 (block, np.array([x, y, 0.02]), np.array([x, y, 0.015 - depth])),
             ):
-                rig.memory.f8[W.IS_COUPLED] = 0.0
+                rig.memory.receiver["state"]["proxy"]["is_active"] = 0.0
                 for fraction in np.linspace(0, 1, 40):
                     force = rig.tick(start + fraction * (end - start))
                 errors.append(abs(np.linalg.norm(force) / (500 * depth) - 1))
@@ -125,9 +125,9 @@ def truth() -> Figures:
             rig.tick(np.array([0.0, 0.0, z]))
         for way in np.linspace(0, 0.005, 300):
             rig.tick(np.array([way, 0.3 * way, 0.013]))
-            max_friction_n = mu * np.linalg.norm(rig.word(W.FIELD_FORCE))
+            max_friction_n = mu * np.linalg.norm(rig.value("state.field_force_n"))
             expected_n = min(rig.wall.stiffness_n_per_m * np.hypot(way, 0.3 * way), max_friction_n)
-            slips.append(abs(np.linalg.norm(rig.word(W.FRICTION_FORCE)) - expected_n) / max_friction_n)
+            slips.append(abs(np.linalg.norm(rig.value("state.friction_n")) - expected_n) / max_friction_n)
     return {
         "error": float(np.mean(errors)),
         "worst_error": float(np.max(errors)),

@@ -36,7 +36,7 @@ from numba import njit
 from scipy.linalg import expm
 
 from machine import Bar, Figures, at_least, at_most, bench
-from touchfield.render.block import words as W
+from touchfield.render.block import layout
 from touchfield.render.kernels.tick import tick
 from touchfield.render.spec import RenderSpec, stability_of
 
@@ -190,8 +190,8 @@ def auto(
     bench.device = described
     bench.restart(spec)
     stability = stability_of(described, spec, 0.0, stiffness)
-    bench.memory.f8[W.BRAKE] = stability.brake_n_s_per_m
-    bench.memory.f8[W.COUPLING] = stability.coupling_n_per_m
+    bench.memory.receiver["settings"]["brake_n_s_per_m"] = stability.brake_n_s_per_m
+    bench.memory.receiver["settings"]["coupling_n_per_m"] = stability.coupling_n_per_m
 
 
 WAYS = {

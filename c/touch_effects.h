@@ -299,9 +299,8 @@ static inline double touch_vibration_force(touch_receiver *receiver, const touch
    that the loop cannot render is left out; what the slew limit forbids makes all weaker by one factor. Stick-slip is a
    sawtooth of mu over the way, from kinetic to static; where it would go too fast, its mean. */
 
-enum { TOUCH_BAND_SINES = 4, TOUCH_BANDS = TOUCH_MATERIAL_SINES / TOUCH_BAND_SINES };
+enum { TOUCH_BAND_SINES = 4, TOUCH_BANDS = TOUCH_SINE_COUNT / TOUCH_BAND_SINES };
 #define TOUCH_BAND_EDGE 1.0292005271944282 /* 10^(0.05 / 4): from the highest sine of a band to its edge */
-#define TOUCH_MATERIAL_CREST 4.0           /* a sum of sines hardly ever reaches this multiple of its rms */
 #define TOUCH_UNKNOWN_BODY (-2)
 
 static inline touch_material_sines *touch_sines(const touch_receiver *receiver) {
@@ -420,7 +419,7 @@ static inline double touch_texture(touch_receiver *receiver, const touch_materia
         double highest_rad_s = sines->frequency_rad_s[TOUCH_BAND_SINES * (band + 1) - 1];
         if (level > 0.0 && highest_rad_s < max_rad_s) touch_add_band(&chord, sines, band, level, dt_s);
     }
-    double max_change = TOUCH_MATERIAL_CREST * sqrt(chord.change2_n2_s2) * settings->force_scale;
+    double max_change = (double)TOUCH_MATERIAL_CREST * sqrt(chord.change2_n2_s2) * settings->force_scale;
     return max_change > 0.0 ? chord.force_n * touch_fmin(1.0, settings->force_limits.slew_per_s / max_change) : 0.0;
 }
 

@@ -227,10 +227,13 @@ enum {
 
 /* -- materials -------------------------------------------------------------------------------------------------------- */
 
-enum { TOUCH_MATERIAL_SINES = 64 };
+enum {
+    TOUCH_SINE_COUNT = 64,
+    TOUCH_MATERIAL_CREST = 4     /* a sum of sines hardly ever reaches this multiple of its rms */
+};
 
 typedef struct { /* of all materials; the materials lie behind it */
-    double frequency_rad_s[TOUCH_MATERIAL_SINES], phase_rad[TOUCH_MATERIAL_SINES];
+    double frequency_rad_s[TOUCH_SINE_COUNT], phase_rad[TOUCH_SINE_COUNT];
 } touch_material_sines;
 
 typedef struct { /* speeds, forces and levels lie behind the last material */

@@ -29,7 +29,8 @@ FLAG_ENDED: Final = 8
 FLAG_STOPPING: Final = 16
 FLAG_SILENT: Final = 32
 FLAG_PAUSED: Final = 64
-MATERIAL_SINES: Final = 64
+SINE_COUNT: Final = 64
+MATERIAL_CREST: Final = 4
 
 CELLS: Final = np.dtype(
     [
