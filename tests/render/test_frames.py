@@ -8,19 +8,23 @@ from block_makers import Block, some_field
 from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
+from touchfield.compute.native import native
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.cells import CellPool
 from touchfield.medium.medium import VibrationFrame
 from touchfield.render.block import Memory
-from touchfield.render.block.frames import FramePart, field_words, write_field
-from touchfield.render.kernels.frames import force_at, vibration_at
+from touchfield.render.block.frames import FramePart, field_bytes, write_field
 
 GRID = Grid((17, 12, 21), (0.01, 0.011, 0.009), (-0.08, -0.06, -0.1))
 seeds = st.integers(0, 2**32 - 1)
 
 
 def forces(block: Block, a: int, b: int, blend: float, points: np.ndarray) -> np.ndarray:
-    return np.array([force_at(*block.memory.views, a, b, blend, *p) for p in points.tolist()])
+    return np.array([native.force_at(block.memory.bytes, a, b, blend, *p) for p in points.tolist()])
+
+
+def vibration(block: Block, frame: int, *point: float) -> tuple[float, float]:
+    return native.vibration_at(block.memory.bytes, frame, frame, 0.0, *point)
 
 
 @settings(max_examples=30)
@@ -120,11 +124,11 @@ def test_an_invalid_position_gives_no_force(bad: float, axis: int, is_rotated: b
     frame = block.frame([FramePart(address, quaternion, is_identity=not is_rotated)])
     later = block.frame([FramePart(address, (1.0, 0.0, 0.0, 0.0), (0.1, 0.1, 0.1))])
     point = np.zeros(3)
-    assert force_at(*block.memory.views, frame, later, 0.0, *point) != (0.0, 0.0, 0.0)
+    assert native.force_at(block.memory.bytes, frame, later, 0.0, *point) != (0.0, 0.0, 0.0)
     point[axis] = bad
     for blend in (0.0, 0.5):
-        assert force_at(*block.memory.views, frame, later, blend, *point) == (0.0, 0.0, 0.0)
-    assert vibration_at(*block.memory.views, frame, *point) == (0.0, 0.0)
+        assert native.force_at(block.memory.bytes, frame, later, blend, *point) == (0.0, 0.0, 0.0)
+    assert vibration(block, frame, *point) == (0.0, 0.0)
 
 
 def test_vibration_has_the_frequency_of_the_dominant_corner() -> None:
@@ -136,28 +140,25 @@ def test_vibration_has_the_frequency_of_the_dominant_corner() -> None:
         np.array([80.0, 250.0, 120.0], np.float32),
     )
     frame = block.frame([], vibration_at=block.field(band.as_field()))
-    views = block.memory.views
-    assert vibration_at(*views, frame, 0.01, 0.01, 0.02) == (1.0, 80.0)
-    assert vibration_at(*views, frame, 0.01, 0.01, 0.035) == pytest.approx((2.5, 250.0))
-    assert vibration_at(*views, frame, 0.018, 0.01, 0.029) == pytest.approx(
+    assert vibration(block, frame, 0.01, 0.01, 0.02) == (1.0, 80.0)
+    assert vibration(block, frame, 0.01, 0.01, 0.035) == pytest.approx((2.5, 250.0))
+    assert vibration(block, frame, 0.018, 0.01, 0.029) == pytest.approx(
         (1.0 * 0.11 + 3 * 0.09 + 2 * 0.44, 120.0)
     )
-    assert vibration_at(*views, frame, 0.001, 0.01, 0.02) == pytest.approx((0.1, 80.0))
-    nearer = vibration_at(*views, frame, 0.01, 0.01, 0.026)  # 0.7 N of the near corner, 0.9 N of the far one
+    assert vibration(block, frame, 0.001, 0.01, 0.02) == pytest.approx((0.1, 80.0))
+    nearer = vibration(block, frame, 0.01, 0.01, 0.026)  # 0.7 N of the near corner, 0.9 N of the far one
     assert nearer == pytest.approx((1.6, 250.0))
-    equal = vibration_at(
-        *views, frame, 0.01 + 0.01 / 3, 0.01, 0.02
-    )  # 2/3 N of both: the first in raster order
+    equal = vibration(block, frame, 0.01 + 0.01 / 3, 0.01, 0.02)  # 2/3 N of both: the first in raster order
     assert equal == pytest.approx((4 / 3, 80.0))
-    assert vibration_at(*views, frame, 0.0, 0.0, 0.0) == (0.0, 0.0)
-    assert vibration_at(*views, block.frame([]), 0.01, 0.01, 0.02) == (0.0, 0.0)
+    assert vibration(block, frame, 0.0, 0.0, 0.0) == (0.0, 0.0)
+    assert vibration(block, block.frame([]), 0.01, 0.01, 0.02) == (0.0, 0.0)
 
 
 def test_a_written_field_can_be_moved() -> None:
     field = some_field(np.random.default_rng(3), GRID)
-    pool, memory = CellPool.of(field), Memory.empty(100_000)
-    word_count = field_words(pool)
-    write_field(memory, 5, pool)
-    before = memory.i8[5 : 5 + word_count].copy()
-    write_field(memory, 777, pool)
-    assert np.array_equal(memory.i8[777 : 777 + word_count], before)
+    pool, memory = CellPool.of(field), Memory.empty(800_000)
+    size = field_bytes(pool)
+    write_field(memory, 64, pool)
+    before = memory.bytes[64 : 64 + size].copy()
+    write_field(memory, 6400, pool)
+    assert np.array_equal(memory.bytes[6400 : 6400 + size], before)

@@ -25,7 +25,6 @@ from touchfield.render.kernels.vectors import (
     turned_back,
 )
 
-
 AT_ONCE = 512
 BINS = 400
 _PER_DOUBLING = 20.0
