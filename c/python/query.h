@@ -274,7 +274,12 @@ static PyObject *native_start_cells(PyObject *module, PyObject *arguments) {
     const int32_t *brick = (const int32_t *)add_array(&arrays, cell_bricks, 12, &count);
     if (brick && (cells = add_cells(&arrays, memory, count)))
         touch_start_cells(cells, &box, brick, (uint64_t)count, spacing_m, origin_m);
-    return done(&arrays, cells != NULL);
+    PyObject *result = cells ? Py_BuildValue("(ddd)LLLL", cells->corner_m.x, cells->corner_m.y, cells->corner_m.z,
+                                             (long long)cells->table_shift, (long long)cells->table_offset,
+                                             (long long)cells->supported_offset, (long long)cells->samples_offset)
+                             : NULL;
+    release_arrays(&arrays);
+    return result;
 }
 
 static PyObject *native_fill_cells(PyObject *module, PyObject *arguments) {

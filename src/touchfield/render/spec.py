@@ -328,6 +328,8 @@ def _max_stiffness(device: Device, spec: RenderSpec, k: float, lag: float) -> fl
 
 # -- stiffness and walls of a field
 
+_SLOPE_BINS: Final = 400  # of the histogram of c/touch_slopes.h
+_SLOPE_BINS_PER_DOUBLING: Final = 20.0
 _STEEP_FRACTION: Final = 1e-3
 """Fraction of the resisting cells that may be stiffer: edges, corners, noise."""
 
@@ -337,18 +339,14 @@ def stiffest_n_per_m(pools: Iterable[CellPool]) -> float:
 
     One in a thousand of the resisting cells of a field may exceed it.
     """
-    from touchfield.render.kernels.points import BINS, count_slopes, slope_of_bin
-
     stiffest = 0.0
     for pool in pools:
-        counts = np.zeros(BINS, np.int64)
-        count_slopes(pool.cells, pool.supported, 1.0 / pool.lattices[0, :3], counts)
+        counts = np.zeros(_SLOPE_BINS, np.int64)
+        native.count_slopes(pool.cells, pool.supported, tuple(1.0 / pool.lattices[0, :3]), counts)
         counts_above = np.cumsum(counts[::-1])[::-1]
         if counts.any():
-            stiffest = max(
-                stiffest,
-                slope_of_bin(int(np.flatnonzero(counts_above > _STEEP_FRACTION * counts_above[0])[-1])),
-            )
+            steepest = int(np.flatnonzero(counts_above > _STEEP_FRACTION * counts_above[0])[-1])
+            stiffest = max(stiffest, 2.0 ** ((steepest + 1) / _SLOPE_BINS_PER_DOUBLING))
     return stiffest
 
 

@@ -24,8 +24,9 @@ from touchfield.render.kernels.vectors import (
     turned,
     turned_back,
 )
-from touchfield.render.tool import AT_ONCE
 
+
+AT_ONCE = 512
 BINS = 400
 _PER_DOUBLING = 20.0
 
