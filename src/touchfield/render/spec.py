@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from touchfield.arrays import lengths_of
+from touchfield.compute.native import native
 from touchfield.errors import (
     DeviceError,
     InvalidArgument,

@@ -88,7 +88,7 @@ class SimHand(PointDevice):
         """Orientation of the trajectory."""
         if self._quaternions is not None:
             native.interpolate_orientation(
-                self._times, self._quaternions, float(self._state[0]), self._quaternion
+                self._times, self._quaternions, self._quaternion, float(self._state[0])
             )
         w, x, y, z = self._quaternion.tolist()
         return w, x, y, z
