@@ -11,6 +11,7 @@ from player_makers import GRID, laid_out, numbered_field, numbered_medium
 
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
+from touchfield.compute.native import native
 from touchfield.render.block import Memory, aligned, layout
 from touchfield.render.feeder import Feeder, FrameSource
 from touchfield.render.player import Session
@@ -33,7 +34,7 @@ def stored_force_z(session: Session, memory: Memory, generation: int, frame: int
     found, address = entry(session, memory, frame)
     if found != tag(generation, frame):
         return None
-    return float(force_at(memory, address, 0.0, 0.0, 0.0)[2])
+    return native.force_at(memory.bytes, address, address, 0.0, 0.0, 0.0, 0.0)[2]
 
 
 def run_dry(feeder: Feeder) -> int:
@@ -255,7 +256,7 @@ def test_rigid_bodies_are_written_once() -> None:
         address = entry(session, memory, n)[1]
         for z in (0.0, 0.033, -0.02):
             expected = scene.sample_n(n, [0.001, 0.002, z])
-            found = force_at(memory, address, 0.001, 0.002, z)
+            found = native.force_at(memory.bytes, address, address, 0.0, 0.001, 0.002, z)
             assert found == pytest.approx(expected, abs=1e-6)
     assert FrameSource(HapticScene(GRID, 50.0, (rigid,), 4.0)).prepare(2).size_bytes < 512
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from player_makers import laid_out
+from receiver_values import differing, value_of
 from tick_makers import GRID, OMNI, points, wall
 
 from touchfield.errors import InvalidArgument

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, strategies as st
 from tick_makers import OMNI, Bench, Vector, constant, limits, linear
 
+from touchfield.compute.native import native
 from touchfield.render.block import Memory, layout
 from touchfield.render.spec import RenderSpec, write_parameters
 

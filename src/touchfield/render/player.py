@@ -417,7 +417,7 @@ class Session:
         )
         if self._yield_bytes:
             memory.bytes[self.layout.yields : self.layout.yields + self._yield_bytes] = 0
-            source.yield_offset = self.layout.yields
+            source.yield_at = self.layout.yields
         settings = memory.receiver["settings"]
         if self._wall is not None:
             settings["wall_n_per_m"], settings["wall_level_n"] = (
