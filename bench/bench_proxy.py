@@ -31,7 +31,6 @@ from touchfield.medium import ForceField
 from touchfield.perception.hand_motion import in_band, points_on_surface, slide_m, surface_walks
 from touchfield.pipeline.preparation import prepare
 from touchfield.pipeline.spec import EncodeSpec
-from touchfield.render.block import layout
 from touchfield.render.kernels.proxy import held
 from touchfield.render.spec import wall_of
 from touchfield.sources.shapes.shapes import Box, Sphere

@@ -23,7 +23,7 @@ from machine import Bar, Figures, at_most, bench
 from touchfield.devices import device
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.cells import CellPool
-from touchfield.render.block import Memory, layout
+from touchfield.render.block import Memory
 from touchfield.render.block.frames import FramePart, field_words, frame_words, write_field, write_frame
 from touchfield.render.kernels.tick import tick
 from touchfield.render.spec import RenderSpec, write_parameters
