@@ -36,7 +36,6 @@ from numba import njit
 from scipy.linalg import expm
 
 from machine import Bar, Figures, at_least, at_most, bench
-from touchfield.render.block import layout
 from touchfield.render.kernels.tick import tick
 from touchfield.render.spec import RenderSpec, stability_of
 

@@ -2,10 +2,10 @@
 ``c/touch_encode.h``). Python code of the package calls them to encode and decode segments.
 
 Arrays are C-contiguous buffers of the given dtype and shape; results are bytes. Every function releases the
-GIL while C works, and holds no state but in the objects that it returns, each of which one thread uses at a
-time. One that fails raises ValueError with two arguments: a code of ``touch.h`` (2 truncated, 3 corrupt, 4 of
-another version, 5 out of memory, 6 an invalid argument, 8 more than a limit that the caller gives), and a
-text that says what is wrong.
+GIL while C works, unless stated otherwise, and holds no state but in the objects that it returns, each of
+which one thread uses at a time. One that fails raises ValueError with two arguments: a code of ``touch.h`` (2
+truncated, 3 corrupt, 4 of another version, 5 out of memory, 6 an invalid argument, 8 more than a limit that
+the caller gives), and a text that says what is wrong.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -97,3 +97,84 @@ def encode_poses(numbers: Buffer) -> bytes:
 
 def decode_poses(data: Buffer, count: int, quaternion_unit: int) -> bytes:
     """The inverse of `encode_poses`: int64 [count, 7]. `quaternion_unit` is the number of steps in 1."""
+
+# -- the receiver: memory is a `touch_receiver` (c/touch_receiver.h) and what lies behind it, a writable
+# buffer that is aligned to eight bytes. Functions of one tick or order take a microsecond and hold the GIL.
+# An offset of a frame is in bytes from the start of the memory; what lies there is not checked.
+
+Vector = tuple[float, float, float]
+
+def tick(
+    memory: Buffer, before: int, after: int, blend: float, x: float, y: float, z: float, dt_s: float
+) -> Vector:
+    """The force of a tick, newtons in the device's axes, for a device at x, y, z metres (`touch_tick`).
+
+    `before` and `after` are the offsets of the frames around this time, 0 for none.
+    """
+
+def release(memory: Buffer, dt_s: float) -> Vector:
+    """The next force on the way to zero, newtons (`touch_release`)."""
+
+def cycle(memory: Buffer, x: float, y: float, z: float, now_ns: int) -> Vector:
+    """The force at a time of the clock, newtons, with orders, media clock, log and counts
+    (`touch_receiver_tick`); the torque is in ``state.torque.output``."""
+
+def limited(memory: Buffer, x: float, y: float, z: float, dt_s: float) -> Vector:
+    """The force that the limits allow where one is wanted, newtons (`touch_limit_output`)."""
+
+def contact_force(
+    memory: Buffer, before: int, after: int, blend: float, x: float, y: float, z: float
+) -> tuple[float, float, float, float, float, float]:
+    """The force of the proxy on a hand at x, y, z metres, newtons, and what friction adds
+    (`touch_contact_force`)."""
+
+def give_order(
+    memory: Buffer, generation: int, start_s: float, speed: float, mode: int, is_stopping: int
+) -> None:
+    """Write an order of the player (`touch_give_order`)."""
+
+def publish(memory: Buffer, generation: int, unrolled_frame: int, offset: int) -> None:
+    """Show a frame that is written at an offset (`touch_publish`)."""
+
+def unrolled_frame(media_s: float, rate_hz: float) -> int:
+    """The frame at a media time, counted on in a loop (`touch_unrolled_frame`)."""
+
+def receiver_layout() -> list[tuple[str, int]]:
+    """Version of the receiver's memory, sizes of its structs and offsets of their members, bytes."""
+
+def openhaptics_callback() -> tuple[int, int, int]:
+    """Addresses of `touch_openhaptics_callback` and `touch_receiver_tick`; the size of a `touch_driver`."""
+
+# -- fields in bricks
+
+def sample_field(index: Buffer, shape: Shape, keys: Buffer, forces: Buffer, out: Buffer) -> None:
+    """Interpolate at positions float64 [m, 3], in samples: newtons, float32 [m, 3], to `out`.
+
+    `keys` int64 [n] are those of the bricks, ascending, of `forces` float32 [n, 8, 8, 8, 3].
+    """
+
+def raster_slots(bricks: Buffer, mask: Buffer, out: Buffer) -> None:
+    """Write the indices of the set samples of `mask`, uint8 [n, 512], in raster order, to `out`, int64 [L].
+
+    `bricks` are int32 [n, 3], ascending.
+    """
+
+# -- the simulated hand: `times_s` float64 [n], ascending; `state` float64 [10]: time, position, velocity and
+# force
+
+def follow(times_s: Buffer, positions_m: Buffer, state: Buffer, dt_s: float) -> None:
+    """Move a hand along a trajectory float64 [n, 3], whatever the force."""
+
+def spring(
+    times_s: Buffer,
+    positions_m: Buffer,
+    state: Buffer,
+    mass_kg: float,
+    stiffness_n_per_m: float,
+    damping_n_s_per_m: float,
+    dt_s: float,
+) -> None:
+    """Move a mass that a spring pulls and the force pushes: m a = k (target - x) - b v + F."""
+
+def interpolate_orientation(times_s: Buffer, quaternions: Buffer, out: Buffer, time_s: float) -> None:
+    """Write the orientation at a time to `out`, float64 [4]: along the shorter arc, of length 1."""
