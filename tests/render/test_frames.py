@@ -162,3 +162,65 @@ def test_a_written_field_can_be_moved() -> None:
     before = memory.bytes[64 : 64 + size].copy()
     write_field(memory, 6400, pool)
     assert np.array_equal(memory.bytes[6400 : 6400 + size], before)
+
+
+@settings(max_examples=10)
+@given(seeds, st.sampled_from([0.0, 0.3]))
+def test_the_strongest_body_is_that_of_the_largest_force(seed: int, blend: float) -> None:
+    rng = np.random.default_rng(seed)
+    block = Block()
+    offsets = [block.field(some_field(rng, GRID)) for _ in range(3)]
+    poses = [
+        [(q, p) for q, p in zip(Rotation.random(3, random_state=rng).as_quat(), rng.normal(0, 0.03, (3, 3)))]
+        for _ in range(2)
+    ]
+    bodies = [[FramePart(at, q, p) for at, (q, p) in zip(offsets, frame)] for frame in poses]
+    frames = [block.frame(parts) for parts in bodies]
+    alone = [[block.frame([frame[n]]) for frame in bodies] for n in range(3)]
+    points = rng.uniform(*GRID.box_m, (60, 3))
+    sizes = [np.linalg.norm(forces(block, *pair, blend, points), axis=1) for pair in alone]
+    expected = np.where(np.max(sizes, axis=0) > 0, np.argmax(sizes, axis=0), -1)
+    memory = block.memory.bytes
+    found = [native.strongest_body(memory, *frames, blend, *p) for p in points.tolist()]
+    assert found == expected.tolist()
+
+
+def test_batches_are_single_queries_in_any_ranges() -> None:
+    rng = np.random.default_rng(2)
+    block = Block()
+    a, b = (block.voxels(some_field(rng, GRID)) for _ in range(2))
+    points, blends = rng.uniform(*GRID.box_m, (90, 3)), rng.choice([0.0, 0.3, 1.0], 90)
+    points[::9] = np.nan
+    out = np.full((90, 3), 7.0, np.float32)
+    for start, stop in ((40, 90), (0, 1), (1, 40), (5, 5)):
+        native.forces_at(start, stop, block.memory.bytes, a, b, points, blends, out)
+    queries = zip(blends.tolist(), points.tolist())
+    single = [native.force_at(block.memory.bytes, a, b, blend, *p) for blend, p in queries]
+    assert np.array_equal(out, np.array(single, np.float32)) and out.any()
+
+
+def test_wrong_arguments_are_refused() -> None:
+    block = Block(64_000)
+    frame = block.frame([])
+    memory = block.memory.bytes
+    for arguments, error in (
+        ((memory, frame, frame, 0.0, 0.0, 0.0), "number of arguments"),
+        ((memory, frame, frame + 4, 0.0, 0.0, 0.0, 0.0), "offset"),
+        ((memory, -8, frame, 0.0, 0.0, 0.0, 0.0), "offset"),
+        ((memory, frame, 64_000, 0.0, 0.0, 0.0, 0.0), "offset"),
+        ((memory[4:], frame, frame, 0.0, 0.0, 0.0, 0.0), "offset"),
+    ):
+        with pytest.raises(ValueError, match=error):
+            native.force_at(*arguments)
+    with pytest.raises(TypeError):
+        native.force_at(memory, frame, frame, 0.0, "0", 0.0, 0.0)
+    points, blends, out = np.zeros((3, 3)), np.zeros(1), np.zeros((3, 3), np.float32)
+    for wrong in (
+        (0, 4, memory, frame, frame, points, blends, out),
+        (0, 3, memory, frame, frame, points[:2], blends, out),
+        (0, 3, memory, frame, frame, points, np.zeros(2), out),
+        (0, 3, memory, frame, frame, points, blends, out[:2]),
+        (0, 3, memory, frame, frame, points, blends, out.tobytes()),
+    ):
+        with pytest.raises(ValueError, match=r"array|range|blends"):
+            native.forces_at(*wrong)
