@@ -1,5 +1,5 @@
-/* touch.h and touch_write.h for a browser: a file, the two frames about an instant, what the page draws of them, and a
-   file that is written from its frames.
+/* touch.h and touch_write.h for a browser: a file, the two frames about an instant, what the page draws of them, and
+   files that are written, from frames of the open one or from a picture of depth.
 
    Memory is one block: the file, a decoder each for even and odd segments (so that frames on both sides of a border
    live at once), two frames, and a piece that drawings are written to. Where it is too small it grows, to a limit. */
@@ -429,4 +429,5 @@ EXPORT(largest) const double *largest(uint32_t n) {
 
 #pragma clang attribute push(__attribute__((minsize)), apply_to = function)
 #include "record.h"
+#include "relief.h"
 #pragma clang attribute pop

@@ -88,9 +88,14 @@ export function storyOf(story: [string, string][], name: string, from: number, c
     const own = key === "source" || key === "spec" ? `source.${key}` : key;
     if (pairs.size < 64 && !(own.startsWith("source.") && own === key)) pairs.set(own, value);
   }
+  return storyBytes([...pairs]);
+}
+
+/** The payload of PROV. */
+export function storyBytes(pairs: [string, string][]): Uint8Array {
   const encoder = new TextEncoder();
-  const out: number[] = [pairs.size & 255, pairs.size >> 8];
-  for (const text of [...pairs].flat()) {
+  const out: number[] = [pairs.length & 255, pairs.length >> 8];
+  for (const text of pairs.flat()) {
     const bytes = encoder.encode(text);
     out.push(bytes.length & 255, bytes.length >> 8, ...bytes);
   }
@@ -133,7 +138,8 @@ function firstBad(data: Uint8Array): number | null {
   }
 }
 
-function crc32(bytes: Uint8Array): number {
+/** CRC-32 as PNG and `.touch` files have it. */
+export function crc32(bytes: Uint8Array): number {
   let crc = ~0;
   for (const byte of bytes) {
     crc ^= byte;

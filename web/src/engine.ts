@@ -1,8 +1,9 @@
 // Runs the decoder and encoder of c/touch.h in WebAssembly, and answers the requests of the page: open a
 // file, show a frame, find the force at a point. It runs in a worker, or in the page where workers are not
 // allowed.
-import { Fault, faultOf, readRecords, type Records, storyOf } from "./container";
+import { Fault, faultOf, readRecords, type Records, storyBytes, storyOf } from "./container";
 import { Difference } from "./difference";
+import { DEFAULT_BOUND, type Relief } from "./relief";
 
 interface Exports {
   memory: WebAssembly.Memory;
@@ -24,6 +25,7 @@ interface Exports {
   largest(n: number): number;
   story(bytes: number): number;
   record(from: number, count: number, k: number, threshold: number): number;
+  record_relief(k: number, threshold: number): number;
   recorded(): number;
 }
 
@@ -140,6 +142,8 @@ export class Engine {
   private parts: { at: number; size: number; there: Set<number> } | null = null;
   private bytes = { at: 0, size: 0 };
   private records: Records | null = null;
+  /** The picture that the open file was made of. */
+  private relief: Relief | null = null;
 
   constructor(private readonly module: WebAssembly.Module) {
     const page = { sin: Math.sin, cos: Math.cos, atan: Math.atan, atan2: Math.atan2, asin: Math.asin, log2: Math.log2 };
@@ -151,7 +155,7 @@ export class Engine {
     this.room(data.length);
     this.bring(0, data, null);
     const code = this.wasm.open();
-    this.parts = null;
+    this.parts = this.relief = null;
     if (code) throw faultOf(CODES[code] ?? "fault", code === 4 ? `${this.words()}${coderOf(data)}` : this.words(), data);
     return this.told(readRecords(data), begin);
   }
@@ -163,6 +167,7 @@ export class Engine {
     const at = this.wasm.room(size);
     if (!at) throw new Fault("too large", "the file is larger than the memory that the page takes", null);
     this.parts = { at, size, there: new Set() };
+    this.relief = null;
     this.bytes = { at, size };
     return true;
   }
@@ -200,26 +205,52 @@ export class Engine {
     return { head: this.head, records, memory: this.memory, ms: performance.now() - begin };
   }
 
+  /** Open the file of a picture of depth, with the default error bound. */
+  openRelief(relief: Relief): Opened {
+    const begin = performance.now();
+    const { data } = new Engine(this.module).recordRelief(relief, DEFAULT_BOUND);
+    const opened = this.open(data);
+    this.relief = relief;
+    return { ...opened, ms: performance.now() - begin };
+  }
+
+  /** A new file of a picture of depth. */
+  private recordRelief({ numbers, depth, story }: Relief, { weber, threshold }: { weber: number; threshold: number }): Recorded {
+    const begin = performance.now();
+    const at = this.wasm.room(numbers.byteLength + depth.byteLength);
+    if (!at) throw new Fault("too large", "the picture is larger than the memory that the page takes", null);
+    new Float64Array(this.wasm.memory.buffer, at, numbers.length).set(numbers);
+    new Float32Array(this.wasm.memory.buffer, at + numbers.byteLength, depth.length).set(depth);
+    return this.recorded(this.putStory(storyBytes(story)) || this.wasm.record_relief(weber, threshold), begin);
+  }
+
   /** A new file of some frames, coded in a decoder and memory of its own: what is shown stays. */
   record({ from, count, weber, threshold, name }: Recording): Recorded {
     const begin = performance.now();
     const head = this.opened();
     if (head.objects) throw new Fault("argument", "the page saves fields of coder touch only, and this file has the coder objects", null);
     const own = new Engine(this.module);
+    if (this.relief) return own.recordRelief(this.relief, { weber, threshold });
     const data = new Uint8Array(this.wasm.memory.buffer, this.bytes.at, this.bytes.size);
     own.room(data.length);
     own.bring(0, data, null);
-    const code = (this.parts ? own.wasm.open_parts() : own.wasm.open()) || own.put(from, count, weber, threshold, storyOf(this.records!.story, name, from, count));
-    if (code) throw new Fault(CODES[code] ?? "fault", own.words(), null);
-    const [at, size, ratio] = new Float64Array(own.wasm.memory.buffer, own.wasm.recorded(), 3);
-    return { data: new Uint8Array(own.wasm.memory.buffer, at, size).slice(), ratio: ratio!, ms: performance.now() - begin };
+    const story = storyOf(this.records!.story, name, from, count);
+    const code = (this.parts ? own.wasm.open_parts() : own.wasm.open()) || own.putStory(story) || own.wasm.record(from, count, weber, threshold);
+    return own.recorded(code, begin);
   }
 
-  private put(from: number, count: number, weber: number, threshold: number, story: Uint8Array): number {
+  /** The file that was written, if the code is 0. */
+  private recorded(code: number, begin: number): Recorded {
+    if (code) throw new Fault(CODES[code] ?? "fault", this.words(), null);
+    const [at, size, ratio] = new Float64Array(this.wasm.memory.buffer, this.wasm.recorded(), 3);
+    return { data: new Uint8Array(this.wasm.memory.buffer, at, size).slice(), ratio: ratio!, ms: performance.now() - begin };
+  }
+
+  private putStory(story: Uint8Array): number {
     const at = this.wasm.story(story.length);
     if (!at) throw new Fault("argument", "a statement about its origin that is too long", null);
     new Uint8Array(this.wasm.memory.buffer).set(story, at);
-    return this.wasm.record(from, count, weber, threshold);
+    return 0;
   }
 
   private needed(time: number): number[] {
@@ -420,6 +451,7 @@ export type Ask =
   | { do: "start"; wasm: ArrayBuffer }
   | { do: "warm"; data: Uint8Array; times: number }
   | { do: "open"; data: Uint8Array; source: Uint8Array | null }
+  | { do: "relief"; relief: Relief }
   | { do: "room"; size: number }
   | { do: "bring"; at: number; data: Uint8Array; segment: number | null }
   | { do: "open-parts"; first: number }
@@ -460,6 +492,11 @@ export function answer(ask: Ask): unknown {
     if (!decoded) throw new Fault("fault", "the decoder has not started", null);
     if (ask.do === "warm") return decoded.warm(ask.data, ask.times);
     if (ask.do === "open") return open(ask.data, ask.source);
+    if (ask.do === "relief") {
+      engine = decoded;
+      fields = { decoded };
+      return decoded.openRelief(ask.relief);
+    }
     if (ask.do === "room") {
       engine = decoded;
       fields = { decoded };

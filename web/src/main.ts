@@ -6,7 +6,9 @@ import { firstSegment, indexOffset } from "./container";
 import { answer, type Ask, type Cut, type Opened, type Piece, type Recorded, type Shown, type Triple, type What } from "./engine";
 import { differenceWords, figuresOf, type Given, keyList, millimetres } from "./panel";
 import { materialsOf, slidOver } from "./material";
-import { prepareSaving, save } from "./saving";
+import { isPicture, readPicture } from "./picture";
+import { reliefOf } from "./relief";
+import { message, prepareSaving, save } from "./saving";
 import { Sound } from "./sound";
 import { Trace } from "./trace";
 import { View } from "./view";
@@ -134,6 +136,19 @@ async function openBytes(data: Uint8Array, name: string, figures: Given = null, 
     if (data.length > MOST_BYTES) throw TOO_LARGE;
     return decoder.ask<Opened>({ do: "open", data, source });
   });
+}
+
+/** Open the relief of a picture of depth, and report what was done. */
+async function openPicture(data: Uint8Array<ArrayBuffer>, name: string): Promise<void> {
+  let report = "";
+  await openAs(name, null, false, null, async (own) => {
+    const relief = reliefOf(await readPicture(data, name), name);
+    if (own !== opening) return null;
+    const opened = await decoder.ask<Opened>({ do: "relief", relief });
+    report = `${relief.report}, ${(opened.ms / 1000).toFixed(1)} s.`;
+    return opened;
+  });
+  if (report && document.documentElement.dataset.state === "ready") message(report);
 }
 
 const TOO_LARGE = { fault: "too large", words: `the page takes files up to ${MOST_BYTES >> 20} MiB`, byte: null };
@@ -759,7 +774,8 @@ async function followBytes(data: Uint8Array, name: string): Promise<void> {
 
 async function openFile(file: File): Promise<void> {
   if (file.size > MOST_BYTES) return tellFault(TOO_LARGE, file.name);
-  await openBytes(new Uint8Array(await file.arrayBuffer()), file.name);
+  const data = new Uint8Array(await file.arrayBuffer());
+  await (isPicture(data, file.name) ? openPicture(data, file.name) : openBytes(data, file.name));
 }
 
 // -- begin --------------------------------------------------------------------------------------------------------------
