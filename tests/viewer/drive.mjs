@@ -25,6 +25,13 @@ const asked = {
     await page.setInputFiles("#file", file);
     await settled();
   },
+  choose: async ({ key, file }) => {
+    const chooser = page.waitForEvent("filechooser");
+    await page.keyboard.press(key);
+    await page.evaluate(() => { document.documentElement.dataset.state = "asked"; });
+    await (await chooser).setFiles(file);
+    await settled();
+  },
   drop: async ({ file }) => {
     const dataTransfer = await page.evaluateHandle(([bytes, name]) => {
       const carried = new DataTransfer();

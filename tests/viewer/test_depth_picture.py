@@ -1,9 +1,10 @@
-"""The page makes a file of a depth picture: its field is that of Python's height map of the picture, and what cannot be
-read is refused with an explanation.
+"""The page makes a file of a depth picture. Its field is that of Python's height map of the same picture, and
+what the page cannot read is refused with an explanation.
 """
 
 from __future__ import annotations
 
+import io
 import struct
 import zlib
 from pathlib import Path
@@ -11,19 +12,25 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import drive, needs_browser
+from browser import ROOT, drive, needs_browser
 
 import touchfield as tf
 from touchfield.devices import device
-from touchfield.pipeline.placement import mapping_of
+from touchfield.pipeline.placement import Mapping, mapping_of
+from touchfield.sources.camera import CodedSequence, DepthCode, Intrinsics
+from touchfield.sources.images.pictures import ArrayFrames
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
+from touchfield.sources.scene import Scene
+from touchfield.sources.terrain.height_scene import HeightScene
 from touchfield.viewer.browser import empty_page
 
 pytestmark = needs_browser
 
+SOLID = ROOT / "conformance" / "v1" / "touch-solid.touch"
 SAVED = "!document.getElementById('saved').textContent.startsWith('Saving')"
-TOLERANCE_N = 1e-4
+PNG = b"\x89PNG\r\n\x1a\n"
+TOLERANCE_N = 1e-6
 """Beyond the error bound: sums of the page are in another order than those of Python."""
 
 
@@ -56,26 +63,25 @@ def png(
         row, kind = rows[y * stride : (y + 1) * stride], filters[y % len(filters)]
         out += bytes([kind]) + _filtered(row, above, kind, step_bytes)
         above = row
-    head = struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, interlaced)
-    body, middle = zlib.compress(bytes(out)), 40
-    return (
-        b"\x89PNG\r\n\x1a\n"
-        + chunk(b"IHDR", head)
-        + chunk(b"IDAT", body[:middle])
-        + chunk(b"IDAT", body[middle:])
-        + chunk(b"IEND", b"")
-    )
+    return png_of(struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, interlaced), bytes(out))
+
+
+def png_of(head: bytes, rows: bytes) -> bytes:
+    """A PNG of filtered rows, in two chunks IDAT."""
+    body = zlib.compress(rows, 9)
+    parts = [chunk(b"IHDR", head), chunk(b"IDAT", body[:40]), chunk(b"IDAT", body[40:]), chunk(b"IEND", b"")]
+    return PNG + b"".join(parts)
 
 
 def _filtered(row: bytes, above: bytes, kind: int, step_bytes: int) -> bytes:
     """One row after a filter of the PNG specification."""
     now, up = np.frombuffer(row, np.uint8).astype(int), np.frombuffer(above, np.uint8).astype(int)
     left, corner = (np.concatenate([np.zeros(step_bytes, int), v[:-step_bytes]]) for v in (now, up))
-    away = [abs(up - corner), abs(left - corner), abs(left + up - 2 * corner)]
-    paeth = np.where(
-        (away[0] <= away[1]) & (away[0] <= away[2]), left, np.where(away[1] <= away[2], up, corner)
-    )
-    return ((now - [0 * now, left, up, (left + up) // 2, paeth][kind]) % 256).astype(np.uint8).tobytes()
+    near_left, near_up, near_corner = abs(up - corner), abs(left - corner), abs(left + up - 2 * corner)
+    paeth = np.where(near_up <= near_corner, up, corner)
+    paeth = np.where((near_left <= near_up) & (near_left <= near_corner), left, paeth)
+    predicted = {1: left, 2: up, 3: (left + up) // 2, 4: paeth}.get(kind, 0)
+    return ((now - predicted) % 256).astype(np.uint8).tobytes()
 
 
 def scene_mm(height: int = 90, width: int = 120) -> np.ndarray:
@@ -89,21 +95,19 @@ def scene_mm(height: int = 90, width: int = 120) -> np.ndarray:
     return depth.astype(np.uint16)
 
 
-def python_field(path: Path, units_per_m: float, kind: str = "depth-map") -> tuple[tf.ForceField, Any]:
-    """The field of Python's height map of the picture on the page's lattice, and its mapping."""
-    with path.open("rb") as stream:
-        width = (
-            np.load(stream).shape[1] if path.suffix == ".npy" else struct.unpack(">8x8xI", stream.read(20))[0]
-        )
-    height = (
-        np.load(path).shape[0] if path.suffix == ".npy" else struct.unpack(">I", path.read_bytes()[20:24])[0]
-    )
-    camera = f"{525 / 640 * width},{525 / 640 * width},{(width - 1) / 2},{(height - 1) / 2}"
-    options = SourceOptions(kind=kind, depth_scale=units_per_m, intrinsics=camera, reading="height")
-    scene = open_source(path, options)
+def python_field(picture: Path, size: tuple[int, int], units_per_m: float) -> tuple[tf.ForceField, Mapping]:
+    """The field of Python's height map of a picture, width and height given, on the page's lattice."""
+    focal, middle = 525 / 640 * size[0], [(n - 1) / 2 for n in size]
+    camera = f"{focal},{focal},{middle[0]},{middle[1]}"
+    options = SourceOptions("depth-map", units_per_m, camera, reading="height")
+    return field_of(open_source(picture, options))
+
+
+def field_of(scene: Scene) -> tuple[tf.ForceField, Mapping]:
     mapping = mapping_of(scene, device("phantom-omni"), tf.EncodeSpec())
     law = mapping.profile.rescaled(mapping.placement.scale)
-    return scene.field(0, mapping.placement.to_scene(mapping.grid), law).on_grid(mapping.grid), mapping
+    field = scene.field(0, mapping.placement.to_scene(mapping.grid), law)
+    return field.on_grid(mapping.grid), mapping
 
 
 def record(
@@ -141,7 +145,7 @@ def test_a_dropped_png_becomes_the_field_of_python(page: str, tmp_path: Path) ->
     picture, depth = tmp_path / "depth.png", scene_mm()
     picture.write_bytes(png(depth, (0, 1, 2, 3, 4)))
     stream, answers = record(page, tmp_path, picture, 0.02, 0.01)
-    expected, mapping = python_field(picture, 1000)
+    expected, mapping = python_field(picture, (120, 90), 1000)
     assert len(expected.bricks) > 500
     assert 0.1 < largest_ratio(stream, expected, 0.02, 0.01) <= 1
     unknown = int((depth == 0).sum() + (depth == 0xFFFF).sum())
@@ -174,5 +178,126 @@ def test_an_opened_npy_becomes_the_field_of_python(
     values = depth.astype(kind) if units_per_m > 1 else np.where(depth == 0xFFFF, np.nan, depth / 1000)
     np.save(picture, np.asarray(values.astype(kind), order=order))
     stream, _ = record(page, tmp_path, picture, 0.05, 0.02, "open")
-    expected, _ = python_field(picture, units_per_m)
+    expected, _ = python_field(picture, (80, 61), units_per_m)
     assert 0.1 < largest_ratio(stream, expected, 0.05, 0.02) <= 1
+
+
+def test_eight_bits_and_a_flat_picture(page: str, tmp_path: Path) -> None:
+    """Python's file reader refuses 8 bits: the same height map is built from the array."""
+    grey = (scene_mm(40, 50) // 16).astype(np.uint8)
+    for name, values in (("grey", grey), ("flat", np.full((12, 20), 77, np.uint8))):
+        picture, (height, width) = tmp_path / f"{name}.png", values.shape
+        picture.write_bytes(png(values, (2, 4, 1)))
+        focal = 525 / 640 * width
+        camera = Intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2)
+        frames = ArrayFrames(values[None])
+        sequence = CodedSequence(name, frames, DepthCode(1000), camera, 30.0)
+        expected, _ = field_of(HeightScene.from_depth_sequence(sequence))
+        stream, answers = record(page, tmp_path, picture, 0.05, 0.02)
+        assert "(8 bits, millimetres)" in answers[2]
+        assert len(expected.bricks) > 100
+        assert 0.1 < largest_ratio(stream, expected, 0.05, 0.02) <= 1
+
+
+def test_a_picture_is_chosen_by_the_keyboard_and_replaced(page: str, tmp_path: Path) -> None:
+    """After it, a file is saved as what it is, and not as the picture."""
+    picture, first, second = tmp_path / "Kitchen.PNG", tmp_path / "first.touch", tmp_path / "second.touch"
+    picture.write_bytes(png(scene_mm(24, 32)))
+    result = drive(
+        tmp_path,
+        step("goto", url=page),
+        step("choose", key="o", file=picture),
+        step("text", id="saved"),
+        step("download", id="save-frame", path=str(first), key="Enter"),
+        step("open", file=SOLID),
+        step("text", id="saved"),
+        step("download", id="save-frame", path=str(second)),
+    )
+    assert result.errors == []
+    assert result.answers[2].startswith("Recorded Kitchen.PNG: 32 × 24 pixels")
+    assert result.answers[3] == "Kitchen-0.touch" and result.answers[5] == ""
+    with tf.open_stream(first) as opened:
+        head = opened.reader.head
+        assert (head.weber_fraction, head.force_threshold_n) == (0.1, 0.05)
+    with tf.open_stream(second) as opened, tf.open_stream(SOLID) as solid:
+        assert opened.reader.provenance["source"].startswith("frame 0 of touch-solid.touch")
+        assert opened.grid == solid.grid
+
+
+def refused() -> dict[str, tuple[bytes, str]]:
+    """Files that are no picture of depth, by name, and a text of the message."""
+    depth, whole = scene_mm(20, 30), png(scene_mm(20, 30), (4,))
+    grey = struct.pack(">IIBBBBB", 30, 20, 16, 0, 0, 0, 0)
+    damaged, head = bytearray(whole), bytearray(whole)
+    damaged[-40] ^= 0x55
+    head[17] ^= 1
+    colour = np.zeros((4, 5, 3), np.uint8)
+    large = struct.pack(">IIBBBBB", 4097, 8, 16, 0, 0, 0, 0)
+    return {
+        "colour.png": (png(colour, colour=2), "a PNG of RGB, 8 bits; the page reads one grey channel"),
+        "palette.png": (png(colour[..., 0], colour=3), "a PNG of a palette, 8 bits"),
+        "interlaced.png": (png(depth, interlaced=1), "16 bits, interlaced"),
+        "large.png": (png_of(large, b""), "a picture of 4097 × 8 pixels; the page takes at most 4096 × 4096"),
+        "thin.png": (png(depth[:1]), "a picture of 30 × 1 pixels; a surface needs 2 × 2"),
+        "nothing.png": (png(0 * depth), "no pixel with depth"),
+        "short.png": (whole[:20], "cut after 20 bytes"),
+        "cut.png": (whole[:-30], "cut within the chunk"),
+        "endless.png": (whole[:-12], "without its end (IEND)"),
+        "byte.png": (bytes(damaged), "do not inflate"),
+        "head.png": (bytes(head), "another CRC-32"),
+        "few.png": (png_of(grey, bytes(500)), "inflate to 500 of 1220 bytes"),
+        "bomb.png": (png_of(grey, bytes(1 << 27)), "do not inflate to 1220 bytes"),
+        "filter.png": (png(depth, (0, 0, 0, 9)), "unknown filter 9 in row 3"),
+        "text.png": (b"no picture", "the page reads PNG and .npy files"),
+        "int.npy": (npy(depth.astype(np.int64)), "type i8, shape (20, 30)"),
+        "frames.npy": (npy(depth[None]), "type u2, shape (1, 20, 30)"),
+        "records.npy": (npy(np.zeros(3, [("z", "<f4")])), "of records"),
+        "wide.npy": (npy(np.zeros((2, 4097), np.uint16)), "4097 × 2 pixels"),
+        "cut.npy": (npy(depth)[:-1], "of 1327 bytes where 1328 are due"),
+        "head.npy": (npy(depth)[:60], "cut within its head"),
+        "short.npy": (npy(depth)[:7], "cut after 7 bytes"),
+        "none.npy": (npy(np.full((3, 4), np.nan)), "no pixel with depth"),
+        "unreadable.npy": (npy(depth).replace(b"fortran", b"FORTRAN"), "head is not readable"),
+    }  # fmt: skip
+
+
+def npy(values: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    np.save(file, values)
+    return file.getvalue()
+
+
+def test_what_is_no_picture_of_depth_is_refused(page: str, tmp_path: Path) -> None:
+    cases, good = refused(), tmp_path / "good.png"
+    good.write_bytes(png(scene_mm(20, 30)))
+    steps = [step("goto", url=page)]
+    for name, (data, _) in cases.items():
+        (tmp_path / name).write_bytes(data)
+        steps += [step("drop", file=tmp_path / name), step("text", id="fault"), step("text", id="saved")]
+    steps += [step("press", key="p"), step("text", id="saved"), step("drop", file=good), step("state")]
+    result = drive(tmp_path, *steps)
+    assert result.errors == []
+    for (name, (_, text)), fault, saved in zip(
+        cases.items(), result.answers[2::3], result.answers[3::3], strict=False
+    ):
+        assert fault.startswith(f"{name} cannot be shown: ") and text in fault, (name, fault)
+        assert "Error" not in fault, fault
+        assert saved == f"Cannot be saved: {name} cannot be shown.", saved
+    assert result.answers[-3].startswith("Cannot be saved")
+    assert result.answers[-1]["state"] == "ready"
+
+
+def test_damaged_pictures_end_in_a_message_or_a_field(page: str, tmp_path: Path) -> None:
+    rng, steps = np.random.default_rng(7), [step("goto", url=page)]
+    whole = [png(scene_mm(20, 30), (0, 1, 2, 3, 4)), npy(scene_mm(20, 30)), npy(scene_mm(20, 30) / 1000)]
+    for i in range(90):
+        data = bytearray(whole[i % 3])
+        for at in rng.integers(0, (len(data), 128)[i % 2], 1 + i % 4):
+            data[at] = rng.integers(256)
+        path = tmp_path / f"{i}.{('png', 'npy', 'npy')[i % 3]}"
+        path.write_bytes(data[: rng.integers(len(data)) if i % 5 == 0 else None])
+        steps += [step("drop", file=path), step("state")]
+    result = drive(tmp_path, *steps)
+    assert result.errors == []
+    states = [answer["state"] for answer in result.answers[2::2]]
+    assert set(states) == {"ready", "fault"} and len(states) == 90

@@ -2,7 +2,7 @@
 // pointer, keyboard, sound and game pad.
 import { directionWords, waysOf, type Ways } from "./axes";
 import { colourOf } from "./colour";
-import { firstSegment, indexOffset } from "./container";
+import { Fault, firstSegment, indexOffset } from "./container";
 import { answer, type Ask, type Cut, type Opened, type Piece, type Recorded, type Shown, type Triple, type What } from "./engine";
 import { differenceWords, figuresOf, type Given, keyList, millimetres } from "./panel";
 import { materialsOf, slidOver } from "./material";
@@ -121,7 +121,7 @@ function latest<A extends unknown[]>(run: (...given: A) => Promise<void>): (...g
 function tellFault(error: unknown, name = state?.name ?? "the file"): void {
   const told = error as { fault?: string; words?: string; byte?: number | null };
   const where = told.byte == null ? "" : `, at byte ${told.byte.toLocaleString("en")}`;
-  const words = told.fault ? `${told.words} (${told.fault}${where})` : String(error);
+  const words = told.fault ? `${told.words} (${told.fault}${where})` : error instanceof Fault ? error.words : String(error);
   text("fault", `${name} cannot be shown: ${words}.`);
   byId("fault").hidden = false;
   text("saved", `Cannot be saved: ${name} cannot be shown.`);
