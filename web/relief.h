@@ -1,21 +1,24 @@
-/* A `.touch` file of one picture of depth: its relief, solid behind the surface, at the samples of a lattice.
+/* A `.touch` file of one picture of depth: its relief, solid behind the surface, for a point device.
 
-   The rule is that of sources/terrain in the package: h and its slopes are bilinear between pixels, slopes are those of
-   planes fitted to 5 x 5 pixels, and the law acts on the distance (z - h) n_z. The page chooses lattice and placement. */
+   The rules are those of the package. sources/terrain: h and its slopes are bilinear between pixels, slopes are those of
+   planes fitted to 5 x 5 pixels, and the law acts on the distance (z - h) n_z. filters/point_filter: the field is sampled
+   twice as finely, low-passed by a cubic B-spline, and limited. The page chooses lattice and placement. */
 #ifndef TOUCH_RELIEF_H
 #define TOUCH_RELIEF_H
 
+enum { RELIEF_SIDE = 128, RELIEF_TAPS = 6, RELIEF_FINE = 2 * RELIEF_SIDE + RELIEF_TAPS - 2 };
+
 typedef struct { /* numbers of the page; behind them lie the depths, m, row by row, 0 where there is none */
-    double width, height, side;                     /* pixels; samples along each axis */
-    double spacing_m[3], origin_m[3], scale, offset_m[3]; /* of the lattice, and of the hand as in HEAD */
-    double x0_m, dx_m, y0_m, dy_m, step_m;          /* positions of pixels; neighbours farther apart are at an edge */
-    double stiffness_n_per_m, force_max_n, rate_hz;
+    double width, height;                                 /* pixels */
+    double spacing_m[3], origin_m[3], scale, offset_m[3]; /* of the lattice, and the placement, as in HEAD */
+    double x0_m, dx_m, y0_m, dy_m, step_m;                /* of pixels; neighbours farther apart are at an edge */
+    double stiffness_n_per_m, force_max_n, floor_n, rate_hz;
 } relief_request;
 
 typedef struct {
     relief_request request;
     const float *depth_m;
-    double spacing_m[3], origin_m[3], knee_m, slope_n_per_m; /* of the lattice and the law, metres of the scene */
+    double spacing_m[3], origin_m[3], knee_m, slope_n_per_m; /* of the finer samples and the law, metres of the scene */
 } relief_map;
 
 typedef struct { /* of the surface under a column of samples */
@@ -23,7 +26,17 @@ typedef struct { /* of the surface under a column of samples */
     double z_m, slope[2];
 } relief_point;
 
+typedef struct { /* of finer samples in a column: the outward normal, and newtons along it, low-passed along z */
+    double normal[3];
+    float newtons[RELIEF_SIDE];
+} relief_column;
+
+/* Cubic B-spline with the Nyquist rate of the lattice as cut-off, at the six finer samples about a sample. */
+static const double relief_weight[RELIEF_TAPS] = {8.531891580787487e-06, 0.07329292595386505, 0.4266985356807709,
+                                                  0.4266985356807709,    0.07329292595386505, 8.531891580787487e-06};
 static relief_map relief;
+static relief_column relief_row[RELIEF_TAPS][RELIEF_FINE]; /* finer samples of the latest rows */
+static double relief_sum[RELIEF_FINE][RELIEF_SIDE][3];     /* low-passed along x and z */
 
 static double relief_depth(int64_t row, int64_t col) { return relief.depth_m[row * (int64_t)relief.request.width + col]; }
 
@@ -83,37 +96,74 @@ static double relief_newtons(double distance_m) {
     return distance_m <= 0 ? -relief.slope_n_per_m * distance_m : 0;
 }
 
-/* The forces of a brick under 64 points of the surface; whether there are any. */
-static int relief_brick(const relief_point point[64], int64_t z, float *forces_n) {
-    int has_force = 0;
-    for (int column = 0; column < 64; column++) {
-        const relief_point *p = point + column;
-        double nz = 1 / sqrt(1 + p->slope[0] * p->slope[0] + p->slope[1] * p->slope[1]);
-        for (int k = 0; k < 8; k++, forces_n += 3) {
-            double f = p->is_known ? -relief_newtons((p->z_m - (relief.origin_m[2] + (double)(8 * z + k) * relief.spacing_m[2])) * nz) : 0;
-            forces_n[0] = (float)(f * (-p->slope[0] * nz)), forces_n[1] = (float)(f * (-p->slope[1] * nz));
-            forces_n[2] = (float)(f * nz);
-            has_force |= forces_n[0] != 0 || forces_n[1] != 0 || forces_n[2] != 0;
-        }
+/* A column of finer samples; the first of each axis are two before the lattice. */
+static void relief_sample(int64_t x, int64_t y, relief_column *c) {
+    double newtons[RELIEF_FINE];
+    relief_point p = relief_surface(relief.origin_m[0] + (double)x * relief.spacing_m[0],
+                                    relief.origin_m[1] + (double)y * relief.spacing_m[1]);
+    double nz = 1 / sqrt(1 + p.slope[0] * p.slope[0] + p.slope[1] * p.slope[1]);
+    memset(c, 0, sizeof *c);
+    if (!p.is_known) return;
+    c->normal[0] = p.slope[0] * nz, c->normal[1] = p.slope[1] * nz, c->normal[2] = -nz;
+    for (int z = 0; z < RELIEF_FINE; z++)
+        newtons[z] = relief_newtons((p.z_m - (relief.origin_m[2] + z * relief.spacing_m[2])) * nz);
+    for (int z = 0; z < RELIEF_SIDE; z++) {
+        double sum = 0;
+        for (int n = 0; n < RELIEF_TAPS; n++) sum += relief_weight[n] * newtons[2 * z + n];
+        c->newtons[z] = (float)sum;
     }
-    return has_force;
+}
+
+/* Low-pass the rows about a sample of the lattice along x; the rows before are those of the sample before. */
+static void relief_sum_rows(int64_t x) {
+    for (int64_t row = x ? 2 * x + RELIEF_TAPS - 2 : 0; row < 2 * x + RELIEF_TAPS; row++)
+        for (int64_t y = 0; y < RELIEF_FINE; y++) relief_sample(row, y, relief_row[row % RELIEF_TAPS] + y);
+    memset(relief_sum, 0, sizeof relief_sum);
+    for (int64_t y = 0; y < RELIEF_FINE; y++)
+        for (int n = 0; n < RELIEF_TAPS; n++) {
+            const relief_column *c = relief_row[(2 * x + n) % RELIEF_TAPS] + y;
+            for (int z = 0; z < RELIEF_SIDE; z++)
+                for (int k = 0; k < 3; k++) relief_sum[y][z][k] += relief_weight[n] * c->newtons[z] * c->normal[k];
+        }
+}
+
+/* A force of the lattice: low-passed along y, too, and limited as filters/limit does. */
+static void relief_force(int64_t y, int64_t z, float out_n[3]) {
+    double f[3] = {0, 0, 0}, most = relief.request.force_max_n, least = relief.request.floor_n, square, factor = 1;
+    for (int n = 0; n < RELIEF_TAPS; n++)
+        for (int k = 0; k < 3; k++) f[k] += relief_weight[n] * relief_sum[2 * y + n][z][k];
+    square = f[0] * f[0] + f[1] * f[1] + f[2] * f[2];
+    if (square > most * most) factor = most * (1 - 0x1p-22) / sqrt(square);
+    else if (square < least * least) factor = 0;
+    for (int k = 0; k < 3; k++) out_n[k] = (float)(f[k] * factor);
+}
+
+/* Move the bricks of a layer that have a force to its start; their count. */
+static uint64_t relief_pack(int64_t x, int32_t *brick, float *forces_n) {
+    enum { ACROSS = RELIEF_SIDE / 8 };
+    uint64_t count = 0;
+    for (int n = 0; n < ACROSS * ACROSS; n++) {
+        int has_force = 0;
+        for (int k = 0; k < 1536 && !has_force; k++) has_force = forces_n[1536 * n + k] != 0;
+        if (!has_force) continue;
+        memmove(forces_n + 1536 * count, forces_n + 1536 * n, 6144);
+        brick[3 * count] = (int32_t)x, brick[3 * count + 1] = n / ACROSS, brick[3 * count + 2] = n % ACROSS, count++;
+    }
+    return count;
 }
 
 /* All bricks with a force, in ascending order; `brick` and `forces_n` have room for every brick of the lattice. */
 static uint64_t relief_bricks(int32_t *brick, float *forces_n) {
-    relief_point point[64];
-    int64_t across = (int64_t)relief.request.side / 8;
     uint64_t count = 0;
-    for (int64_t x = 0; x < across; x++)
-        for (int64_t y = 0; y < across; y++) {
-            for (int n = 0; n < 64; n++)
-                point[n] = relief_surface(relief.origin_m[0] + (double)(8 * x + (n >> 3)) * relief.spacing_m[0],
-                                          relief.origin_m[1] + (double)(8 * y + (n & 7)) * relief.spacing_m[1]);
-            for (int64_t z = 0; z < across; z++) {
-                if (!relief_brick(point, z, forces_n + 1536 * count)) continue;
-                brick[3 * count] = (int32_t)x, brick[3 * count + 1] = (int32_t)y, brick[3 * count + 2] = (int32_t)z, count++;
-            }
-        }
+    for (int64_t x = 0; x < RELIEF_SIDE; x++) {
+        float *layer = forces_n + 1536 * count;
+        relief_sum_rows(x);
+        for (int64_t y = 0; y < RELIEF_SIDE; y++)
+            for (int64_t z = 0; z < RELIEF_SIDE; z++)
+                relief_force(y, z, layer + 1536 * (RELIEF_SIDE / 8 * (y >> 3) + (z >> 3)) +
+                                       3 * (64 * (x & 7) + 8 * (y & 7) + (z & 7)));
+        if ((x & 7) == 7) count += relief_pack(x >> 3, brick + 3 * count, layer);
+    }
     return count;
 }
 
@@ -122,8 +172,9 @@ static void relief_read(const void *memory) {
     memcpy(&relief.request, memory, sizeof relief.request);
     relief.depth_m = (const float *)((const char *)memory + sizeof relief.request);
     for (int n = 0; n < 3; n++) {
-        relief.spacing_m[n] = relief.request.spacing_m[n] * (1 / relief.request.scale);
-        relief.origin_m[n] = relief.request.origin_m[n] * (1 / relief.request.scale) + relief.request.offset_m[n];
+        double spacing_m = relief.request.spacing_m[n] / 2, before_m = 2.5 * spacing_m;
+        relief.spacing_m[n] = spacing_m / relief.request.scale;
+        relief.origin_m[n] = (relief.request.origin_m[n] - before_m) / relief.request.scale + relief.request.offset_m[n];
     }
     relief.knee_m = relief.request.force_max_n / relief.request.stiffness_n_per_m / relief.request.scale;
     relief.slope_n_per_m = relief.request.stiffness_n_per_m * relief.request.scale;
@@ -134,7 +185,7 @@ static touch_head relief_head(void) {
     const relief_request *q = &relief.request;
     touch_head h;
     memset(&h, 0, sizeof h);
-    for (int n = 0; n < 3; n++) h.grid.shape[n] = (uint32_t)q->side;
+    for (int n = 0; n < 3; n++) h.grid.shape[n] = RELIEF_SIDE;
     memcpy(h.grid.spacing_m, q->spacing_m, 24), memcpy(h.grid.origin_m, q->origin_m, 24);
     memcpy(h.mapping_offset_m, q->offset_m, 24);
     h.rate_hz = q->rate_hz, h.frame_count = 1, h.device_type = 1, h.force_max_n = q->force_max_n, h.mapping_scale = q->scale;

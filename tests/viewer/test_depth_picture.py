@@ -15,13 +15,10 @@ import pytest
 from browser import ROOT, drive, needs_browser
 
 import touchfield as tf
-from touchfield.devices import device
-from touchfield.pipeline.placement import Mapping, mapping_of
+from touchfield.pipeline.preparation import Prepared, prepare
 from touchfield.sources.camera import CodedSequence, DepthCode, Intrinsics
 from touchfield.sources.images.pictures import ArrayFrames
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.registry import open_source
-from touchfield.sources.scene import Scene
 from touchfield.sources.terrain.height_scene import HeightScene
 from touchfield.viewer.browser import empty_page
 
@@ -89,25 +86,19 @@ def scene_mm(height: int = 90, width: int = 120) -> np.ndarray:
     v, u = np.mgrid[0:height, 0:width]
     depth = 1500 + 250 * np.sin(u / 17) * np.cos(v / 13) + 3 * u
     depth[30:60, 50:90] = 900 + 2 * v[30:60, 50:90]
+    depth[70:, 60:] += 150  # less than a fifth of the median depth
     depth[:9, :14] = 0
     depth[70:74, 20] = 0xFFFF
     depth[-1, -1] = 0
     return depth.astype(np.uint16)
 
 
-def python_field(picture: Path, size: tuple[int, int], units_per_m: float) -> tuple[tf.ForceField, Mapping]:
-    """The field of Python's height map of a picture, width and height given, on the page's lattice."""
+def encoded_by_python(picture: Path, size: tuple[int, int], units_per_m: float) -> Prepared:
+    """What `touchfield encode --reading height` makes of a picture of `size`, width and height."""
     focal, middle = 525 / 640 * size[0], [(n - 1) / 2 for n in size]
     camera = f"{focal},{focal},{middle[0]},{middle[1]}"
     options = SourceOptions("depth-map", units_per_m, camera, reading="height")
-    return field_of(open_source(picture, options))
-
-
-def field_of(scene: Scene) -> tuple[tf.ForceField, Mapping]:
-    mapping = mapping_of(scene, device("phantom-omni"), tf.EncodeSpec())
-    law = mapping.profile.rescaled(mapping.placement.scale)
-    field = scene.field(0, mapping.placement.to_scene(mapping.grid), law)
-    return field.on_grid(mapping.grid), mapping
+    return prepare(picture, tf.EncodeSpec(source=options))
 
 
 def record(
@@ -145,7 +136,8 @@ def test_a_dropped_png_becomes_the_field_of_python(page: str, tmp_path: Path) ->
     picture, depth = tmp_path / "depth.png", scene_mm()
     picture.write_bytes(png(depth, (0, 1, 2, 3, 4)))
     stream, answers = record(page, tmp_path, picture, 0.02, 0.01)
-    expected, mapping = python_field(picture, (120, 90), 1000)
+    prepared = encoded_by_python(picture, (120, 90), 1000)
+    expected, placement = prepared.medium[0], prepared.placement
     assert len(expected.bricks) > 500
     assert 0.1 < largest_ratio(stream, expected, 0.02, 0.01) <= 1
     unknown = int((depth == 0).sum() + (depth == 0xFFFF).sum())
@@ -155,8 +147,8 @@ def test_a_dropped_png_becomes_the_field_of_python(page: str, tmp_path: Path) ->
     assert answers[6] == "depth-0.touch" and answers[8].startswith("Saved depth-0.touch")
     with tf.open_stream(stream) as opened:
         head = opened.reader.head
-        assert head.mapping_scale == pytest.approx(mapping.placement.scale, rel=1e-12)
-        assert head.mapping_offset_m == pytest.approx(mapping.placement.offset_m, abs=1e-12)
+        assert head.mapping_scale == pytest.approx(placement.scale, rel=1e-12)
+        assert head.mapping_offset_m == pytest.approx(placement.offset_m, abs=1e-12)
         assert (head.weber_fraction, head.force_threshold_n) == (0.02, 0.01)
         assert (head.axes, head.device_name, head.force_max_n, head.tags) == (
             "x right, y down, z forward",
@@ -178,21 +170,26 @@ def test_an_opened_npy_becomes_the_field_of_python(
     values = depth.astype(kind) if units_per_m > 1 else np.where(depth == 0xFFFF, np.nan, depth / 1000)
     np.save(picture, np.asarray(values.astype(kind), order=order))
     stream, _ = record(page, tmp_path, picture, 0.05, 0.02, "open")
-    expected, _ = python_field(picture, (80, 61), units_per_m)
+    expected = encoded_by_python(picture, (80, 61), units_per_m).medium[0]
     assert 0.1 < largest_ratio(stream, expected, 0.05, 0.02) <= 1
 
 
-def test_eight_bits_and_a_flat_picture(page: str, tmp_path: Path) -> None:
+def test_eight_bits_and_few_depths(page: str, tmp_path: Path) -> None:
     """Python's file reader refuses 8 bits: the same height map is built from the array."""
-    grey = (scene_mm(40, 50) // 16).astype(np.uint8)
-    for name, values in (("grey", grey), ("flat", np.full((12, 20), 77, np.uint8))):
+    grey, flat, halves = (scene_mm(40, 50) // 16).astype(np.uint8), np.full((12, 20), 77), np.full((8, 9), 90)
+    halves[:, :4], halves[:4, 4] = 201, 201
+    for name, values in (
+        ("grey", grey),
+        ("flat", flat.astype(np.uint8)),
+        ("halves", halves.astype(np.uint8)),
+    ):
         picture, (height, width) = tmp_path / f"{name}.png", values.shape
         picture.write_bytes(png(values, (2, 4, 1)))
         focal = 525 / 640 * width
         camera = Intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2)
         frames = ArrayFrames(values[None])
         sequence = CodedSequence(name, frames, DepthCode(1000), camera, 30.0)
-        expected, _ = field_of(HeightScene.from_depth_sequence(sequence))
+        expected = prepare(HeightScene.from_depth_sequence(sequence)).medium[0]
         stream, answers = record(page, tmp_path, picture, 0.05, 0.02)
         assert "(8 bits, millimetres)" in answers[2]
         assert len(expected.bricks) > 100

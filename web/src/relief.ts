@@ -1,5 +1,5 @@
 // The relief of a picture of depth: where its pixels and the lattice lie, and what the page reports of it. The rule is that of
-// `touchfield encode --reading height`, without the low-pass of the device filter; c code in relief.h computes the forces.
+// `touchfield encode --reading height`; relief.h computes the forces.
 import { Fault } from "./container";
 import type { Triple } from "./engine";
 import type { DepthPicture } from "./picture";
@@ -23,6 +23,7 @@ const WORKSPACE_M: Triple = [0.16, 0.12, 0.07]; // of the Phantom Omni
 const MARGIN = 0.05; // on every side, of the shortest one
 const STIFFNESS_N_PER_M = 500;
 const FORCE_MAX_N = 3.3;
+const FLOOR = 0.01; // forces below this fraction of the largest are dropped
 const RATE_HZ = 30;
 const FOCAL_WIDTHS = 525 / 640; // focal length of a PrimeSense camera, in widths of its picture
 const EDGE = 0.05; // of the median depth: a larger jump between neighbours is an edge
@@ -80,7 +81,7 @@ export function reliefOf({ width, height, depth, sample }: DepthPicture, name: s
   const spacing = WORKSPACE_M.map((m) => m / SIDE);
   const origin = WORKSPACE_M.map((m, n) => -m / 2 + spacing[n]! / 2);
   const offset = corners.map(([from, to]) => from + (to - from) / 2);
-  const numbers = Float64Array.of(width, height, SIDE, ...spacing, ...origin, scale, ...offset, start[0], step, start[1], step, EDGE * median, STIFFNESS_N_PER_M, FORCE_MAX_N, RATE_HZ);
+  const numbers = Float64Array.of(width, height, ...spacing, ...origin, scale, ...offset, start[0], step, start[1], step, EDGE * median, STIFFNESS_N_PER_M, FORCE_MAX_N, FLOOR * FORCE_MAX_N, RATE_HZ);
   const facts = `${width} × ${height} pixels (${sample}), depth ${metres(low)} to ${metres(high)} m, ${unknown ? whole(unknown) : "no"} ${unknown === 1 ? "pixel" : "pixels"} without depth`;
   const clean = name.replaceAll(/[\0-\x1f\x7f-\x9f]/g, "\ufffd").slice(0, 80);
   const camera = `focal length ${+focal.toPrecision(6)} pixels (assumed), centre ${middle.join(", ")}`;
