@@ -203,7 +203,7 @@ EXPORT(record_relief) int record_relief(double k, double f0_n) {
     touch_head head = relief_head();
     uint64_t all = touch_brick_count(&head.grid), brick_at = (file_at + file_size + 15) & ~(uint64_t)15;
     uint64_t forces_at = brick_at + 12 * all + 15, too_large = !reach(forces_at + 6144 * all);
-    if (too_large) return record_fail(TOUCH_MEMORY, "it needs more memory than the page takes");
+    if (too_large) return record_fail(TOUCH_MEMORY, "not enough memory in the page");
     forces_at &= ~(uint64_t)15;
     frame.brick = (const int32_t *)(uintptr_t)brick_at, frame.forces_n = (const float *)(uintptr_t)forces_at;
     frame.bricks = relief_bricks((int32_t *)(uintptr_t)brick_at, (float *)(uintptr_t)forces_at);

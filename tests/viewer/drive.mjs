@@ -18,17 +18,17 @@ page.on("console", (message) => message.type() === "error" && errors.push(messag
 
 const settled = () => page.waitForFunction(() => /^(ready|fault|empty)$/.test(document.documentElement.dataset.state ?? ""));
 const state = () => page.evaluate(() => window.touchfield.state());
-const asked = {
+const actions = {
   goto: async ({ url }) => { await page.goto(url); await settled(); },
   open: async ({ file }) => {
-    await page.evaluate(() => { document.documentElement.dataset.state = "asked"; });
+    await page.evaluate(() => { document.documentElement.dataset.state = "requested"; });
     await page.setInputFiles("#file", file);
     await settled();
   },
   choose: async ({ key, file }) => {
     const chooser = page.waitForEvent("filechooser");
     await page.keyboard.press(key);
-    await page.evaluate(() => { document.documentElement.dataset.state = "asked"; });
+    await page.evaluate(() => { document.documentElement.dataset.state = "requested"; });
     await (await chooser).setFiles(file);
     await settled();
   },
@@ -36,7 +36,7 @@ const asked = {
     const dataTransfer = await page.evaluateHandle(([bytes, name]) => {
       const carried = new DataTransfer();
       carried.items.add(new File([Uint8Array.from(bytes)], name));
-      document.documentElement.dataset.state = "asked";
+      document.documentElement.dataset.state = "requested";
       return carried;
     }, [[...readFileSync(file)], basename(file)]);
     await page.dispatchEvent("body", "drop", { dataTransfer });
@@ -88,6 +88,6 @@ const asked = {
   state,
 };
 const answers = [];
-for (const step of steps) answers.push((await asked[step.do](step)) ?? null);
+for (const step of steps) answers.push((await actions[step.do](step)) ?? null);
 writeFileSync(out, JSON.stringify({ answers, requests, errors }));
 await browser.close();

@@ -26,8 +26,9 @@ const fault = (found: string, expected: string, hint: string): Fault => new Faul
 const damaged = (what: string, found: string): Fault => fault(`a damaged ${what}, ${found}`, "the page reads whole files only", "Copy the file again");
 const startsWith = (data: Uint8Array, bytes: number[]): boolean => bytes.every((byte, n) => data[n] === byte);
 
-/** Whether a file is a picture, by its first bytes or its name. */
-export const isPicture = (data: Uint8Array, name: string): boolean => startsWith(data, PNG) || startsWith(data, NPY) || /\.(png|npy)$/i.test(name);
+/** Whether a file is a picture, by its name, or, unless that ends with .touch, by its first bytes. */
+export const isPicture = (data: Uint8Array, name: string): boolean =>
+  /\.(png|npy)$/i.test(name) || (!/\.touch$/i.test(name) && (startsWith(data, PNG) || startsWith(data, NPY)));
 
 /** Read a picture; a `Fault` states what was found, what is expected and what to do. */
 export async function readPicture(data: Uint8Array<ArrayBuffer>, name: string): Promise<DepthPicture> {

@@ -9,8 +9,8 @@ export interface Relief {
   depth: Float32Array<ArrayBuffer>;
   /** The numbers of `relief_request` in relief.h. */
   numbers: Float64Array;
-  /** Statements about the origin, which the file stores. */
-  story: [string, string][];
+  /** Provenance that the file stores. */
+  provenance: [string, string][];
   /** What was done, for the status line. */
   report: string;
 }
@@ -66,7 +66,7 @@ function depthsOf(depth: Float32Array<ArrayBuffer>): Depths {
 }
 
 const metres = (m: number): string => (m >= 1000 || m < 0.001 ? m.toExponential(2) : String(+m.toPrecision(3)));
-const whole = (n: number): string => n.toLocaleString("en");
+const count = (n: number): string => n.toLocaleString("en");
 
 /** Place a picture in the workspace: its pixels are spaced as at the median depth, and its box fits, with a margin. */
 export function reliefOf({ width, height, depth, sample }: DepthPicture, name: string): Relief {
@@ -82,9 +82,9 @@ export function reliefOf({ width, height, depth, sample }: DepthPicture, name: s
   const origin = WORKSPACE_M.map((m, n) => -m / 2 + spacing[n]! / 2);
   const offset = corners.map(([from, to]) => from + (to - from) / 2);
   const numbers = Float64Array.of(width, height, ...spacing, ...origin, scale, ...offset, start[0], step, start[1], step, EDGE * median, STIFFNESS_N_PER_M, FORCE_MAX_N, FLOOR * FORCE_MAX_N, RATE_HZ);
-  const facts = `${width} × ${height} pixels (${sample}), depth ${metres(low)} to ${metres(high)} m, ${unknown ? whole(unknown) : "no"} ${unknown === 1 ? "pixel" : "pixels"} without depth`;
+  const facts = `${width} × ${height} pixels (${sample}), depth ${metres(low)} to ${metres(high)} m, ${unknown ? count(unknown) : "no"} ${unknown === 1 ? "pixel" : "pixels"} without depth`;
   const clean = name.replaceAll(/[\0-\x1f\x7f-\x9f]/g, "\ufffd").slice(0, 80);
   const camera = `focal length ${+focal.toPrecision(6)} pixels (assumed), centre ${middle.join(", ")}`;
-  const story: [string, string][] = [["source", `${clean}, recorded by the page`], ["picture", facts], ["camera", camera], ["reading", "height map, solid behind the surface"], ["placement", `scale ${scale}, offset_m ${offset.join(", ")}`]];
-  return { depth, numbers, story, report: `Recorded ${clean}: ${facts}, grid ${SIDE} × ${SIDE} × ${SIDE}` };
+  const provenance: [string, string][] = [["source", `${clean}, recorded by the page`], ["picture", facts], ["camera", camera], ["reading", "height map, solid behind the surface"], ["placement", `scale ${scale}, offset_m ${offset.join(", ")}`]];
+  return { depth, numbers, provenance, report: `Recorded ${clean}: ${facts}, grid ${SIDE} × ${SIDE} × ${SIDE}` };
 }

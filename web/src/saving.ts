@@ -73,9 +73,9 @@ export async function save(source: Source | string, isRange: boolean, record: Re
     const { data, ratio, ms } = await record(recording);
     download(data, name);
     const frames = count > 1 ? `${count} frames` : "1 frame";
-    message(`Saved ${name}: ${frames}, ${bytes(data.length)}, largest error ${(100 * ratio).toFixed(0)} % of what is allowed, ${(ms / 1000).toFixed(1)} s.`);
+    message(`Saved ${name}: ${frames}, ${bytes(data.length)}, largest error ${(100 * ratio).toFixed(0)} % of the error bound, ${(ms / 1000).toFixed(1)} s.`);
   } catch (error) {
-    message(`Cannot be saved: ${(error as { words?: string }).words ?? String(error)}.`);
+    message(`Cannot be saved: ${(error as { message?: string }).message ?? String(error)}.`);
   }
   isBusy = false;
 }
