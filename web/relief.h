@@ -85,7 +85,8 @@ static relief_point relief_surface(double x, double y) {
     if (high - low > q->step_m) {
         int down = fv > 0.5, right = fu > 0.5;
         relief_fit(row + down, col + right, p.slope);
-        p.z_m = relief_depth(row + down, col + right) + p.slope[0] * (fu - right) * q->dx_m + p.slope[1] * (fv - down) * q->dy_m;
+        p.z_m = relief_depth(row + down, col + right);
+        p.z_m += p.slope[0] * (fu - right) * q->dx_m + p.slope[1] * (fv - down) * q->dy_m;
     }
     return p;
 }
@@ -194,7 +195,7 @@ static touch_head relief_head(void) {
     return h;
 }
 
-/* Write the file of the picture that lies in `room`, with the bound max(F_0, k |F|): a code of touch.h. */
+/* Write the file of the picture that the page wrote to `room`, with the bound max(F_0, k |F|): a code of touch.h. */
 EXPORT(record_relief) int record_relief(double k, double f0_n) {
     touch_options options = {TOUCH_MASK, 0, TOUCH_INTER_AUTO, 1, 1, k, f0_n, 0, 0};
     touch_source frame;
@@ -202,9 +203,8 @@ EXPORT(record_relief) int record_relief(double k, double f0_n) {
     relief_read((const void *)(uintptr_t)file_at);
     touch_head head = relief_head();
     uint64_t all = touch_brick_count(&head.grid), brick_at = (file_at + file_size + 15) & ~(uint64_t)15;
-    uint64_t forces_at = brick_at + 12 * all + 15, too_large = !reach(forces_at + 6144 * all);
-    if (too_large) return record_fail(TOUCH_MEMORY, "not enough memory in the page");
-    forces_at &= ~(uint64_t)15;
+    uint64_t forces_at = (brick_at + 12 * all + 15) & ~(uint64_t)15;
+    if (!reach(forces_at + 6144 * all)) return record_fail(TOUCH_MEMORY, "not enough memory in the page");
     frame.brick = (const int32_t *)(uintptr_t)brick_at, frame.forces_n = (const float *)(uintptr_t)forces_at;
     frame.bricks = relief_bricks((int32_t *)(uintptr_t)brick_at, (float *)(uintptr_t)forces_at);
     if (!frame.bricks) return record_fail(TOUCH_ARGUMENT, "no sample of the lattice lies behind the surface");

@@ -99,46 +99,47 @@ static uint32_t read_start(touch_file *f, touch_cursor *c) {
         else if (r.tag == TOUCH_VIBR && touch_need(c, !vibrations++, "VIBR twice")) check_vibration(&r, &e, c);
         else if (touch_is_known(r.tag)) touch_fail(c, TOUCH_CORRUPT, "records in another order");
         if (r.payload.code) touch_fail(c, r.payload.code, r.payload.what);
-        crc[0] = (uint8_t)r.crc, crc[1] = (uint8_t)(r.crc >> 8), crc[2] = (uint8_t)(r.crc >> 16), crc[3] = (uint8_t)(r.crc >> 24);
+        for (int n = 0; n < 4; n++) crc[n] = (uint8_t)(r.crc >> 8 * n);
         if (r.tag == TOUCH_HEAD || r.tag == TOUCH_OBJT) chain = touch_crc(chain, crc, 4);
     }
     touch_need(c, records > 0, "no HEAD");
     return chain;
 }
 
-/* Entries follow each other, and hold every frame once; behind HEAD and before INDX. */
+/* Entries follow each other and have every frame once, after HEAD and before INDX. */
 static void check_entries(const touch_file *f, uint64_t end, touch_cursor *c) {
-    uint64_t place = TOUCH_OPENING, frames = 0;
+    uint64_t next = TOUCH_OPENING, frames = 0;
     uint32_t n;
     for (n = 0; n < f->segment_count && !c->code; n++) {
         touch_entry e = touch_entry_at(f, n);
-        touch_need(c, e.offset >= place && e.offset < end && e.length >= 26 && e.length <= end - e.offset && e.count > 0 &&
+        touch_need(c, e.offset >= next && e.offset < end && e.length >= 26 && e.length <= end - e.offset && e.count > 0 &&
                           e.first == frames, "an entry of INDX");
-        place = e.offset + e.length, frames += e.count;
+        next = e.offset + e.length, frames += e.count;
     }
 }
 
 static void read_parts(touch_file *f, touch_cursor *c) {
     touch_cursor at;
     touch_record r;
-    uint64_t place, size;
+    uint64_t index_at, size;
     uint32_t chain, own;
     uint8_t crc[4];
     if (!touch_check_opening(c, f->data, f->size)) return;
     if (f->size < TOUCH_OPENING + TOUCH_TEND_BYTES) return (void)touch_fail(c, TOUCH_CUT, "no end record");
     at = touch_cursor_of(f->data + f->size - TOUCH_TEND_BYTES, TOUCH_TEND_BYTES), r = touch_read_record(&at, f->data, 1);
     if (at.code || r.tag != TOUCH_TEND || r.length != 20) return (void)touch_fail(c, TOUCH_CUT, "no end record");
-    place = touch_u(&r.payload, 8), size = touch_u(&r.payload, 8), chain = (uint32_t)touch_u(&r.payload, 4);
-    if (!touch_need(c, size == f->size && place > TOUCH_OPENING && place < f->size - TOUCH_TEND_BYTES, "TEND of another file")) return;
-    at = touch_cursor_of(f->data + place, f->size - TOUCH_TEND_BYTES - place), r = touch_read_record(&at, f->data, 1);
+    index_at = touch_u(&r.payload, 8), size = touch_u(&r.payload, 8), chain = (uint32_t)touch_u(&r.payload, 4);
+    int fits = size == f->size && index_at > TOUCH_OPENING && index_at < f->size - TOUCH_TEND_BYTES;
+    if (!touch_need(c, fits, "TEND of another file")) return;
+    at = touch_cursor_of(f->data + index_at, f->size - TOUCH_TEND_BYTES - index_at), r = touch_read_record(&at, f->data, 1);
     if (at.code) return (void)touch_fail(c, at.code, at.what);
     f->segment_count = (uint32_t)touch_u(&r.payload, 4);
     if (!touch_need(c, r.tag == TOUCH_INDX && !r.payload.code && f->segment_count > 0 &&
                            touch_left(&r.payload) == 26 * (uint64_t)f->segment_count, "INDX at another offset")) return;
     f->index.bytes = r.payload.at, f->index.size = touch_left(&r.payload);
-    check_entries(f, place, c);
+    check_entries(f, index_at, c);
     if (c->code) return;
-    crc[0] = (uint8_t)r.crc, crc[1] = (uint8_t)(r.crc >> 8), crc[2] = (uint8_t)(r.crc >> 16), crc[3] = (uint8_t)(r.crc >> 24);
+    for (int n = 0; n < 4; n++) crc[n] = (uint8_t)(r.crc >> 8 * n);
     own = touch_crc(read_start(f, c), crc, 4);
     if (c->code) return;
     touch_entry last = touch_entry_at(f, f->segment_count - 1);
@@ -391,7 +392,8 @@ EXPORT(parts) uint32_t parts(void) { return number[first] < 0 ? 0 : frame[first]
 EXPORT(pose) const double *pose(uint32_t n) {
     int k;
     for (k = 0; k < 12; k++) out[k] = k < 9 && !(k & 3);
-    if (number[first] >= 0 && frame[first].is_placed) memcpy(out, between[n].rotation, 72), memcpy(out + 9, between[n].position_m, 24);
+    if (number[first] >= 0 && frame[first].is_placed)
+        memcpy(out, between[n].rotation, 72), memcpy(out + 9, between[n].position_m, 24);
     return out;
 }
 

@@ -16,6 +16,9 @@ page.on("request", (request) => requests.push(request.url().slice(0, 200)));
 page.on("pageerror", (error) => errors.push(String(error)));
 page.on("console", (message) => message.type() === "error" && errors.push(message.text()));
 
+const choosers = []; // a listener from the start: Chromium would otherwise close a dialog before it is reported
+page.on("filechooser", (chooser) => choosers.push(chooser));
+
 const settled = () => page.waitForFunction(() => /^(ready|fault|empty)$/.test(document.documentElement.dataset.state ?? ""));
 const state = () => page.evaluate(() => window.touchfield.state());
 const actions = {
@@ -26,10 +29,10 @@ const actions = {
     await settled();
   },
   choose: async ({ key, file }) => {
-    const chooser = page.waitForEvent("filechooser");
     await page.keyboard.press(key);
+    for (let left = 300; !choosers.length && left > 0; left--) await page.waitForTimeout(100);
     await page.evaluate(() => { document.documentElement.dataset.state = "requested"; });
-    await (await chooser).setFiles(file);
+    await choosers.pop().setFiles(file);
     await settled();
   },
   drop: async ({ file }) => {

@@ -175,7 +175,7 @@ def test_an_opened_npy_becomes_the_field_of_python(
 
 
 def test_eight_bits_and_few_depths(page: str, tmp_path: Path) -> None:
-    """Python's file reader refuses 8 bits: the same height map is built from the array."""
+    """Of a file without a known ending. Python refuses 8 bits: its height map is built from the array."""
     grey, flat, halves = (scene_mm(40, 50) // 16).astype(np.uint8), np.full((12, 20), 77), np.full((8, 9), 90)
     halves[:, :4], halves[:4, 4] = 201, 201
     for name, values in (
@@ -183,7 +183,7 @@ def test_eight_bits_and_few_depths(page: str, tmp_path: Path) -> None:
         ("flat", flat.astype(np.uint8)),
         ("halves", halves.astype(np.uint8)),
     ):
-        picture, (height, width) = tmp_path / f"{name}.png", values.shape
+        picture, (height, width) = tmp_path / f"{name}.dat", values.shape
         picture.write_bytes(png(values, (2, 4, 1)))
         focal = 525 / 640 * width
         camera = Intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2)

@@ -45,7 +45,9 @@ function information(list: HTMLElement, given: Record<string, unknown>): void {
 export function differenceText(given: Given, hasBodies: boolean): string {
   const bodies = hasBodies && typeof given?.place_tolerance_um === "number" ? ` Positions of bodies are exact to ${short(given.place_tolerance_um)} µm, which adds to the difference.` : "";
   const none = given?.mode === "nmse" ? " (this file guarantees none)" : given?.masking ? " (larger with masking)" : "";
-  return `|decoded − source| as a fraction of the error bound max(F₀, k |F|): 1 is the bound${none}, red is above it. Cones point where the decoded field pushes more. The source is exact to ± ${short(Number(given?.source_share ?? 0))} on this scale.${bodies}`;
+  const scale = `|decoded − source| as a fraction of the error bound max(F₀, k |F|): 1 is the bound${none}, red is above it.`;
+  const source = `The source is exact to ± ${short(Number(given?.source_share ?? 0))} on this scale.`;
+  return `${scale} Cones point where the decoded field pushes more. ${source}${bodies}`;
 }
 
 export function figuresOf(list: HTMLElement, provenance: HTMLElement, opened: Opened, given: Given): void {
@@ -56,7 +58,9 @@ export function figuresOf(list: HTMLElement, provenance: HTMLElement, opened: Op
   row(list, "as plain numbers", `${bytes(12 * samples)}, 1 : ${Math.round((12 * samples) / records.size).toLocaleString("en")}`);
   const isExact = given?.mode === "lossless";
   const around = typeof given?.masking === "number" ? `, and ${percent(given.masking, 3)} of the mean force around` : "";
-  row(list, "error bound", isExact ? "exact, to the bit" : head.weber > 0 ? `error ≤ ${+(100 * head.weber).toPrecision(3)} % or ${head.threshold} N${around}` : head.threshold > 0 ? `error ≤ ${head.threshold} N` : "none");
+  const absolute = head.threshold > 0 ? `error ≤ ${head.threshold} N` : "none";
+  const relative = `error ≤ ${+(100 * head.weber).toPrecision(3)} % or ${head.threshold} N${around}`;
+  row(list, "error bound", isExact ? "exact, to the bit" : head.weber > 0 ? relative : absolute);
   if (typeof given?.frames_of === "number") row(list, "shown", `the first of ${given.frames_of} frames`);
   if (given?.promise_kept !== undefined && given.promise_kept !== null) row(list, "error bound holds", given.promise_kept ? "yes" : "no");
   for (const [key, name, format] of KNOWN) if (typeof given?.[key] === "number") row(list, name, format(given[key] as number));

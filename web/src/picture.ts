@@ -162,8 +162,11 @@ function readNpy(data: Uint8Array<ArrayBuffer>): DepthPicture {
   const bytes = Number(type[1]);
   if (data.length < from + height * width * bytes) throw damaged(".npy file", `of ${data.length} bytes where ${from + height * width * bytes} are due`);
   const isLittle = order !== ">";
-  const stored = type === "u2" ? (at: number): number => view.getUint16(at, isLittle) % NO_DEPTH : type === "f4" ? (at: number): number => view.getFloat32(at, isLittle) : (at: number): number => view.getFloat64(at, isLittle);
-  const indexOf = isByColumns === "True" ? (n: number): number => (n % width) * height + Math.floor(n / width) : (n: number): number => n;
+  const stored = (at: number): number => {
+    if (type === "u2") return view.getUint16(at, isLittle) % NO_DEPTH;
+    return type === "f4" ? view.getFloat32(at, isLittle) : view.getFloat64(at, isLittle);
+  };
+  const indexOf = (n: number): number => (isByColumns === "True" ? (n % width) * height + Math.floor(n / width) : n);
   const depth = metresOf(width * height, (n) => stored(from + bytes * indexOf(n)), type === "u2" ? UNITS_PER_M : 1);
   return { width, height, depth, sample: type === "u2" ? "uint16, millimetres" : `float${8 * bytes}, metres` };
 }

@@ -81,10 +81,14 @@ export function reliefOf({ width, height, depth, sample }: DepthPicture, name: s
   const spacing = WORKSPACE_M.map((m) => m / SIDE);
   const origin = WORKSPACE_M.map((m, n) => -m / 2 + spacing[n]! / 2);
   const offset = corners.map(([from, to]) => from + (to - from) / 2);
-  const numbers = Float64Array.of(width, height, ...spacing, ...origin, scale, ...offset, start[0], step, start[1], step, EDGE * median, STIFFNESS_N_PER_M, FORCE_MAX_N, FLOOR * FORCE_MAX_N, RATE_HZ);
+  const pixels = [start[0], step, start[1], step, EDGE * median] as const;
+  const numbers = Float64Array.of(width, height, ...spacing, ...origin, scale, ...offset, ...pixels, STIFFNESS_N_PER_M, FORCE_MAX_N, FLOOR * FORCE_MAX_N, RATE_HZ);
   const facts = `${width} × ${height} pixels (${sample}), depth ${metres(low)} to ${metres(high)} m, ${unknown ? count(unknown) : "no"} ${unknown === 1 ? "pixel" : "pixels"} without depth`;
   const clean = name.replaceAll(/[\0-\x1f\x7f-\x9f]/g, "\ufffd").slice(0, 80);
   const camera = `focal length ${+focal.toPrecision(6)} pixels (assumed), centre ${middle.join(", ")}`;
-  const provenance: [string, string][] = [["source", `${clean}, recorded by the page`], ["picture", facts], ["camera", camera], ["reading", "height map, solid behind the surface"], ["placement", `scale ${scale}, offset_m ${offset.join(", ")}`]];
+  const provenance: [string, string][] = [
+    ["source", `${clean}, recorded by the page`], ["picture", facts], ["camera", camera],
+    ["reading", "height map, solid behind the surface"], ["placement", `scale ${scale}, offset_m ${offset.join(", ")}`],
+  ];
   return { depth, numbers, provenance, report: `Recorded ${clean}: ${facts}, grid ${SIDE} × ${SIDE} × ${SIDE}` };
 }
