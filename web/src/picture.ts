@@ -34,12 +34,12 @@ export const isPicture = (data: Uint8Array, name: string): boolean =>
 export async function readPicture(data: Uint8Array<ArrayBuffer>, name: string): Promise<DepthPicture> {
   if (startsWith(data, PNG)) return readPng(data);
   if (startsWith(data, NPY)) return readNpy(data);
-  throw fault(`a file named ${/\.\w+$/.exec(name)?.[0] ?? name} that begins as none`, "the page reads PNG and .npy files", "Check the file");
+  throw fault(`a file named ${/\.\w+$/.exec(name)?.[0] ?? name} with other first bytes`, "the page reads PNG and .npy files", "Check the file");
 }
 
 function requireSize(width: number, height: number): void {
   if (Math.max(width, height) > MAX_SIDE)
-    throw fault(`a picture of ${width} × ${height} pixels`, `the page takes at most ${MAX_SIDE} × ${MAX_SIDE}`, "Make it smaller, without mixing depths of an edge, or use touchfield encode");
+    throw fault(`a picture of ${width} × ${height} pixels`, `the page takes at most ${MAX_SIDE} × ${MAX_SIDE}`, "Take every second pixel, or use touchfield encode");
   if (Math.min(width, height) < MIN_SIDE) throw fault(`a picture of ${width} × ${height} pixels`, `a surface needs ${MIN_SIDE} × ${MIN_SIDE}`, "Check the file");
 }
 
