@@ -260,8 +260,9 @@ static void touch_check(const touch_coder *b, touch_cursor *c) {
 
 /* As touch_need for what a code contains: behind the end of the bytes any contradiction means that the code is cut. */
 static int touch_need_coded(const touch_coder *b, touch_cursor *c, int holds, const char *what) {
-    if (!holds) touch_check(b, c);
-    return touch_need(c, holds, what);
+    if (holds) return !c->code;
+    touch_check(b, c);
+    return touch_fail(c, TOUCH_CORRUPT, what);
 }
 
 /* Bytes that a code of so many bricks has at least: a short code cannot ask for much memory. */
