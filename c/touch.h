@@ -574,7 +574,7 @@ static int touch_read_frame(touch_cursor c, const touch_grid *grid, const touch_
     touch_need(&c, order < 32 && (order & 3) < 3, "a scan order that there is not");
     p = (touch_pass *)touch_take(arena, 1, sizeof *p);
     if (!p) return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
-    for (int n = 0; n < 3; n++) p->slope[n] = (int64_t)touch_varint(&c, 0, 1u << 17);
+    for (int n = 0; n < 3; n++) p->slope[n] = (int64_t)touch_varint(&c, 0, TOUCH_SLOPE_STOP);
     if (c.code) return touch_fail(error, c.code, c.what);
     coder = touch_reading(&c, tables);
     p->coder = &coder, p->models = models, p->steps = steps, p->reference = reference, p->target = 0;
@@ -639,10 +639,12 @@ static int touch_read_columns(touch_cursor c, const touch_grid *grid, const touc
     h.ratio[1] = (int64_t)number[3], h.coder = touch_reading(&c, tables);
     for (int n = 0; n < 3; n++) h.step[n] = (int64_t)number[4 + n];
     for (int n = 0; n < 2; n++) h.view.tile[n] = (int64_t)box[n][0], h.view.tiles[n] = (int64_t)box[n][1];
-    if (h.coder.size < touch_min_column_bytes(box[0][1] * box[1][1], 0)) return touch_fail(error, TOUCH_CUT, "a box of many tiles");
+    if (h.coder.size < touch_min_column_bytes(box[0][1] * box[1][1], 0))
+        return touch_fail(error, TOUCH_CUT, "a box of many tiles");
     if (!touch_columns_make(&h, arena)) return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
     if (!touch_code_columns(&h, error)) return 0;
-    if (!touch_fill_columns(&h, 64 + 16 * h.coder.size, out, arena, error)) return 0; /* what it took goes with the frame */
+    /* what it takes of the arena is given back with that of the frame */
+    if (!touch_fill_columns(&h, 64 + 16 * h.coder.size, out, arena, error)) return 0;
     touch_close(&h.coder, touch_min_column_bytes(box[0][1] * box[1][1], out->list.count), error);
     return !error->code;
 }
@@ -945,7 +947,7 @@ static touch_frame_parts touch_read_parts(touch_cursor *c, int is_exact, int is_
     parts.layer = parts.flags & 2 ? touch_chunk(c, 1) : touch_cursor_of(c->at, 0);
     parts.payload = touch_chunk(c, 0);
     parts.outliers = parts.flags & 4 ? touch_chunk(c, 1) : touch_cursor_of(c->at, 0);
-    if (is_valid) touch_is_read(c, "a base layer, payload or outliers that are cut, or empty");
+    if (is_valid) touch_is_read(c, "a base layer, payload or outliers that end too early, or are empty");
     return parts;
 }
 

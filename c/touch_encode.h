@@ -257,7 +257,7 @@ static void touch_pad(touch_sink *s, uint64_t start, uint64_t bytes) {
     while (s->size < start + bytes && s->size <= s->capacity) touch_put_u(s, 0, 1);
 }
 
-/* The bits since the last account are of a kind: 0 support, 1 amplitude, 2 direction. */
+/* The bits since the last account are of a kind (TOUCH_BITS_...). */
 static void touch_account(touch_coder *b, int kind) {
     double total = 8.0 * (double)b->position + 48.0 - log2((double)b->range);
     b->spent->bits[kind] += total - b->spent->total;
@@ -451,12 +451,12 @@ static void touch_choose_residual(const touch_pass *p, touch_voxel *v) {
     double along[3], best = HUGE_VAL;
     for (int k = 0; k < 3; k++)
         along[k] = (f[0] * (double)v->basis[k][0] + f[1] * (double)v->basis[k][1] + f[2] * (double)v->basis[k][2]) / 16384.0;
-    int64_t level = touch_level_of(p->steps, touch_round(fabs(along[0])));
-    int64_t nearest = (int64_t)rint((double)((along[0] >= 0 ? level : -level) - v->centre_level) / 256.0);
+    int64_t level = touch_step_position(p->steps, touch_round(fabs(along[0])));
+    int64_t nearest = (int64_t)rint((double)((along[0] >= 0 ? level : -level) - v->centre_position) / 256.0);
     v->residual[0] = v->residual[1] = v->residual[2] = 0;
     for (int i = 0; i < 3; i++) {
         int64_t r[3], low[2], step, length;
-        r[0] = nearest + around[i], length = touch_along(p, v, r[0], &step);
+        r[0] = nearest + around[i], length = touch_radial_length(p, v, r[0], &step);
         low[0] = touch_round(along[1] / (double)step), low[1] = touch_round(along[2] / (double)step);
         for (int j = 0; j < 9; j++) {
             int32_t vector[3];
@@ -464,8 +464,8 @@ static void touch_choose_residual(const touch_pass *p, touch_voxel *v) {
             int64_t sum = touch_abs(r[0]) + touch_abs(r[1]) + touch_abs(r[2]);
             int64_t max = touch_max(touch_max(touch_abs(r[0]), touch_abs(r[1])), touch_abs(r[2]));
             double cost = (double)((r[0] != 0) + (r[1] != 0) + (r[2] != 0)) + larger * (double)sum;
-            if (!(cost < best) || max >= 1 << 18 || !(max > 0 || v->followed)) continue;
-            touch_place(v, length, r[1] * step, r[2] * step, vector);
+            if (!(cost < best) || max >= 1 << 18 || !(max > 0 || v->predictor)) continue;
+            touch_residual_vector(v, length, r[1] * step, r[2] * step, vector);
             int is_within = touch_is_within(vector, f, &p->target->bound);
             if (is_within) best = cost;
             if (is_within || i + j == 0) memcpy(v->residual, r, sizeof v->residual);
@@ -546,7 +546,7 @@ static int touch_code_frame(const touch_grid *grid, const touch_steps *steps, co
     p->scan = touch_scan_of(order, grid), p->slope[0] = p->slope[1] = p->slope[2] = 0;
     if (!touch_code_list(&coder, &out->models->list, grid->shape, reference->list, &out->units.list, arena, error)) return 0;
     if (!touch_code_bricks(p, grid, &out->units, arena, error)) return 0;
-    touch_account(&coder, 0);
+    touch_account(&coder, TOUCH_BITS_SUPPORT);
     arena->used = mark;
     if (!touch_finish(&coder, &out->payload)) return touch_fail(error, TOUCH_MEMORY, "no room for a payload");
     touch_pad(&out->payload, 4, touch_min_bytes(frame->bricks));
@@ -1572,7 +1572,7 @@ static int touch_put_exact(touch_writer *w, touch_exact_models *models, const to
     touch_coder coder = touch_writing(&payload, &w->tables, &spent);
     pass.coder = &coder, pass.models = models, pass.grid = &w->grid, pass.before = before;
     if (!touch_code_list(&coder, &models->list, w->grid.shape, before ? before->list : none, &f->list, arena, error)) return 0;
-    touch_account(&coder, 0);
+    touch_account(&coder, TOUCH_BITS_SUPPORT);
     if (!touch_code_samples(&pass, f, arena, error)) return 0;
     if (!touch_finish(&coder, &payload)) return touch_fail(error, TOUCH_MEMORY, "no room for a payload");
     touch_pad(&payload, head, touch_min_bytes(4 * f->list.count));
@@ -1851,7 +1851,7 @@ static uint64_t touch_list_room(const touch_grid *grid, uint64_t bricks, uint64_
 
 /* A pass over a frame, without its result. */
 static uint64_t touch_pass_room(const touch_grid *grid, uint64_t bricks, uint64_t reference, uint64_t bytes) {
-    uint64_t cells = 512 * sizeof(touch_cell) * bricks + 12 * bricks + 64 * reference;
+    uint64_t cells = 512 * sizeof(touch_decoded) * bricks + 12 * bricks + 64 * reference;
     return sizeof(touch_pass) + touch_list_room(grid, bricks, reference, bytes) + cells + touch_map_room(bricks) +
            touch_map_room(reference);
 }
@@ -2126,7 +2126,7 @@ static int touch_choose_order(const touch_sink *s, const touch_tables *tables, t
         touch_spent spent;
         touch_coder coder = touch_writing(s, tables, &spent);
         touch_put_moves(&coder, models, numbers, count, c, n);
-        touch_account(&coder, 0);
+        touch_account(&coder, TOUCH_BITS_SUPPORT);
         if (spent.total < best) best = spent.total, order = n;
     }
     return order;

@@ -71,6 +71,9 @@ static int touch_need(touch_cursor *c, int holds, const char *what) {
 
 static int64_t touch_clip(int64_t n, int64_t min, int64_t max) { return n < min ? min : n > max ? max : n; }
 
+/* Within -max to max. */
+static int64_t touch_clip_to(int64_t n, int64_t max) { return touch_clip(n, -max, max); }
+
 static int64_t touch_max(int64_t a, int64_t b) { return a > b ? a : b; }
 
 static int64_t touch_min(int64_t a, int64_t b) { return a < b ? a : b; }
@@ -133,7 +136,9 @@ typedef struct { /* the logistic function, its inverse, and how fast a context l
     int32_t rate[256];
 } touch_tables;
 
-typedef struct { /* bits that a writer has spent, by purpose: support, amplitude, direction; an estimate for people */
+enum { TOUCH_BITS_SUPPORT = 0, TOUCH_BITS_AMPLITUDE = 1, TOUCH_BITS_DIRECTION = 2 };
+
+typedef struct { /* bits that a writer has spent, by purpose; an estimate for people */
     double bits[3], total;
 } touch_spent;
 
@@ -220,7 +225,7 @@ static int touch_mix(touch_coder *b, touch_context *const *c, int64_t *weights, 
     int64_t sum = 0;
     int32_t logit[4];
     for (int n = 0; n < count; n++) logit[n] = t->stretch[c[n]->probability >> 10], sum += logit[n] * weights[n];
-    int32_t p = t->squash[touch_clip(sum >> 16, -TOUCH_MAX_LOGIT, TOUCH_MAX_LOGIT) + TOUCH_MAX_LOGIT];
+    int32_t p = t->squash[touch_clip_to(sum >> 16, TOUCH_MAX_LOGIT) + TOUCH_MAX_LOGIT];
     bit = touch_narrow(b, (uint32_t)p, bit);
     int64_t error = (bit ? 65536 : 0) - p;
     for (int n = 0; n < count; n++) weights[n] += (logit[n] * error + 8192) >> 14, touch_learn(c[n], bit, t);
@@ -485,7 +490,10 @@ static int touch_code_list(touch_coder *b, touch_list_models *m, const uint32_t 
     return 1;
 }
 
-/* -- the voxel pass (docs/format/touch.md) --------------------------------------------------------------------------- */
+/* -- the voxel pass (docs/format/touch.md) ---------------------------------------------------------------------------
+
+   A brick: touch_code_brick. A voxel: touch_code_voxel, which calls in this order touch_look_around, touch_code_support,
+   touch_predict, touch_classify, touch_code_skip, touch_set_centre, touch_code_component (three times). */
 
 typedef struct {
     int32_t v[3];
@@ -496,40 +504,73 @@ typedef struct { /* vectors in units, 512 a brick, in the order of the grid; (0,
     touch_vector *v;
 } touch_units;
 
-typedef struct { /* a decoded voxel that has a force, in the order of the scan */
+typedef struct { /* a decoded voxel that is supported, in the order of the scan */
     int32_t vector[3], length;
     int32_t next_length[3];          /* length that the force law predicts one sample further along each axis */
-    uint8_t along_size, across_size; /* of its residual: how well it was predicted */
-} touch_cell;
+    uint8_t along_size, across_size; /* of its residual, in steps: how well it was predicted */
+} touch_decoded;
 
 enum { TOUCH_CODE = 0, TOUCH_FOLLOW = 1, TOUCH_COPY = 2 };         /* state of a brick that the reference lists */
-enum { TOUCH_NONE = 0, TOUCH_NEIGHBOUR = 1, TOUCH_REFERENCE = 2 }; /* source of a prediction */
-enum { TOUCH_FEATURES = 13, TOUCH_LIMIT = (1 << 17) - 1 /* no component of a vector is beyond it */ };
+enum { TOUCH_NONE = 0, TOUCH_NEIGHBOUR = 1, TOUCH_REFERENCE = 2 }; /* predictor of a voxel */
 
-typedef struct { /* of one component of a residual */
-    touch_context zero_near[2][256];  /* where the extrapolations along axes 0 and 1 lie; whether residuals are large */
-    touch_context zero_far[2][256];   /* the same of the extrapolation along axis 2 and of the reference */
-    touch_context zero_offset[64];    /* how far the skipped prediction lies: it was refused, so the force is elsewhere */
-    touch_context sign_near[256], sign_far[256], sign_offset[64]; /* the same; on which side the prediction lies */
-    touch_context size_group[8][16];  /* sizes of the residuals around, by the steps so far */
-    touch_context size_offset[64][16]; /* how far the prediction lies, by the steps so far */
+enum {
+    TOUCH_MAX_COMPONENT = (1 << 17) - 1, /* of a vector, units; the longest force of a segment has about 2^16 */
+    TOUCH_ONE_BITS = 14,                 /* unit vectors and ratios are in 1/2^14 */
+    TOUCH_ONE = 1 << TOUCH_ONE_BITS,
+    TOUCH_SLOPE_STOP = 1 << 17,        /* a slope is below: length that a force loses from sample to sample, units */
+    TOUCH_MAX_EXTRAPOLATION = 8 << 14, /* a neighbour grows by this ratio at most, in 1/2^14 */
+    TOUCH_MAX_MEAN_SCALE = 2 << 16,    /* and the mean of neighbours by this one, in 1/2^16 */
+    TOUCH_MIN_LENGTH_BITS = 3,         /* a force is predicted to keep 2^-3 of its length from sample to sample, or more */
+    TOUCH_LENGTH_CLASSES = 32,         /* of the predicted length, for supports; */
+    TOUCH_CLASSES_BELOW_2_16 = 28,     /* so many of them below 2^16 units, */
+    TOUCH_FIRST_LENGTH_CLASS = 3,      /* from this one on; below it are predictions below 0 */
+    TOUCH_AMPLITUDE_BITS = 12,         /* classes of the prediction's length for a skip are 2^12 units wide, */
+    TOUCH_MAX_AMPLITUDE_CLASS = 15,
+    TOUCH_NO_ALTERNATIVE = 15, /* class of an alternative prediction that is not there; */
+    TOUCH_AT_CENTRE = 7,       /* 0 to 14: along an axis of the residual; this one is at the centre */
+    TOUCH_MAX_CLASS = 7,       /* of sizes and distances in steps */
+    TOUCH_MAX_UNARY = 14,      /* a magnitude up to here is coded in unary with contexts, then an escape in gamma code */
+    TOUCH_ESCAPE_DIGITS = 17,  /* at most, as a magnitude is below 2^18 steps */
+    TOUCH_MAX_ALONG_SIZE = 15, /* sizes of residuals, as far as they matter for contexts */
+    TOUCH_MAX_ACROSS_SIZE = 31
+};
+
+/* The adaptive prediction (LMS). Features are in 1/256 of the step, weights in 1/2^16. */
+enum {
+    TOUCH_FEATURES = 13,
+    TOUCH_MAX_FEATURE = 16 * 256 - 1,  /* limits keep one outlier from spoiling the weights, and products in 63 bits */
+    TOUCH_MAX_LMS_ERROR = 4 * 256 - 1, /* 1/256 steps */
+    TOUCH_LMS_REGULARISATION = 32768,  /* added to the energy of the features: small features teach little */
+    TOUCH_LMS_RATE = 1 << 27,          /* times 2^-14 2^-16: half of what would remove the error at once */
+    TOUCH_MAX_WEIGHT = 16 << 16
+};
+
+typedef struct { /* of one component of a residual. Significance: is it zero? Then the sign, and the magnitude */
+    touch_context zero_alternatives_01[2][256]; /* large residuals around?; where the extrapolations along axes 0, 1 lie */
+    touch_context zero_alternatives_23[2][256]; /* the same of the extrapolation along axis 2 and of the reference */
+    touch_context zero_disagreement[64]; /* how far the skipped prediction lies: it was refused, so the force is elsewhere */
+    touch_context sign_alternatives_01[256], sign_alternatives_23[256]; /* on which side the alternatives lie */
+    touch_context sign_disagreement[64];                                /* on which side the skipped prediction lies */
+    touch_context size_residuals[8][16];     /* magnitudes of the residuals around, by the steps so far */
+    touch_context size_disagreement[64][16]; /* how far the skipped prediction lies, by the steps so far */
 } touch_component_contexts;
 
 typedef struct { /* what a frame teaches the next one */
     struct {
-        touch_context copy[4], follow[3];  /* brick states, by that of the brick before: bricks at rest follow each other */
-        touch_context block[3][8];         /* blocks of 4 x 4 x 4 voxels: supports are connected */
+        touch_context copy[4];   /* is a brick COPY? by the state of the listed brick before: bricks at rest form groups */
+        touch_context follow[3]; /* if not, is it FOLLOW or CODE? by the same; its state 2 is COPY */
+        touch_context block[3][8]; /* is a block of 4 x 4 x 4 voxels set? by its reference, and by the three blocks before */
         touch_context support_near[32][64][8]; /* predicted length: a force that fades out ends; neighbours; reference */
         touch_context support_wide[32][64][8]; /* the shape of the support two samples around */
         touch_context support_reference[128][8][4]; /* the shape of the reference's support around */
         touch_context skip_activity[64][8]; /* where neighbours needed no residual, this one does not, either */
-        touch_context skip_offset[8][16][4]; /* whether both predictions agree; long forces are smoother */
-        touch_context skip_reference[8][8][8][8]; /* how well a reference agrees that is not followed */
+        touch_context skip_disagreement[8][16][4]; /* whether both predictions agree; long forces are smoother */
+        touch_context skip_reference[8][8][8][8]; /* how well a reference agrees that is not the predictor */
         touch_component_contexts component[3];
     } context;
     struct {
-        int64_t support[4][8][3]; /* by the number of neighbours, and what the reference says */
-        int64_t skip[8][2][3];    /* by the sizes of residuals around, and whether there is another reference */
+        int64_t support[4][8][3]; /* by the number of neighbours, and the class of the reference */
+        int64_t skip[8][2][3];    /* by the residuals around, and whether there is another reference */
         int64_t zero[3][8][3], sign[3][3], size[3][16][2];
     } weight;
     touch_list_models list;
@@ -542,12 +583,18 @@ static void touch_models_fresh(touch_models *m) {
     memset(m->adaptive, 0, sizeof m->adaptive);
 }
 
-typedef struct { /* step sizes by amplitude, the same in a segment (Weber: larger forces hide larger errors) */
+typedef struct { /* quantisation steps by amplitude, the same in a segment (Weber: larger forces hide larger errors) */
     float unit_n;
-    int64_t floor, rate, cross_floor, cross_rate;
-    int32_t *border; /* lengths in 1/256 units, one for each sixteenth of a step */
+    int64_t floor, rate;             /* the step along the centre: max(floor, rate / 2^16 times the length), units */
+    int64_t cross_floor, cross_rate; /* the step across it, likewise */
+    int32_t *border;                 /* lengths in 1/256 units at every sixteenth of a step from 0 on */
     int64_t borders;
 } touch_steps;
+
+enum {
+    TOUCH_MAX_BORDER = 1 << 26,            /* 2^18 units in 1/256 units: the last border lies above it */
+    TOUCH_MAX_SCALED_LENGTH = (1 << 18) - 1 /* no length in units is beyond it: sqrt(3) 2^17 */
+};
 
 /* Set the table of borders. */
 static int touch_step_table(touch_steps *s, touch_arena *arena) {
@@ -556,9 +603,9 @@ static int touch_step_table(touch_steps *s, touch_arena *arena) {
         if (written) s->border = (int32_t *)touch_take(arena, (uint64_t)s->borders, 4);
         if (written && !s->border) return 0;
         if (written) s->border[0] = 0;
-        for (int64_t border = 0; border <= 1 << 26; count++) {
-            int64_t step = touch_max((border * s->rate) >> 16, 256 * s->floor) >> 4;
-            border += step > 1 ? step : 1;
+        for (int64_t border = 0; border <= TOUCH_MAX_BORDER; count++) {
+            int64_t sixteenth = touch_max((border * s->rate) >> 16, 256 * s->floor) >> 4;
+            border += sixteenth > 1 ? sixteenth : 1;
             if (written) s->border[count] = (int32_t)border;
         }
         s->borders = count;
@@ -568,9 +615,10 @@ static int touch_step_table(touch_steps *s, touch_arena *arena) {
 
 static int64_t touch_step(const touch_steps *s, int64_t length) { return touch_max((length * s->rate) >> 16, s->floor); }
 
-/* A length in 1/256 steps from 0: sixteenths by the table, straight between them. */
-static int64_t touch_level_of(const touch_steps *s, int64_t length) {
-    int64_t scaled = touch_min(length, (1 << 18) - 1) << 8, low = 0, high = s->borders - 1;
+/* The position of a length on the scale of steps, 1/256 steps: sixteenths by the table, linear between them. Steps grow
+   with the length, so this is the compander of a non-uniform quantiser, and touch_length_at the expander. */
+static int64_t touch_step_position(const touch_steps *s, int64_t length) {
+    int64_t scaled = touch_min(length, TOUCH_MAX_SCALED_LENGTH) << 8, low = 0, high = s->borders - 1;
     while (high - low > 1) {
         int64_t middle = (low + high) / 2;
         if (s->border[middle] <= scaled) low = middle;
@@ -579,11 +627,11 @@ static int64_t touch_level_of(const touch_steps *s, int64_t length) {
     return 16 * low + ((scaled - s->border[low]) << 4) / (s->border[low + 1] - s->border[low]);
 }
 
-/* The inverse; a level below 0 is a force the other way. */
-static int64_t touch_length_of(const touch_steps *s, int64_t level) {
-    int64_t size = touch_min(touch_abs(level), 16 * (s->borders - 1) - 1), n = size >> 4;
+/* The inverse; a position below 0 is a force the other way. */
+static int64_t touch_length_at(const touch_steps *s, int64_t position) {
+    int64_t size = touch_min(touch_abs(position), 16 * (s->borders - 1) - 1), n = size >> 4;
     size = (s->border[n] + (((s->border[n + 1] - s->border[n]) * (size & 15)) >> 4) + 128) >> 8;
-    return level < 0 ? -size : size;
+    return position < 0 ? -size : size;
 }
 
 typedef struct { /* order of a pass: which axis of the grid each axis of the scan is, the slowest first, and which way */
@@ -642,8 +690,8 @@ typedef struct { /* a pass over a frame */
     int64_t slope[3]; /* loss of force along each axis from sample to sample, for `next_length` */
     const touch_units *reference;
     uint64_t *has_reference; /* bits of its voxels with a force, 8 words a brick: its vectors lie far from each other */
-    touch_cell *cell;        /* 512 of each brick; of length 0: not supported */
-    int32_t cell_at[TOUCH_WINDOW], reference_at[TOUCH_WINDOW]; /* indices into `cell` and `reference`; -1: none */
+    touch_decoded *decoded;        /* 512 of each brick; of length 0: not supported */
+    int32_t decoded_at[TOUCH_WINDOW], reference_at[TOUCH_WINDOW]; /* indices into `decoded` and `reference`; -1: none */
     int32_t last_vector[3];
     int is_listed, last_state; /* whether the reference lists the brick; the state of the last brick that it lists */
     struct touch_target *target;
@@ -655,21 +703,30 @@ static const int touch_wide[5] = {-TOUCH_DEEP - TOUCH_UP, -TOUCH_DEEP - TOUCH_LE
                                   -2 * TOUCH_DEEP, -2 * TOUCH_LEFT};
 
 typedef struct { /* a voxel: what is known of it before its force, its predictions, and its residual */
-    int here;                       /* its index in the window */
-    const touch_cell *neighbour[3]; /* deep, up, left; NULL: not supported */
+    int here; /* its index in the window */
+    /* touch_look_around */
+    const touch_decoded *neighbour[3]; /* deep, up, left; NULL: not supported */
     int neighbour_count, has_reference, reference_class;
+    uint32_t neighbour_mask, wide_mask, reference_mask; /* which places around are supported; have a reference */
+    int64_t length_class;                               /* class of the length that the force law predicts */
+    /* touch_predict */
     int32_t reference[3];
     int32_t extrapolation[3][3]; /* one neighbour continued by the force law, along axes 0, 1, 2 */
     int32_t adaptive[3];         /* mean of the neighbours with a learnt correction */
     int32_t prediction[3];       /* the force if the residual is skipped */
-    int followed;                /* where the prediction is from */
+    int predictor;               /* where the prediction is from */
     int64_t feature[TOUCH_FEATURES][3], *weight, inverse_step; /* of the adaptive prediction; [3] is a component */
-    int group[3], total_class, offset_class; /* sizes of residuals around; distance between the predictions */
-    int32_t offset[3];                       /* prediction minus adaptive prediction */
-    int32_t centre[3];                       /* what the residual is relative to, and its axes, 1/16384 */
-    int64_t basis[3][3], centre_step, centre_level;
-    uint32_t sides_near[3], sides_far[3]; /* on which side of the centre other predictions lie, along each axis */
-    int64_t residual[3];                  /* in steps: along the centre, and two across it */
+    /* touch_classify */
+    int32_t disagreement[3]; /* prediction minus adaptive prediction */
+    int disagreement_class, reference_distance; /* classes: of its length; of the reference minus the prediction */
+    int residual_class[3], total_residual_class; /* classes of the residuals around: for each component; of all */
+    uint32_t activity, amplitude_class;          /* residuals of each neighbour, 2 bits; length of the prediction */
+    /* touch_set_centre */
+    int32_t centre[3];                    /* what the residual is relative to, */
+    int64_t basis[3][3];                  /* its axes along and across the centre, 1/2^14, */
+    int64_t centre_step, centre_position; /* the step there, and where the centre lies on the scale of steps */
+    uint32_t alternatives_01[3], alternatives_23[3]; /* on which side of the centre other predictions lie, for each axis */
+    int64_t residual[3];                             /* in steps: along the centre, and two across it */
     int32_t vector[3];
 } touch_voxel;
 
@@ -678,7 +735,10 @@ static int64_t touch_length(const int32_t v[3]) {
     return n ? n : 1;
 }
 
-static int32_t touch_limit(int64_t n) { return (int32_t)touch_clip(n, -TOUCH_LIMIT, TOUCH_LIMIT); }
+static int32_t touch_clip_component(int64_t n) { return (int32_t)touch_clip_to(n, TOUCH_MAX_COMPONENT); }
+
+/* A number in 1/2^14, rounded to the nearest whole number. */
+static int64_t touch_round_one(int64_t n) { return (n + TOUCH_ONE / 2) >> TOUCH_ONE_BITS; }
 
 /* A vector of the reference, permuted to the scan. */
 static void touch_reference_at(const touch_pass *p, int32_t index, int32_t out[3]) {
@@ -686,57 +746,70 @@ static void touch_reference_at(const touch_pass *p, int32_t index, int32_t out[3
     for (int n = 0; n < 3; n++) out[n] = p->scan.sign[n] * v[p->scan.axis[n]];
 }
 
-/* Store a cell. Along the force a penalty field loses `slope` of its length from sample to sample. */
-static void touch_store(touch_pass *p, int here, int32_t index, const int32_t v[3], int64_t along_size,
-                        int64_t across_size) {
-    touch_cell *cell = p->cell + index;
-    int64_t length = touch_length(v), inverse = ((int64_t)1 << 28) / length;
+/* Store a decoded voxel. Along the force a penalty field loses `slope` of its length from sample to sample. */
+static void touch_store_decoded(touch_pass *p, int here, int32_t index, const int32_t v[3], int64_t along_size,
+                                int64_t across_size) {
+    touch_decoded *decoded = p->decoded + index;
+    int64_t length = touch_length(v), inverse = ((int64_t)1 << 2 * TOUCH_ONE_BITS) / length;
     for (int n = 0; n < 3; n++) {
-        cell->vector[n] = v[n];
-        cell->next_length[n] = (int32_t)(length - ((((v[n] * inverse) >> 14) * p->slope[n]) >> 14));
+        int64_t direction = (v[n] * inverse) >> TOUCH_ONE_BITS;
+        decoded->vector[n] = v[n];
+        decoded->next_length[n] = (int32_t)(length - ((direction * p->slope[n]) >> TOUCH_ONE_BITS));
     }
-    cell->length = (int32_t)length, cell->along_size = (uint8_t)along_size, cell->across_size = (uint8_t)across_size;
-    p->cell_at[here] = index;
+    decoded->length = (int32_t)length;
+    decoded->along_size = (uint8_t)along_size, decoded->across_size = (uint8_t)across_size;
+    p->decoded_at[here] = index;
 }
 
-/* Support: does the voxel have a force? Gathers what is known of the voxel, too. Three opinions are mixed: the force
-   law (a force that fades out towards here ends here), the shape of the support around, and the reference. */
-static int touch_code_support(touch_pass *p, touch_voxel *v, int here, int bit) {
-    touch_models *m = p->models;
+/* What lies around a voxel: neighbours, the shapes of the support and of the reference's, and the predicted length. */
+static void touch_look_around(const touch_pass *p, touch_voxel *v, int here) {
     int64_t next_sum = 0;
-    uint32_t mask = 0, wide = 0, reference_mask = 0;
     int faces = 0;
     v->here = here, v->neighbour_count = 0, v->reference_class = 0, v->has_reference = p->reference_at[here] >= 0;
+    v->neighbour_mask = v->wide_mask = v->reference_mask = 0;
     for (int n = 0; n < 3; n++) {
-        int32_t at = p->cell_at[here + touch_before[n]];
-        v->neighbour[n] = at >= 0 ? p->cell + at : 0;
-        if (at >= 0) mask |= 1u << n, v->neighbour_count++, next_sum += v->neighbour[n]->next_length[n];
-        if (p->cell_at[here + touch_diagonal[n]] >= 0) mask |= 8u << n;
+        int32_t at = p->decoded_at[here + touch_before[n]];
+        v->neighbour[n] = at >= 0 ? p->decoded + at : 0;
+        if (at >= 0) v->neighbour_mask |= 1u << n, v->neighbour_count++, next_sum += v->neighbour[n]->next_length[n];
+        if (p->decoded_at[here + touch_diagonal[n]] >= 0) v->neighbour_mask |= 8u << n;
     }
-    for (int n = 0; n < 5; n++) wide |= (p->cell_at[here + touch_wide[n]] >= 0 ? 1u : 0u) << n;
+    for (int n = 0; n < 5; n++) v->wide_mask |= (p->decoded_at[here + touch_wide[n]] >= 0 ? 1u : 0u) << n;
     if (p->is_listed) {
         for (int n = 0; n < 3; n++) {
             int before = p->reference_at[here + touch_before[n]] >= 0, after = p->reference_at[here - touch_before[n]] >= 0;
-            faces += before + after, reference_mask |= (uint32_t)before << (2 * n) | (uint32_t)after << (2 * n + 1);
+            faces += before + after, v->reference_mask |= (uint32_t)before << (2 * n) | (uint32_t)after << (2 * n + 1);
         }
         v->reference_class = v->has_reference ? 4 + (faces >= 5) + (faces == 6) : 1 + (faces >= 1) + (faces >= 3);
-        reference_mask |= (uint32_t)v->has_reference << 6;
+        v->reference_mask |= (uint32_t)v->has_reference << 6;
     }
-    int64_t length_class = wide;
-    if (v->neighbour_count)
-        length_class = touch_clip(((touch_div(next_sum, v->neighbour_count) * 28) >> 16) + 3, 0, 31);
-    return touch_mix3(p->coder, &m->context.support_near[length_class][mask][v->reference_class],
-                      &m->context.support_wide[wide][mask][v->reference_class],
-                      &m->context.support_reference[reference_mask][mask & 7][length_class >> 3],
+    v->length_class = v->wide_mask;
+    if (v->neighbour_count) {
+        int64_t class_number = (touch_div(next_sum, v->neighbour_count) * TOUCH_CLASSES_BELOW_2_16) >> 16;
+        v->length_class = touch_clip(class_number + TOUCH_FIRST_LENGTH_CLASS, 0, TOUCH_LENGTH_CLASSES - 1);
+    }
+}
+
+/* Support: does the voxel have a force? Three contexts are mixed: the force law (a force that fades out towards here ends
+   here), the shape of the support around, and the reference. */
+static int touch_code_support(touch_pass *p, const touch_voxel *v, int bit) {
+    touch_models *m = p->models;
+    return touch_mix3(p->coder, &m->context.support_near[v->length_class][v->neighbour_mask][v->reference_class],
+                      &m->context.support_wide[v->wide_mask][v->neighbour_mask][v->reference_class],
+                      &m->context.support_reference[v->reference_mask][v->neighbour_mask & 7][v->length_class >> 3],
                       m->weight.support[v->neighbour_count][v->reference_class], bit);
+}
+
+/* The length of a neighbour's force one sample on, as the force law predicts it. */
+static int64_t touch_next_length(const touch_decoded *neighbour, int axis) {
+    return touch_max(neighbour->next_length[axis], neighbour->length >> TOUCH_MIN_LENGTH_BITS);
 }
 
 /* Extrapolation: along the force a penalty field changes its length by the law, but not its direction. A neighbour's
    error is inherited, so that a relative error stays within a relative bound for long. */
-static void touch_extrapolate(const touch_pass *p, const touch_cell *cell, int axis, int32_t out[3]) {
-    int64_t length = touch_max(touch_max(cell->next_length[axis], cell->length >> 3), touch_max(p->steps->floor >> 1, 1));
-    int64_t ratio = touch_min((length << 14) / cell->length, 1 << 17);
-    for (int n = 0; n < 3; n++) out[n] = touch_limit((cell->vector[n] * ratio + 8192) >> 14);
+static void touch_extrapolate(const touch_pass *p, const touch_decoded *neighbour, int axis, int32_t out[3]) {
+    int64_t length = touch_max(touch_next_length(neighbour, axis), touch_max(p->steps->floor >> 1, 1));
+    int64_t ratio = touch_min((length << TOUCH_ONE_BITS) / neighbour->length, TOUCH_MAX_EXTRAPOLATION);
+    for (int n = 0; n < 3; n++) out[n] = touch_clip_component(touch_round_one(neighbour->vector[n] * ratio));
 }
 
 /* The mean of the neighbours, as long as the force law predicts; returns the step there. */
@@ -744,18 +817,18 @@ static int64_t touch_mean(const touch_pass *p, const touch_voxel *v, int64_t mea
     int64_t length_sum = 0, next_sum = 0;
     mean[0] = mean[1] = mean[2] = 0;
     for (int n = 0; n < 3; n++) {
-        const touch_cell *cell = v->neighbour[n];
-        if (!cell) continue;
-        length_sum += cell->length, next_sum += touch_max(cell->next_length[n], cell->length >> 3);
-        for (int k = 0; k < 3; k++) mean[k] += cell->vector[k];
+        const touch_decoded *neighbour = v->neighbour[n];
+        if (!neighbour) continue;
+        length_sum += neighbour->length, next_sum += touch_next_length(neighbour, n);
+        for (int k = 0; k < 3; k++) mean[k] += neighbour->vector[k];
     }
-    int64_t scale = touch_min((next_sum << 16) / (length_sum * v->neighbour_count), 1 << 17);
-    for (int k = 0; k < 3; k++) mean[k] = (mean[k] * scale + 32768) >> 16;
+    int64_t scale = touch_min((next_sum << 16) / (length_sum * v->neighbour_count), TOUCH_MAX_MEAN_SCALE);
+    for (int k = 0; k < 3; k++) mean[k] = (mean[k] * scale + (1 << 15)) >> 16;
     return touch_step(p->steps, next_sum / v->neighbour_count);
 }
 
 /* Features: what the mean may have to be corrected by, in 1/256 steps. 0 to 5: neighbours minus the mean, so that a
-   weight prefers one of them; 6 to 10: slopes between cells before, which continue to here; 11: the reference minus the
+   weight prefers one of them; 6 to 10: slopes between slots before, which continue to here; 11: the reference minus the
    mean; 12: how the neighbours differ from their references, which this voxel is likely to do, too. */
 static void touch_features(const touch_pass *p, touch_voxel *v, const int64_t mean[3]) {
     static const int pair[5][2] = {{-TOUCH_DEEP, -2 * TOUCH_DEEP},
@@ -767,14 +840,14 @@ static void touch_features(const touch_pass *p, touch_voxel *v, const int64_t me
     int shared = 0;
     memset(f, 0, sizeof v->feature);
     for (int n = 0; n < 6; n++) {
-        int32_t at = p->cell_at[v->here + (n < 3 ? touch_before[n] : touch_diagonal[n - 3])];
+        int32_t at = p->decoded_at[v->here + (n < 3 ? touch_before[n] : touch_diagonal[n - 3])];
         if (at >= 0)
-            for (int k = 0; k < 3; k++) f[n][k] = p->cell[at].vector[k] - mean[k];
+            for (int k = 0; k < 3; k++) f[n][k] = p->decoded[at].vector[k] - mean[k];
     }
     for (int n = 0; n < 5; n++) {
-        int32_t to = p->cell_at[v->here + pair[n][0]], from = p->cell_at[v->here + pair[n][1]];
+        int32_t to = p->decoded_at[v->here + pair[n][0]], from = p->decoded_at[v->here + pair[n][1]];
         if (to >= 0 && from >= 0)
-            for (int k = 0; k < 3; k++) f[6 + n][k] = (int64_t)p->cell[to].vector[k] - p->cell[from].vector[k];
+            for (int k = 0; k < 3; k++) f[6 + n][k] = (int64_t)p->decoded[to].vector[k] - p->decoded[from].vector[k];
     }
     if (v->has_reference) {
         for (int n = 0; n < 3; n++) {
@@ -787,24 +860,24 @@ static void touch_features(const touch_pass *p, touch_voxel *v, const int64_t me
             f[11][k] = v->reference[k] - mean[k], f[12][k] = touch_div(f[12][k], shared ? shared : 1);
     }
     for (int n = 0; n < TOUCH_FEATURES; n++)
-        for (int k = 0; k < 3; k++) f[n][k] = touch_clip((f[n][k] * v->inverse_step) >> 24, -4095, 4095);
+        for (int k = 0; k < 3; k++) f[n][k] = touch_clip_to((f[n][k] * v->inverse_step) >> 24, TOUCH_MAX_FEATURE);
 }
 
 /* Adaptive prediction: the mean of the neighbours and a sum of features, with weights that learn (LMS) and differ by
    which neighbours there are. It averages noise away; where nothing is near it is the reference, or the last vector. */
-static void touch_predict_adaptively(touch_pass *p, touch_voxel *v) {
+static void touch_predict_adaptive(touch_pass *p, touch_voxel *v) {
     int64_t mean[3], sum[3] = {0, 0, 0}, step = 1;
     if (!v->neighbour_count) {
-        for (int k = 0; k < 3; k++) v->adaptive[k] = touch_limit(v->has_reference ? v->reference[k] : p->last_vector[k]);
+        const int32_t *nearest = v->has_reference ? v->reference : p->last_vector;
+        for (int k = 0; k < 3; k++) v->adaptive[k] = touch_clip_component(nearest[k]);
         return;
     }
     step = touch_mean(p, v, mean), v->inverse_step = ((int64_t)1 << 32) / step;
-    v->weight = p->models->adaptive[(v->neighbour[0] ? 1 : 0) | (v->neighbour[1] ? 2 : 0) | (v->neighbour[2] ? 4 : 0) |
-                                    (v->has_reference ? 8 : 0)];
+    v->weight = p->models->adaptive[(v->neighbour_mask & 7) | (v->has_reference ? 8u : 0u)];
     touch_features(p, v, mean);
     for (int n = 0; n < TOUCH_FEATURES; n++)
         for (int k = 0; k < 3; k++) sum[k] += v->weight[n] * v->feature[n][k];
-    for (int k = 0; k < 3; k++) v->adaptive[k] = touch_limit(mean[k] + (((sum[k] >> 16) * step) >> 8));
+    for (int k = 0; k < 3; k++) v->adaptive[k] = touch_clip_component(mean[k] + (((sum[k] >> 16) * step) >> 8));
 }
 
 /* Whether the reference is more than a step off at the deep neighbour: then it is off here, too. */
@@ -818,162 +891,182 @@ static int touch_is_reference_off(const touch_pass *p, const touch_voxel *v) {
     return square > step * step;
 }
 
-/* All predictions of a voxel. The one that a skip stands for is the reference in a brick that follows it; else the first
-   extrapolation; else the adaptive one. */
+/* All predictions of a voxel. The one that a skip selects is the reference in a brick of state FOLLOW; else the
+   first extrapolation; else the adaptive one. */
 static void touch_predict(touch_pass *p, touch_voxel *v, int state) {
     if (v->has_reference) touch_reference_at(p, p->reference_at[v->here], v->reference);
     for (int n = 0; n < 3; n++)
         if (v->neighbour[n]) touch_extrapolate(p, v->neighbour[n], n, v->extrapolation[n]);
-    touch_predict_adaptively(p, v);
-    v->followed = TOUCH_NONE;
+    touch_predict_adaptive(p, v);
+    v->predictor = TOUCH_NONE;
     memcpy(v->prediction, v->adaptive, sizeof v->prediction);
     if (state == TOUCH_FOLLOW && v->has_reference && !touch_is_reference_off(p, v)) {
-        v->followed = TOUCH_REFERENCE;
+        v->predictor = TOUCH_REFERENCE;
         memcpy(v->prediction, v->reference, sizeof v->prediction);
         return;
     }
-    for (int n = 0; n < 3 && !v->followed; n++)
+    for (int n = 0; n < 3 && !v->predictor; n++)
         if (v->neighbour[n]) {
-            v->followed = TOUCH_NEIGHBOUR;
+            v->predictor = TOUCH_NEIGHBOUR;
             memcpy(v->prediction, v->extrapolation[n], sizeof v->prediction);
         }
 }
 
 /* The weights of the adaptive prediction move towards what would have predicted the vector (normalised LMS). */
 static void touch_learn_weights(touch_voxel *v) {
-    int64_t energy = 32768, gain[3];
+    int64_t energy = TOUCH_LMS_REGULARISATION, gain[3];
     if (!v->neighbour_count) return;
     for (int n = 0; n < TOUCH_FEATURES; n++)
         for (int k = 0; k < 3; k++) energy += v->feature[n][k] * v->feature[n][k];
     for (int k = 0; k < 3; k++) {
-        int64_t error = touch_clip(((v->vector[k] - v->adaptive[k]) * v->inverse_step) >> 24, -1023, 1023);
-        gain[k] = touch_div(error * (1 << 27), energy);
+        int64_t error = ((v->vector[k] - v->adaptive[k]) * v->inverse_step) >> 24;
+        gain[k] = touch_div(touch_clip_to(error, TOUCH_MAX_LMS_ERROR) * TOUCH_LMS_RATE, energy);
     }
     for (int k = 0; k < 3; k++)
         for (int n = 0; n < TOUCH_FEATURES; n++)
-            v->weight[n] = touch_clip(v->weight[n] + ((v->feature[n][k] * gain[k]) >> 14), -(1 << 20), 1 << 20);
+            v->weight[n] = touch_clip_to(v->weight[n] + ((v->feature[n][k] * gain[k]) >> 14), TOUCH_MAX_WEIGHT);
 }
 
-/* The number of limits, of seven, that a number reaches. */
-static int touch_class(int64_t n, const int *limits) {
+/* The number of thresholds, of seven, that a number reaches. */
+static int touch_class(int64_t n, const int thresholds[TOUCH_MAX_CLASS]) {
     int c = 0;
-    while (c < 7 && limits[c] <= n) c++;
+    while (c < TOUCH_MAX_CLASS && thresholds[c] <= n) c++;
     return c;
 }
 
 /* Class of a distance in steps: 0 below an eighth, then twice as far each, 7 from 8 steps on. */
 static int touch_distance_class(int64_t distance, int64_t step) {
     int bits = touch_bit_length((uint64_t)((distance << 3) / step));
-    return bits < 7 ? bits : 7;
+    return bits < TOUCH_MAX_CLASS ? bits : TOUCH_MAX_CLASS;
 }
 
-/* Skip: is the prediction good enough? Mixed from how neighbours were predicted, whether both predictions agree, and how
-   well a reference agrees that is not followed. */
-static int touch_code_skip(touch_pass *p, touch_voxel *v, int bit) {
-    static const int limits[7] = {1, 2, 4, 7, 11, 16, 24};
-    touch_models *m = p->models;
+/* Classes for the contexts of the skip and of the residual: how large the residuals around are, whether both predictions
+   agree, and how well a reference agrees that is not the predictor. Without a neighbour, residuals count as large. */
+static void touch_classify(const touch_pass *p, touch_voxel *v) {
+    static const int thresholds[TOUCH_MAX_CLASS] = {1, 2, 4, 7, 11, 16, 24}; /* of sums of sizes, steps times 2 to 4 */
     int64_t along = 0, across = 0, length = touch_length(v->prediction), step = touch_step(p->steps, length);
-    uint32_t activity = 0, amplitude = (uint32_t)touch_min(length >> 12, 15);
-    int count = v->neighbour_count, distance = 7;
+    int count = v->neighbour_count;
+    v->activity = 0, v->amplitude_class = (uint32_t)touch_min(length >> TOUCH_AMPLITUDE_BITS, TOUCH_MAX_AMPLITUDE_CLASS);
+    v->reference_distance = TOUCH_MAX_CLASS;
     for (int n = 0; n < 3; n++) {
         uint32_t own = 0;
         if (v->neighbour[n]) {
             along += v->neighbour[n]->along_size, across += v->neighbour[n]->across_size;
             own = 1u + v->neighbour[n]->along_size + v->neighbour[n]->across_size;
         }
-        activity = activity << 2 | (own < 3 ? own : 3);
-        v->offset[n] = v->prediction[n] - v->adaptive[n];
+        v->activity = v->activity << 2 | (own < 3 ? own : 3);
+        v->disagreement[n] = v->prediction[n] - v->adaptive[n];
     }
-    v->group[0] = count ? touch_class(4 * along / count, limits) : 7;
-    v->group[1] = v->group[2] = count ? touch_class(2 * across / count, limits) : 7;
-    v->total_class = count ? touch_class(3 * (along + across) / count, limits) : 7;
-    v->offset_class = touch_distance_class(touch_length(v->offset), step);
-    if (v->has_reference && v->followed != TOUCH_REFERENCE) {
-        int32_t off[3];
-        for (int n = 0; n < 3; n++) off[n] = v->reference[n] - v->prediction[n];
-        distance = touch_distance_class(touch_length(off), step);
+    v->residual_class[0] = count ? touch_class(4 * along / count, thresholds) : TOUCH_MAX_CLASS;
+    v->residual_class[1] = v->residual_class[2] = count ? touch_class(2 * across / count, thresholds) : TOUCH_MAX_CLASS;
+    v->total_residual_class = count ? touch_class(3 * (along + across) / count, thresholds) : TOUCH_MAX_CLASS;
+    v->disagreement_class = touch_distance_class(touch_length(v->disagreement), step);
+    if (v->has_reference && v->predictor != TOUCH_REFERENCE) {
+        int32_t difference[3];
+        for (int n = 0; n < 3; n++) difference[n] = v->reference[n] - v->prediction[n];
+        v->reference_distance = touch_distance_class(touch_length(difference), step);
     }
-    return touch_mix3(p->coder, &m->context.skip_activity[activity][v->offset_class],
-                      &m->context.skip_offset[v->offset_class][amplitude][count],
-                      &m->context.skip_reference[distance][v->reference_class][v->offset_class][v->total_class],
-                      m->weight.skip[v->total_class][distance < 7], bit);
 }
 
-/* Unit vectors along a vector of that length, and across it, 1/16384. */
-static void touch_basis(const int32_t centre[3], int64_t length, int64_t e[3][3]) {
+/* Skip: is the prediction good enough, so that the residual is zero? */
+static int touch_code_skip(touch_pass *p, const touch_voxel *v, int bit) {
+    touch_models *m = p->models;
+    int disagreement = v->disagreement_class, distance = v->reference_distance, residuals = v->total_residual_class;
+    return touch_mix3(p->coder, &m->context.skip_activity[v->activity][disagreement],
+                      &m->context.skip_disagreement[disagreement][v->amplitude_class][v->neighbour_count],
+                      &m->context.skip_reference[distance][v->reference_class][disagreement][residuals],
+                      m->weight.skip[residuals][distance < TOUCH_MAX_CLASS], bit);
+}
+
+/* Unit vectors along a vector of that length, and across it, 1/2^14. The second one is normal to the third axis, or, where
+   the vector is within 26 degrees of that axis, to the first one: neither cross product is short. */
+static void touch_basis(const int32_t centre[3], int64_t length, int64_t basis[3][3]) {
+    enum { NEAR_THIRD_AXIS = 14746 }; /* 0.9, in 1/2^14 */
     int64_t inverse = ((int64_t)1 << 44) / length;
-    int32_t h[3] = {0, 0, 0};
-    for (int n = 0; n < 3; n++) e[0][n] = (centre[n] * inverse + (1 << 29)) >> 30;
-    if (touch_abs(e[0][2]) < 14746) h[0] = (int32_t)-e[0][1], h[1] = (int32_t)e[0][0];
-    else h[1] = (int32_t)-e[0][2], h[2] = (int32_t)e[0][1];
-    inverse = ((int64_t)1 << 44) / touch_length(h);
-    for (int n = 0; n < 3; n++) e[1][n] = (h[n] * inverse + (1 << 29)) >> 30;
+    int32_t normal[3] = {0, 0, 0};
+    for (int n = 0; n < 3; n++) basis[0][n] = (centre[n] * inverse + (1 << 29)) >> 30;
+    if (touch_abs(basis[0][2]) < NEAR_THIRD_AXIS) normal[0] = (int32_t)-basis[0][1], normal[1] = (int32_t)basis[0][0];
+    else normal[1] = (int32_t)-basis[0][2], normal[2] = (int32_t)basis[0][1];
+    inverse = ((int64_t)1 << 44) / touch_length(normal);
+    for (int n = 0; n < 3; n++) basis[1][n] = (normal[n] * inverse + (1 << 29)) >> 30;
     for (int n = 0; n < 3; n++) {
         int i = (n + 1) % 3, j = (n + 2) % 3;
-        e[2][n] = (e[0][i] * e[1][j] - e[0][j] * e[1][i]) >> 14;
+        basis[2][n] = (basis[0][i] * basis[1][j] - basis[0][j] * basis[1][i]) >> TOUCH_ONE_BITS;
     }
+}
+
+/* Class of where an alternative prediction lies along an axis of the residual: 0 to 14, 7 at the centre. */
+static uint32_t touch_alternative_class(const touch_voxel *v, const int32_t alternative[3], const int64_t axis[3]) {
+    static const int thresholds[TOUCH_MAX_CLASS] = {1, 2, 3, 5, 8, 12, 20}; /* quarters of a step */
+    int64_t quarters = 0;
+    for (int n = 0; n < 3; n++) quarters += (int64_t)(alternative[n] - v->centre[n]) * axis[n];
+    quarters = touch_div(quarters >> (TOUCH_ONE_BITS - 2), v->centre_step);
+    int size = touch_class(touch_abs(quarters), thresholds);
+    return (uint32_t)(quarters < 0 ? TOUCH_AT_CENTRE - size : TOUCH_AT_CENTRE + size);
 }
 
 /* Centre and axes of the residual. It is relative to the adaptive prediction, in steps along and across it: errors of
-   both kinds have different limits. Where other predictions lie tells where the force may be. */
-static void touch_aim(const touch_pass *p, touch_voxel *v) {
-    static const int limits[7] = {1, 2, 3, 5, 8, 12, 20};
+   both kinds have different bounds. Where other predictions lie indicates where the force may be. */
+static void touch_set_centre(const touch_pass *p, touch_voxel *v) {
     memcpy(v->centre, v->adaptive, sizeof v->centre);
     if (!v->centre[0] && !v->centre[1] && !v->centre[2]) v->centre[2] = 1;
     int64_t length = touch_length(v->centre);
-    v->centre_step = touch_step(p->steps, length), v->centre_level = touch_level_of(p->steps, length);
+    v->centre_step = touch_step(p->steps, length), v->centre_position = touch_step_position(p->steps, length);
     touch_basis(v->centre, length, v->basis);
     for (int k = 0; k < 3; k++) {
-        uint32_t side[4];
+        uint32_t class_of[4];
         for (int n = 0; n < 4; n++) {
-            const int32_t *other = n < 3 ? v->extrapolation[n] : v->reference;
-            int64_t quarters = 0;
-            side[n] = 15;
-            if (!(n < 3 ? v->neighbour[n] != 0 : v->has_reference)) continue;
-            for (int i = 0; i < 3; i++) quarters += (int64_t)(other[i] - v->centre[i]) * v->basis[k][i];
-            quarters = touch_div(quarters >> 12, v->centre_step);
-            side[n] = (uint32_t)(quarters < 0 ? 7 - touch_class(-quarters, limits) : 7 + touch_class(quarters, limits));
+            int has_alternative = n < 3 ? v->neighbour[n] != 0 : v->has_reference;
+            const int32_t *alternative = n < 3 ? v->extrapolation[n] : v->reference;
+            class_of[n] = has_alternative ? touch_alternative_class(v, alternative, v->basis[k]) : TOUCH_NO_ALTERNATIVE;
         }
-        v->sides_near[k] = side[0] << 4 | side[1], v->sides_far[k] = side[2] << 4 | side[3];
+        v->alternatives_01[k] = class_of[0] << 4 | class_of[1], v->alternatives_23[k] = class_of[2] << 4 | class_of[3];
     }
 }
 
-/* Component k of the residual: is it zero, its sign, its size in steps. */
+/* Component k of the residual: significance, sign, magnitude in steps. */
 static int64_t touch_code_component(touch_pass *p, const touch_voxel *v, int k, int64_t residual) {
     touch_component_contexts *c = p->models->context.component + k;
+    const int64_t *axis = v->basis[k];
+    const int32_t *d = v->disagreement;
     int64_t target = touch_abs(residual), size = 1;
-    int64_t distance = (v->offset[0] * v->basis[k][0] + v->offset[1] * v->basis[k][1] + v->offset[2] * v->basis[k][2]) >> 14;
-    int toward = touch_distance_class(touch_abs(distance), v->centre_step), group = v->group[k];
-    int offset = toward << 3 | v->offset_class, is_large = group > 3;
-    int is_certain = k == 2 && v->followed == TOUCH_NONE && !v->residual[0] && !v->residual[1]; /* it was no skip */
-    if (!is_certain && !touch_mix3(p->coder, &c->zero_near[is_large][v->sides_near[k]],
-                                   &c->zero_far[is_large][v->sides_far[k]], &c->zero_offset[offset],
-                                   p->models->weight.zero[k][group], residual != 0))
+    int64_t distance = (d[0] * axis[0] + d[1] * axis[1] + d[2] * axis[2]) >> TOUCH_ONE_BITS;
+    int toward = touch_distance_class(touch_abs(distance), v->centre_step), residuals = v->residual_class[k];
+    int disagreement = toward << 3 | v->disagreement_class, is_large = residuals > 3;
+    /* a residual of zero would have been a skip, if both predictions are the same */
+    int is_certain = k == 2 && v->predictor == TOUCH_NONE && !v->residual[0] && !v->residual[1];
+    if (!is_certain && !touch_mix3(p->coder, &c->zero_alternatives_01[is_large][v->alternatives_01[k]],
+                                   &c->zero_alternatives_23[is_large][v->alternatives_23[k]],
+                                   &c->zero_disagreement[disagreement], p->models->weight.zero[k][residuals], residual != 0))
         return 0;
-    int is_negative = touch_mix3(p->coder, &c->sign_near[v->sides_near[k]], &c->sign_far[v->sides_far[k]],
-                                 &c->sign_offset[toward << 3 | (distance < 0) << 2 | v->neighbour_count],
+    int is_negative = touch_mix3(p->coder, &c->sign_alternatives_01[v->alternatives_01[k]],
+                                 &c->sign_alternatives_23[v->alternatives_23[k]],
+                                 &c->sign_disagreement[toward << 3 | (distance < 0) << 2 | v->neighbour_count],
                                  p->models->weight.sign[k], residual < 0);
-    while (size <= 14 && touch_mix2(p->coder, &c->size_group[group][size - 1], &c->size_offset[offset][size - 1],
-                                    p->models->weight.size[k][size - 1], target > size))
+    while (size <= TOUCH_MAX_UNARY &&
+           touch_mix2(p->coder, &c->size_residuals[residuals][size - 1], &c->size_disagreement[disagreement][size - 1],
+                      p->models->weight.size[k][size - 1], target > size))
         size++;
-    if (size > 14) size = 14 + touch_gamma(p->coder, 17, target - 14);
+    if (size > TOUCH_MAX_UNARY)
+        size = TOUCH_MAX_UNARY + touch_gamma(p->coder, TOUCH_ESCAPE_DIGITS, target - TOUCH_MAX_UNARY);
     return is_negative ? -size : size;
 }
 
 /* The length along the centre by the first component of a residual, and the steps across it there. */
-static int64_t touch_along(const touch_pass *p, const touch_voxel *v, int64_t r, int64_t *cross_step) {
-    int64_t along = touch_length_of(p->steps, v->centre_level + 256 * r);
-    *cross_step = touch_max((touch_abs(along) * p->steps->cross_rate) >> 16, p->steps->cross_floor);
-    return along;
+static int64_t touch_radial_length(const touch_pass *p, const touch_voxel *v, int64_t residual, int64_t *cross_step) {
+    int64_t length = touch_length_at(p->steps, v->centre_position + 256 * residual);
+    *cross_step = touch_max((touch_abs(length) * p->steps->cross_rate) >> 16, p->steps->cross_floor);
+    return length;
 }
 
-/* The vector of a residual: a length along the centre, and two components across it. */
-static void touch_place(const touch_voxel *v, int64_t along, int64_t b, int64_t c, int32_t out[3]) {
+/* The vector of a residual: a length along the centre, and two components across it, units. */
+static void touch_residual_vector(const touch_voxel *v, int64_t length, int64_t b, int64_t c, int32_t out[3]) {
     for (int n = 0; n < 3; n++)
-        out[n] = touch_limit((along * v->basis[0][n] + b * v->basis[1][n] + c * v->basis[2][n] + 8192) >> 14);
+        out[n] = touch_clip_component(touch_round_one(length * v->basis[0][n] + b * v->basis[1][n] + c * v->basis[2][n]));
 }
 
-#ifdef TOUCH_WRITES /* the choices of a writer (touch_encode.h) */
+#ifdef TOUCH_WRITES /* the choices of a writer, and its input (touch_encode.h) */
+static void touch_load_target(touch_pass *p, uint64_t brick);
 static int touch_choose_state(const touch_pass *p);
 static int touch_choose_blocks(const touch_pass *p);
 static int touch_choose_support(const touch_pass *p, int here);
@@ -981,33 +1074,38 @@ static int touch_choose_skip(const touch_pass *p, const touch_voxel *v);
 static void touch_choose_residual(const touch_pass *p, touch_voxel *v);
 #endif
 
-/* A voxel: support, prediction, skip or residual; `index` is that of its cell. */
+/* The residual of a voxel that is not skipped, and the vector. */
+static void touch_code_residual(touch_pass *p, touch_voxel *v) {
+    int64_t residual[3] = {0, 0, 0}, step; /* what a writer has chosen */
+    touch_set_centre(p, v);
+#ifdef TOUCH_WRITES
+    if (TOUCH_IS_WRITING(p->coder)) touch_choose_residual(p, v), memcpy(residual, v->residual, sizeof residual);
+#endif
+    for (int k = 0; k < 3; k++) {
+        v->residual[k] = touch_code_component(p, v, k, residual[k]);
+        if (!k) TOUCH_ACCOUNT(p->coder, TOUCH_BITS_AMPLITUDE);
+    }
+    TOUCH_ACCOUNT(p->coder, TOUCH_BITS_DIRECTION);
+    int64_t length = touch_radial_length(p, v, v->residual[0], &step);
+    touch_residual_vector(v, length, v->residual[1] * step, v->residual[2] * step, v->vector);
+}
+
+/* A voxel: support, prediction, skip or residual; it is stored at `index` of the decoded voxels. */
 static void touch_code_voxel(touch_pass *p, int here, int32_t index, int state) {
     touch_coder *b = p->coder;
     touch_voxel v;
-    if (!touch_code_support(p, &v, here, TOUCH_CHOOSE(b, touch_choose_support(p, here)))) return;
-    TOUCH_ACCOUNT(b, 0);
+    touch_look_around(p, &v, here);
+    if (!touch_code_support(p, &v, TOUCH_CHOOSE(b, touch_choose_support(p, here)))) return;
+    TOUCH_ACCOUNT(b, TOUCH_BITS_SUPPORT);
     touch_predict(p, &v, state);
+    touch_classify(p, &v);
     v.residual[0] = v.residual[1] = v.residual[2] = 0;
     if (touch_code_skip(p, &v, TOUCH_CHOOSE(b, touch_choose_skip(p, &v)))) {
         memcpy(v.vector, v.prediction, sizeof v.vector);
-        TOUCH_ACCOUNT(b, 1);
-    } else {
-        int64_t residual[3] = {0, 0, 0}, along, step;
-        touch_aim(p, &v);
-#ifdef TOUCH_WRITES
-        if (TOUCH_IS_WRITING(b)) touch_choose_residual(p, &v), memcpy(residual, v.residual, sizeof residual);
-#endif
-        for (int k = 0; k < 3; k++) {
-            v.residual[k] = touch_code_component(p, &v, k, residual[k]);
-            if (!k) TOUCH_ACCOUNT(b, 1);
-        }
-        TOUCH_ACCOUNT(b, 2);
-        along = touch_along(p, &v, v.residual[0], &step);
-        touch_place(&v, along, v.residual[1] * step, v.residual[2] * step, v.vector);
-    }
-    touch_store(p, here, index, v.vector, touch_min(touch_abs(v.residual[0]), 15),
-                touch_min(touch_abs(v.residual[1]) + touch_abs(v.residual[2]), 31));
+        TOUCH_ACCOUNT(b, TOUCH_BITS_AMPLITUDE);
+    } else touch_code_residual(p, &v);
+    touch_store_decoded(p, here, index, v.vector, touch_min(touch_abs(v.residual[0]), TOUCH_MAX_ALONG_SIZE),
+                        touch_min(touch_abs(v.residual[1]) + touch_abs(v.residual[2]), TOUCH_MAX_ACROSS_SIZE));
     memcpy(p->last_vector, v.vector, sizeof p->last_vector);
     touch_learn_weights(&v);
 }
@@ -1015,24 +1113,25 @@ static void touch_code_voxel(touch_pass *p, int here, int32_t index, int state) 
 static int touch_window_index(int x, int y, int z) { return (x + 2) * TOUCH_DEEP + (y + 2) * TOUCH_UP + z + 2; }
 
 /* Fill the window of a brick of the scan. */
-static void touch_enter(touch_pass *p, const int32_t brick[3], const touch_map *cells, const touch_map *references) {
-    for (int n = 0; n < TOUCH_WINDOW; n++) p->cell_at[n] = p->reference_at[n] = -1;
+static void touch_fill_pass_window(touch_pass *p, const int32_t brick[3], const touch_map *slots,
+                                   const touch_map *references) {
+    for (int n = 0; n < TOUCH_WINDOW; n++) p->decoded_at[n] = p->reference_at[n] = -1;
     for (int dx = -1; dx <= 1; dx++)
         for (int dy = -1; dy <= 1; dy++)
             for (int dz = -1; dz <= 1; dz++) {
                 uint64_t key = touch_key(brick[0] + dx, brick[1] + dy, brick[2] + dz);
                 int is_past = dx < 0 || (!dx && (dy < 0 || (!dy && dz < 0)));
-                int64_t cell = is_past ? touch_map_get(cells, key) : -1, reference = touch_map_get(references, key);
+                int64_t decoded = is_past ? touch_map_get(slots, key) : -1, reference = touch_map_get(references, key);
                 int low[3], high[3], d[3];
-                if (cell < 0 && reference < 0) continue;
+                if (decoded < 0 && reference < 0) continue;
                 d[0] = dx, d[1] = dy, d[2] = dz;
                 for (int n = 0; n < 3; n++) low[n] = d[n] < 0 ? 6 : 0, high[n] = d[n] > 0 ? 2 : 8;
                 for (int x = low[0]; x < high[0]; x++)
                     for (int y = low[1]; y < high[1]; y++)
                         for (int z = low[2]; z < high[2]; z++) {
                             int here = touch_window_index(8 * dx + x, 8 * dy + y, 8 * dz + z);
-                            int32_t index = (int32_t)(512 * cell + 64 * x + 8 * y + z);
-                            if (cell >= 0 && p->cell[index].length) p->cell_at[here] = index;
+                            int32_t index = (int32_t)(512 * decoded + 64 * x + 8 * y + z);
+                            if (decoded >= 0 && p->decoded[index].length) p->decoded_at[here] = index;
                             if (reference < 0) continue;
                             int sample = touch_grid_sample(&p->scan, x, y, z);
                             if (p->has_reference[8 * reference + (sample >> 6)] >> (sample & 63) & 1)
@@ -1046,7 +1145,7 @@ static int touch_is_side_set(const touch_pass *p, const int base[3], int axis) {
     for (int i = 0; i < 16; i++) {
         int at[3], u = (axis + 1) % 3, w = (axis + 2) % 3;
         at[axis] = -1, at[u] = base[u] + (i >> 2), at[w] = base[w] + (i & 3);
-        if (p->cell_at[touch_window_index(at[0], at[1], at[2])] >= 0) return 1;
+        if (p->decoded_at[touch_window_index(at[0], at[1], at[2])] >= 0) return 1;
     }
     return 0;
 }
@@ -1058,18 +1157,19 @@ static int touch_has_block_reference(const touch_pass *p, const int base[3]) {
     return 0;
 }
 
-/* Blocks: which of the eight blocks of 4 x 4 x 4 voxels of a brick have a force, as bits. */
+/* Blocks: which of the eight blocks of 4 x 4 x 4 voxels of a brick have a force, as bits. Supports are connected, so a
+   block is likely to be set where the block or the voxels before it along an axis are: those are its `sides`, 3 bits. */
 static int touch_code_blocks(touch_pass *p, int target) {
     int blocks = 0;
     for (int n = 0; n < 8; n++) {
-        int side = 0, base[3], reference = 0;
+        int sides = 0, base[3], reference = 0;
         base[0] = n >> 2 ? 4 : 0, base[1] = n & 2 ? 4 : 0, base[2] = n & 1 ? 4 : 0;
         for (int axis = 0; axis < 3; axis++) {
             int bit = 4 >> axis;
-            side = side << 1 | (n & bit ? blocks >> (n - bit) & 1 : touch_is_side_set(p, base, axis));
+            sides = sides << 1 | (n & bit ? blocks >> (n - bit) & 1 : touch_is_side_set(p, base, axis));
         }
         if (p->is_listed) reference = 1 + touch_has_block_reference(p, base);
-        blocks |= touch_code(p->coder, &p->models->context.block[reference][side], target >> n & 1) << n;
+        blocks |= touch_code(p->coder, &p->models->context.block[reference][sides], target >> n & 1) << n;
     }
     return blocks;
 }
@@ -1083,7 +1183,7 @@ static void touch_copy_reference(touch_pass *p, int32_t first, const int low[3],
                 int32_t v[3];
                 if (p->reference_at[here] < 0) continue;
                 touch_reference_at(p, p->reference_at[here], v);
-                touch_store(p, here, first + 64 * x + 8 * y + z, v, 0, 0);
+                touch_store_decoded(p, here, first + 64 * x + 8 * y + z, v, 0, 0);
             }
 }
 
@@ -1111,17 +1211,13 @@ static void touch_code_brick(touch_pass *p, int64_t slot, const int low[3], cons
 }
 
 /* Cells of a brick as vectors of the grid. */
-static void touch_unscan(const touch_scan *s, const touch_cell *cell, touch_vector *out) {
+static void touch_unscan(const touch_scan *s, const touch_decoded *decoded, touch_vector *out) {
     for (int n = 0; n < 512; n++) {
-        if (!cell[n].length) continue;
+        if (!decoded[n].length) continue;
         touch_vector *v = out + touch_grid_sample(s, n >> 6, n >> 3 & 7, n & 7);
-        for (int k = 0; k < 3; k++) v->v[s->axis[k]] = s->sign[k] * cell[n].vector[k];
+        for (int k = 0; k < 3; k++) v->v[s->axis[k]] = s->sign[k] * decoded[n].vector[k];
     }
 }
-
-#ifdef TOUCH_WRITES
-static void touch_load_target(touch_pass *p, uint64_t brick);
-#endif
 
 /* The bricks of `out->list`, in the order of the scan; their vectors go to `out->v`. */
 static int touch_code_bricks(touch_pass *p, const touch_grid *grid, touch_units *out, touch_arena *arena,
@@ -1129,14 +1225,14 @@ static int touch_code_bricks(touch_pass *p, const touch_grid *grid, touch_units 
     const touch_list *before = &p->reference->list;
     uint64_t count = out->list.count, *key = (uint64_t *)touch_take(arena, count, 8);
     uint32_t *slot = (uint32_t *)touch_take(arena, count, 4);
-    touch_map cells, references;
-    p->cell = (touch_cell *)touch_take_zero(arena, 512 * count, sizeof *p->cell);
+    touch_map slots, references;
+    p->decoded = (touch_decoded *)touch_take_zero(arena, 512 * count, sizeof *p->decoded);
     p->has_reference = (uint64_t *)touch_take_zero(arena, 8 * before->count, 8);
-    if (!key || !slot || !p->cell || !p->has_reference || !touch_map_make(&cells, count, arena) ||
+    if (!key || !slot || !p->decoded || !p->has_reference || !touch_map_make(&slots, count, arena) ||
         !touch_map_make(&references, before->count, arena))
         return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
     for (uint64_t i = 0; i < count; i++)
-        key[i] = touch_scan_key(&p->scan, out->list.key[i]), slot[i] = (uint32_t)i, touch_map_put(&cells, key[i], slot[i]);
+        key[i] = touch_scan_key(&p->scan, out->list.key[i]), slot[i] = (uint32_t)i, touch_map_put(&slots, key[i], slot[i]);
     for (uint64_t i = 0; i < 512 * before->count; i++) {
         const int32_t *v = p->reference->v[i].v;
         p->has_reference[i >> 6] |= (uint64_t)(v[0] || v[1] || v[2]) << (i & 63);
@@ -1151,12 +1247,12 @@ static int touch_code_bricks(touch_pass *p, const touch_grid *grid, touch_units 
         touch_position(key[i], at);
         touch_scan_inside(&p->scan, grid, at, low, high);
         p->is_listed = touch_map_get(&references, key[i]) >= 0;
-        touch_enter(p, at, &cells, &references);
+        touch_fill_pass_window(p, at, &slots, &references);
 #ifdef TOUCH_WRITES
         if (TOUCH_IS_WRITING(p->coder)) touch_load_target(p, slot[i]);
 #endif
         touch_code_brick(p, slot[i], low, high);
-        touch_unscan(&p->scan, p->cell + 512 * (uint64_t)slot[i], out->v + 512 * (uint64_t)slot[i]);
+        touch_unscan(&p->scan, p->decoded + 512 * (uint64_t)slot[i], out->v + 512 * (uint64_t)slot[i]);
         touch_check(p->coder, error);
         if (error->code) return 0;
     }
@@ -1453,7 +1549,7 @@ static int64_t touch_amplitude_step(const touch_columns *h, int64_t expected) {
 
 static void touch_set_surface(const touch_columns *h, touch_surface *s, const int64_t e[4], const int64_t r[4]) {
     s->number[TOUCH_START] = (int32_t)touch_clip(e[2] + r[2] * h->step[1], -(1 << 24), 1 << 24);
-    s->number[TOUCH_AMPLITUDE] = (int32_t)touch_clip(e[3] + r[3] * touch_amplitude_step(h, e[3]), 1, TOUCH_LIMIT);
+    s->number[TOUCH_AMPLITUDE] = (int32_t)touch_clip(e[3] + r[3] * touch_amplitude_step(h, e[3]), 1, TOUCH_MAX_COMPONENT);
     for (int q = 0; q < 4; q++) s->residual[q] = (int32_t)touch_clip(r[q], -(1 << 30), 1 << 30);
 }
 
@@ -1575,7 +1671,7 @@ static void touch_fill_column(const touch_columns *h, const touch_column *own, i
             for (int n = 0; n < 3; n++) sum[n] += fraction * deep[s][n];
         }
         touch_vector *v = out->v + 512 * slot + 64 * (at[0] & 7) + 8 * (at[1] & 7) + (at[2] & 7);
-        for (int n = 0; n < 3; n++) sum[n] = touch_limit(sum[n] >> 16);
+        for (int n = 0; n < 3; n++) sum[n] = touch_clip_component(sum[n] >> 16);
         v->v[view->across[0]] = (int32_t)sum[0], v->v[view->across[1]] = (int32_t)sum[1];
         v->v[view->axis] = (int32_t)(view->is_inverted ? sum[2] : -sum[2]);
     }
@@ -1842,7 +1938,7 @@ static touch_symbols touch_code_sample(touch_coder *b, touch_exact_models *m, co
         if (c != 14 && (!row[c - 1].is_supported || same[c] & ((1u << (c - 1)) - 1))) continue;
         int is_equal = touch_mix2(b, touch_hashed(m, c, same[c], 0, 0, 1), touch_hashed(m, 16 + c, same[c] & 31, same[2], 0, 2),
                                   m->weight.copy[c], TOUCH_CHOOSE(b, touch_is_same(&own, row + c - 1, planes)));
-        TOUCH_ACCOUNT(b, c != 14);
+        TOUCH_ACCOUNT(b, c == 14 ? TOUCH_BITS_SUPPORT : TOUCH_BITS_AMPLITUDE);
         if (is_equal) return row[c - 1];
     }
     own.is_supported = 1;
@@ -1853,7 +1949,7 @@ static touch_symbols touch_code_sample(touch_coder *b, touch_exact_models *m, co
                                            TOUCH_CHOOSE(b, (int64_t)own.symbol[p]));
         touch_need_coded(b, error, symbol < (int64_t)size[p], "a symbol that there is not");
         own.symbol[p] = (uint32_t)symbol;
-        TOUCH_ACCOUNT(b, p ? 2 : 1);
+        TOUCH_ACCOUNT(b, p ? TOUCH_BITS_DIRECTION : TOUCH_BITS_AMPLITUDE);
         if (error->code) return own;
     }
     return own;

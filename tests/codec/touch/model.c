@@ -19,14 +19,14 @@ int64_t model_border(int64_t floor, int64_t rate, touch_arena arena, touch_steps
     return touch_step_table(out, &arena) ? out->borders : -1;
 }
 
-int64_t model_level_of(const touch_steps *steps, int64_t length) { return touch_level_of(steps, length); }
+int64_t model_level_of(const touch_steps *steps, int64_t length) { return touch_step_position(steps, length); }
 
-int64_t model_length_of(const touch_steps *steps, int64_t level) { return touch_length_of(steps, level); }
+int64_t model_length_of(const touch_steps *steps, int64_t level) { return touch_length_at(steps, level); }
 
 void model_basis(const int32_t centre[3], int64_t along, int64_t b, int64_t c, int64_t axes[9], int32_t vector[3]) {
     touch_voxel v;
     touch_basis(centre, touch_length(centre), v.basis), memcpy(axes, v.basis, sizeof v.basis);
-    touch_place(&v, along, b, c, vector);
+    touch_residual_vector(&v, along, b, c, vector);
 }
 
 /* The lattice of a segment, and the bound of its passes in units: unit_n, floor, rate, across; k, f0. */
