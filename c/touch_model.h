@@ -764,28 +764,28 @@ static void touch_store_decoded(touch_pass *p, int here, int32_t index, const in
 /* What lies around a voxel: neighbours, the shapes of the support and of the reference's, and the predicted length. */
 static void touch_look_around(const touch_pass *p, touch_voxel *v, int here) {
     int64_t next_sum = 0;
+    uint32_t neighbours = 0, wide = 0, reference = 0;
     int faces = 0;
     v->here = here, v->neighbour_count = 0, v->reference_class = 0, v->has_reference = p->reference_at[here] >= 0;
-    v->neighbour_mask = v->wide_mask = v->reference_mask = 0;
     for (int n = 0; n < 3; n++) {
         int32_t at = p->decoded_at[here + touch_before[n]];
         v->neighbour[n] = at >= 0 ? p->decoded + at : 0;
-        if (at >= 0) v->neighbour_mask |= 1u << n, v->neighbour_count++, next_sum += v->neighbour[n]->next_length[n];
-        if (p->decoded_at[here + touch_diagonal[n]] >= 0) v->neighbour_mask |= 8u << n;
+        if (at >= 0) neighbours |= 1u << n, v->neighbour_count++, next_sum += v->neighbour[n]->next_length[n];
+        if (p->decoded_at[here + touch_diagonal[n]] >= 0) neighbours |= 8u << n;
     }
-    for (int n = 0; n < 5; n++) v->wide_mask |= (p->decoded_at[here + touch_wide[n]] >= 0 ? 1u : 0u) << n;
+    for (int n = 0; n < 5; n++) wide |= (p->decoded_at[here + touch_wide[n]] >= 0 ? 1u : 0u) << n;
     if (p->is_listed) {
         for (int n = 0; n < 3; n++) {
             int before = p->reference_at[here + touch_before[n]] >= 0, after = p->reference_at[here - touch_before[n]] >= 0;
-            faces += before + after, v->reference_mask |= (uint32_t)before << (2 * n) | (uint32_t)after << (2 * n + 1);
+            faces += before + after, reference |= (uint32_t)before << (2 * n) | (uint32_t)after << (2 * n + 1);
         }
         v->reference_class = v->has_reference ? 4 + (faces >= 5) + (faces == 6) : 1 + (faces >= 1) + (faces >= 3);
-        v->reference_mask |= (uint32_t)v->has_reference << 6;
+        reference |= (uint32_t)v->has_reference << 6;
     }
-    v->length_class = v->wide_mask;
+    v->neighbour_mask = neighbours, v->wide_mask = wide, v->reference_mask = reference, v->length_class = wide;
     if (v->neighbour_count) {
-        int64_t class_number = (touch_div(next_sum, v->neighbour_count) * TOUCH_CLASSES_BELOW_2_16) >> 16;
-        v->length_class = touch_clip(class_number + TOUCH_FIRST_LENGTH_CLASS, 0, TOUCH_LENGTH_CLASSES - 1);
+        int64_t length_class = (touch_div(next_sum, v->neighbour_count) * TOUCH_CLASSES_BELOW_2_16) >> 16;
+        v->length_class = touch_clip(length_class + TOUCH_FIRST_LENGTH_CLASS, 0, TOUCH_LENGTH_CLASSES - 1);
     }
 }
 
