@@ -124,7 +124,15 @@ static void touch_brick_samples(const touch_grid *g, const int32_t brick[3], int
 
 /* -- bits: the arithmetic code (docs/format/bits.md) ----------------------------------------------------------------- */
 
-enum { TOUCH_MAX_LOGIT = 3071, TOUCH_INITIAL_PROBABILITY = 1 << 21, TOUCH_INITIAL_WEIGHT = 14000 };
+enum {
+    TOUCH_MAX_LOGIT = 3071,            /* logistic scale: 1/256 from -12 to 12 */
+    TOUCH_ONE_PROBABILITY = 1 << 22,   /* probabilities of contexts are in 1/2^22, */
+    TOUCH_INITIAL_PROBABILITY = TOUCH_ONE_PROBABILITY / 2,
+    TOUCH_EVEN = 1 << 15,              /* those of the range coder in 1/2^16, */
+    TOUCH_MIN_PROBABILITY = 4,         /* and at least this far from 0 and 1, so that both bits can be coded */
+    TOUCH_INITIAL_WEIGHT = 14000,      /* 0.21: of each context's logit; the mixture of a few is cautious at first */
+    TOUCH_MAX_COUNT = 255              /* bits that a context counts: then it learns at a constant rate */
+};
 
 typedef struct { /* of a 1, in 1/2^22, and how many bits it has learnt from, up to 255 */
     int32_t probability, count;
@@ -133,7 +141,7 @@ typedef struct { /* of a 1, in 1/2^22, and how many bits it has learnt from, up 
 typedef struct { /* the logistic function, its inverse, and how fast a context learns by its count */
     uint16_t squash[2 * TOUCH_MAX_LOGIT + 1];
     int16_t stretch[4096];
-    int32_t rate[256];
+    int32_t rate[TOUCH_MAX_COUNT + 1];
 } touch_tables;
 
 enum { TOUCH_BITS_SUPPORT = 0, TOUCH_BITS_AMPLITUDE = 1, TOUCH_BITS_DIRECTION = 2 };
@@ -165,8 +173,9 @@ static void touch_fill_tables(touch_tables *t) {
         while (t->squash[n] < 16 * i + 8) n++;
         t->stretch[i] = (int16_t)(n - TOUCH_MAX_LOGIT);
     }
-    for (int64_t i = 0; i <= 2 * TOUCH_MAX_LOGIT; i++) t->squash[i] = (uint16_t)touch_clip(t->squash[i], 4, 65532);
-    for (int64_t i = 0; i < 256; i++) t->rate[i] = (int32_t)((1 << 20) / (2 * i + 3));
+    for (int64_t i = 0; i <= 2 * TOUCH_MAX_LOGIT; i++)
+        t->squash[i] = (uint16_t)touch_clip(t->squash[i], TOUCH_MIN_PROBABILITY, (1 << 16) - TOUCH_MIN_PROBABILITY);
+    for (int64_t i = 0; i <= TOUCH_MAX_COUNT; i++) t->rate[i] = (int32_t)((1 << 20) / (2 * i + 3));
 }
 
 static touch_coder touch_reading(const touch_cursor *c, const touch_tables *tables) {
@@ -207,13 +216,19 @@ static int touch_narrow(touch_coder *b, uint32_t p, int bit) {
 
 /* A context moves towards the bit: fast while it is new, then slowly. */
 static void touch_learn(touch_context *c, int bit, const touch_tables *t) {
-    c->probability += (int32_t)(((int64_t)(bit ? 4194303 - c->probability : -c->probability) * t->rate[c->count]) >> 19);
-    c->count += c->count < 255;
+    int64_t distance = bit ? TOUCH_ONE_PROBABILITY - 1 - c->probability : -c->probability;
+    c->probability += (int32_t)((distance * t->rate[c->count]) >> 19);
+    c->count += c->count < TOUCH_MAX_COUNT;
+}
+
+/* The probability of a context in 1/2^16. */
+static uint32_t touch_probability(const touch_context *c) {
+    return (uint32_t)touch_clip(c->probability >> 6, TOUCH_MIN_PROBABILITY, (1 << 16) - TOUCH_MIN_PROBABILITY);
 }
 
 /* A bit by one context. */
 static int touch_code(touch_coder *b, touch_context *c, int bit) {
-    bit = touch_narrow(b, (uint32_t)touch_clip(c->probability >> 6, 4, 65532), bit);
+    bit = touch_narrow(b, touch_probability(c), bit);
     touch_learn(c, bit, b->tables);
     return bit;
 }
@@ -247,14 +262,14 @@ static int touch_mix3(touch_coder *b, touch_context *c0, touch_context *c1, touc
 /* The lowest `count` bits of a number, equally probable, the highest first. */
 static int64_t touch_even(touch_coder *b, int count, int64_t value) {
     int64_t out = 0;
-    while (count-- > 0) out = out << 1 | touch_narrow(b, 32768, (int)(value >> count & 1));
+    while (count-- > 0) out = out << 1 | touch_narrow(b, TOUCH_EVEN, (int)(value >> count & 1));
     return out;
 }
 
 /* A number from 1 to below 2^(max_digits + 1) in Elias' gamma code: its digits, then those after the first. */
 static int64_t touch_gamma(touch_coder *b, int max_digits, int64_t value) {
     int digits = 0;
-    while (digits < max_digits && touch_narrow(b, 32768, value >> (digits + 1) > 0)) digits++;
+    while (digits < max_digits && touch_narrow(b, TOUCH_EVEN, value >> (digits + 1) > 0)) digits++;
     return (int64_t)1 << digits | touch_even(b, digits, value);
 }
 
@@ -389,11 +404,11 @@ typedef struct { /* boxes of one size whose parents contain bricks */
     uint8_t *state;             /* of each box: 2 not coded yet, then whether it contains bricks */
     uint8_t *remaining, *found; /* of each parent: children that are not coded yet, and those with bricks */
     touch_map index, known, target;
-} touch_level;
+} touch_octree_level;
 
 /* Which boxes of a level contain bricks, in raster order. The last child of a parent without any other is not coded. */
-static void touch_code_level(touch_coder *b, touch_list_models *m, const touch_level *l) {
-    static const int8_t side[12][3] = {{-1, 0, 0}, {0, -1, 0}, {0, 0, -1}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1},
+static void touch_code_octree_level(touch_coder *b, touch_list_models *m, const touch_octree_level *l) {
+    static const int8_t step[12][3] = {{-1, 0, 0}, {0, -1, 0}, {0, 0, -1}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1},
                                        {-1, -1, 0}, {-1, 1, 0}, {-1, 0, -1}, {-1, 0, 1}, {0, -1, -1}, {0, -1, 1}};
     for (uint64_t i = 0; i < l->count; i++) {
         int32_t at[3];
@@ -401,7 +416,7 @@ static void touch_code_level(touch_coder *b, touch_list_models *m, const touch_l
         uint32_t faces = 0, edges = 0, changed = 0, parent = l->parent[i];
         touch_position(l->key[i], at);
         for (int n = 0; n < 12; n++) {
-            uint64_t key = touch_key(at[0] + side[n][0], at[1] + side[n][1], at[2] + side[n][2]);
+            uint64_t key = touch_key(at[0] + step[n][0], at[1] + step[n][1], at[2] + step[n][2]);
             int64_t box = touch_map_get(&l->index, key);
             uint32_t state = box < 0 ? 0 : l->state[box];
             if (n < 6) faces = 3 * faces + (known ? 0 : state);
@@ -419,7 +434,7 @@ static void touch_code_level(touch_coder *b, touch_list_models *m, const touch_l
     }
 }
 
-/* Boxes of 2^level bricks on a side that contain a brick of a list. */
+/* Boxes of 2^level bricks on a step that contain a brick of a list. */
 static int touch_boxes_of(touch_map *boxes, touch_list list, int level, touch_arena *arena) {
     if (!touch_map_make(boxes, list.count, arena)) return 0;
     for (uint64_t i = 0; i < list.count; i++) {
@@ -431,8 +446,8 @@ static int touch_boxes_of(touch_map *boxes, touch_list list, int level, touch_ar
 }
 
 /* The children within the grid of `count` boxes, ascending; of a writer also which of them its list needs. */
-static int touch_level_make(touch_level *l, const uint64_t *box, uint64_t count, const uint32_t shape[3], int level,
-                            touch_list before, touch_list target, touch_arena *arena) {
+static int touch_octree_level_make(touch_octree_level *l, const uint64_t *box, uint64_t count, const uint32_t shape[3],
+                                   int level, touch_list before, touch_list target, touch_arena *arena) {
     memset(l, 0, sizeof *l);
     l->key = (uint64_t *)touch_take(arena, 8 * count, 8), l->parent = (uint32_t *)touch_take(arena, 8 * count, 4);
     l->state = (uint8_t *)touch_take(arena, 8 * count, 1), l->remaining = (uint8_t *)touch_take_zero(arena, count, 1);
@@ -472,10 +487,10 @@ static int touch_code_list(touch_coder *b, touch_list_models *m, const uint32_t 
     if (touch_code(b, &m->context.any, target.count > 0)) key[count++] = touch_key(0, 0, 0);
     for (int level = touch_bit_length((longest - 1) >> 3) - 1; level >= 0; level--) {
         uint64_t mark = arena->used, occupied = 0;
-        touch_level l;
-        if (!touch_level_make(&l, key, count, shape, level, before, target, arena))
+        touch_octree_level l;
+        if (!touch_octree_level_make(&l, key, count, shape, level, before, target, arena))
             return touch_fail(error, TOUCH_MEMORY, "no room for a list of bricks");
-        touch_code_level(b, m, &l);
+        touch_code_octree_level(b, m, &l);
         for (uint64_t i = 0; i < l.count; i++) occupied += l.state[i] == 1;
         if (!touch_need_coded(b, error, occupied <= max, "more bricks than the bytes may list")) return 0;
         count = 0;
@@ -1261,15 +1276,26 @@ static int touch_code_bricks(touch_pass *p, const touch_grid *grid, touch_units 
 
 /* -- base layers: splines (docs/format/touch-base-layer.md, kind 0) -------------------------------------------------- */
 
+enum {
+    TOUCH_NODE_DIGITS = 24,            /* of a residual at most */
+    TOUCH_NODE_CLASSES = 10,           /* of the sizes of the residuals before */
+    TOUCH_MAX_NODE = 1 << 23,          /* of a coefficient, units */
+    TOUCH_MAX_BRICK_NODES = 125,       /* that a brick needs: 5 along each axis at a spacing of 4 samples */
+    TOUCH_POTENTIAL_PER_DEPTH = 8 * 216, /* a sum over 8 corners, of B-splines whose weights have the sum 6 along an axis */
+    TOUCH_MAX_DEPTH = 1 << 16,         /* units */
+    TOUCH_MAX_GRADIENT = 1 << 20,      /* of a component of the scaled gradient */
+    TOUCH_MIN_STEEPNESS = 1 << 14      /* a smaller gradient shortens the force: there the potential has a fold */
+};
+
 typedef struct {
     touch_list_models list;
     struct {
-        touch_context length[10][24]; /* binary digits of a residual, by the sizes of those of the nodes before */
+        touch_context length[TOUCH_NODE_CLASSES][TOUCH_NODE_DIGITS]; /* binary digits of a residual, by those before */
     } node;
 } touch_spline_models;
 
 typedef struct { /* what all nodes have in common */
-    int shift[3]; /* nodes lie 2^shift samples apart */
+    int shift[3]; /* the spacing of nodes is 2^shift samples */
     int64_t step, scale[3];
 } touch_spline_head;
 
@@ -1282,9 +1308,9 @@ typedef struct { /* the nodes that any brick needs, in raster order */
 static int64_t touch_code_node_residual(touch_coder *b, touch_context *c, int64_t residual) {
     int64_t size = touch_abs(residual);
     int length = 0, is_negative;
-    while (length < 24 && touch_code(b, c + length, size >> length > 0)) length++;
+    while (length < TOUCH_NODE_DIGITS && touch_code(b, c + length, size >> length > 0)) length++;
     if (!length) return 0;
-    is_negative = touch_narrow(b, 32768, residual < 0);
+    is_negative = touch_narrow(b, TOUCH_EVEN, residual < 0);
     size = (int64_t)1 << (length - 1) | touch_even(b, length - 1, size);
     return is_negative ? -size : size;
 }
@@ -1316,19 +1342,19 @@ static int64_t touch_expected_node(const touch_nodes *nodes, uint64_t key, int64
 static void touch_code_nodes(touch_coder *b, touch_spline_models *m, touch_nodes *nodes, int64_t step) {
     for (uint64_t i = 0; i < nodes->count; i++) {
         int64_t sizes, expected = touch_expected_node(nodes, nodes->key[i], &sizes), residual = 0;
-        int row = touch_bit_length((uint64_t)sizes);
+        int size_class = (int)touch_min(touch_bit_length((uint64_t)sizes), TOUCH_NODE_CLASSES - 1);
         if (TOUCH_IS_WRITING(b)) residual = touch_div(2 * (nodes->value[i] - expected) + step, 2 * step);
-        residual = touch_code_node_residual(b, m->node.length[row < 9 ? row : 9], residual);
+        residual = touch_code_node_residual(b, m->node.length[size_class], residual);
         nodes->size[i] = (int32_t)touch_abs(residual);
-        nodes->value[i] = (int32_t)touch_clip(expected + residual * step, -(1 << 23), 1 << 23);
+        nodes->value[i] = (int32_t)touch_clip_to(expected + residual * step, TOUCH_MAX_NODE);
         touch_map_put(&nodes->map, nodes->key[i], (uint32_t)i);
     }
 }
 
 /* The nodes of some bricks. */
 static int touch_nodes_of(touch_nodes *nodes, const int shift[3], touch_list list, touch_arena *arena) {
-    uint64_t count = 0, *key = (uint64_t *)touch_take(arena, 125 * list.count, 8);
-    uint32_t *tag = (uint32_t *)touch_take_zero(arena, 125 * list.count, 4);
+    uint64_t count = 0, *key = (uint64_t *)touch_take(arena, TOUCH_MAX_BRICK_NODES * list.count, 8);
+    uint32_t *tag = (uint32_t *)touch_take_zero(arena, TOUCH_MAX_BRICK_NODES * list.count, 4);
     if (!key || !tag) return 0;
     for (uint64_t i = 0; i < list.count; i++) {
         int32_t at[3], low[3], high[3];
@@ -1347,25 +1373,25 @@ static int touch_nodes_of(touch_nodes *nodes, const int shift[3], touch_list lis
     return nodes->value && nodes->size && touch_map_make(&nodes->map, nodes->count, arena);
 }
 
-/* Weights of four nodes of a cubic B-spline at the nine corners of a brick along an axis; `cell`: the first of them. */
-static void touch_corner_weights(int shift, int32_t brick, int64_t weight[9][4], int cell[9]) {
-    int64_t h = (int64_t)1 << shift;
+/* Weights of four nodes of a cubic B-spline at the nine corners of a brick along an axis; `span`: the first of them. */
+static void touch_corner_weights(int shift, int32_t brick, int64_t weight[9][4], int span[9]) {
+    int64_t spacing = (int64_t)1 << shift, cube = spacing * spacing * spacing;
     for (int k = 0; k < 9; k++) {
-        cell[k] = (k < 7 ? k : 7) >> shift;
-        int64_t p = ((8 * brick) & (h - 1)) + k - cell[k] * h, q = h - p;
+        span[k] = (k < 7 ? k : 7) >> shift; /* the last corner belongs to the span of the last sample */
+        int64_t p = ((8 * brick) & (spacing - 1)) + k - span[k] * spacing, q = spacing - p;
         weight[k][0] = q * q * q, weight[k][3] = p * p * p;
-        weight[k][1] = 4 * h * h * h - 6 * h * p * p + 3 * p * p * p;
-        weight[k][2] = 4 * h * h * h - 6 * h * q * q + 3 * q * q * q;
+        weight[k][1] = 4 * cube - 6 * spacing * p * p + 3 * p * p * p;
+        weight[k][2] = 4 * cube - 6 * spacing * q * q + 3 * q * q * q;
     }
 }
 
 /* The potential at the corners around the samples of a brick: sums of weighted nodes along x, then y, then z. */
-static void touch_corners(const touch_nodes *nodes, const int32_t brick[3], const int e[3], int64_t v[9][9][9]) {
+static void touch_corners(const touch_nodes *nodes, const int32_t brick[3], const int shift[3], int64_t v[9][9][9]) {
     int64_t node[5][5][5], weight[3][9][4];
-    int count[3], first[3], cell[3][9];
+    int count[3], first[3], span[3][9];
     for (int n = 0; n < 3; n++) {
-        first[n] = (8 * brick[n] >> e[n]) - 1, count[n] = ((8 * brick[n] + 7) >> e[n]) + 3 - first[n];
-        touch_corner_weights(e[n], brick[n], weight[n], cell[n]);
+        first[n] = (8 * brick[n] >> shift[n]) - 1, count[n] = ((8 * brick[n] + 7) >> shift[n]) + 3 - first[n];
+        touch_corner_weights(shift[n], brick[n], weight[n], span[n]);
     }
     for (int i = 0; i < count[0]; i++)
         for (int j = 0; j < count[1]; j++)
@@ -1376,65 +1402,98 @@ static void touch_corners(const touch_nodes *nodes, const int32_t brick[3], cons
         int64_t x[5][5], y[5];
         for (int j = 0; j < count[1]; j++)
             for (int m = 0; m < count[2]; m++) {
-                x[j][m] = ((int64_t)1 << 3 * e[0]) >> 1;
-                for (int a = 0; a < 4; a++) x[j][m] += weight[0][n][a] * node[cell[0][n] + a][j][m];
-                x[j][m] >>= 3 * e[0];
+                x[j][m] = ((int64_t)1 << 3 * shift[0]) >> 1;
+                for (int a = 0; a < 4; a++) x[j][m] += weight[0][n][a] * node[span[0][n] + a][j][m];
+                x[j][m] >>= 3 * shift[0];
             }
         for (int i = 0; i < 9; i++) {
             for (int m = 0; m < count[2]; m++) {
-                y[m] = ((int64_t)1 << (3 * e[1])) >> 1;
-                for (int a = 0; a < 4; a++) y[m] += weight[1][i][a] * x[cell[1][i] + a][m];
-                y[m] >>= 3 * e[1];
+                y[m] = ((int64_t)1 << (3 * shift[1])) >> 1;
+                for (int a = 0; a < 4; a++) y[m] += weight[1][i][a] * x[span[1][i] + a][m];
+                y[m] >>= 3 * shift[1];
             }
             for (int k = 0; k < 9; k++) {
-                int64_t sum = ((int64_t)1 << (3 * e[2])) >> 1;
-                for (int a = 0; a < 4; a++) sum += weight[2][k][a] * y[cell[2][k] + a];
-                v[n][i][k] = sum >> (3 * e[2]);
+                int64_t sum = ((int64_t)1 << (3 * shift[2])) >> 1;
+                for (int a = 0; a < 4; a++) sum += weight[2][k][a] * y[span[2][k] + a];
+                v[n][i][k] = sum >> (3 * shift[2]);
             }
         }
     }
 }
 
-/* Forces of a brick: the depth against its gradient, which is limited where the potential has a fold. */
+/* Forces of a brick: the depth against its gradient, but shorter where the potential has a fold. */
 static void touch_spline_brick(int64_t v[9][9][9], const int64_t scale[3], const int high[3], touch_vector *out) {
     for (int x = 0; x < high[0]; x++)
         for (int y = 0; y < high[1]; y++)
             for (int z = 0; z < high[2]; z++) {
-                int64_t slope[3] = {0, 0, 0}, depth = 0, steepness = 0;
+                int64_t gradient[3] = {0, 0, 0}, depth = 0, steepness = 0;
                 for (int n = 0; n < 8; n++) {
-                    int64_t f = v[x + (n >> 2)][y + (n >> 1 & 1)][z + (n & 1)];
-                    depth += f, slope[0] += n & 4 ? f : -f, slope[1] += n & 2 ? f : -f, slope[2] += n & 1 ? f : -f;
+                    int64_t potential = v[x + (n >> 2)][y + (n >> 1 & 1)][z + (n & 1)];
+                    depth += potential;
+                    for (int k = 0; k < 3; k++) gradient[k] += n & (4 >> k) ? potential : -potential;
                 }
-                depth = touch_clip(touch_div(depth + 864, 1728), 0, 65536);
+                depth = touch_div(depth + TOUCH_POTENTIAL_PER_DEPTH / 2, TOUCH_POTENTIAL_PER_DEPTH);
+                depth = touch_clip(depth, 0, TOUCH_MAX_DEPTH);
                 for (int n = 0; n < 3; n++) {
-                    slope[n] = touch_clip((slope[n] * scale[n]) >> 20, -(1 << 20), 1 << 20);
-                    steepness += slope[n] * slope[n];
+                    gradient[n] = touch_clip_to((gradient[n] * scale[n]) >> 20, TOUCH_MAX_GRADIENT);
+                    steepness += gradient[n] * gradient[n];
                 }
-                steepness = touch_max(touch_isqrt(steepness), 16384);
+                steepness = touch_max(touch_isqrt(steepness), TOUCH_MIN_STEEPNESS);
                 for (int n = 0; n < 3; n++)
-                    out[64 * x + 8 * y + z].v[n] = (int32_t)touch_div(steepness - 2 * depth * slope[n], 2 * steepness);
+                    out[64 * x + 8 * y + z].v[n] = (int32_t)touch_div(steepness - 2 * depth * gradient[n], 2 * steepness);
             }
 }
 
 /* The forces of a spline in the bricks of `out->list`, which are zero before. */
-static void touch_fill_spline(const touch_spline_head *h, const touch_nodes *nodes, const touch_grid *grid,
+static void touch_fill_spline(const touch_spline_head *head, const touch_nodes *nodes, const touch_grid *grid,
                               touch_units *out) {
     int64_t v[9][9][9];
     for (uint64_t i = 0; i < out->list.count; i++) {
         int32_t at[3];
         int high[3];
         touch_position(out->list.key[i], at), touch_brick_samples(grid, at, high);
-        touch_corners(nodes, at, h->shift, v);
-        touch_spline_brick(v, h->scale, high, out->v + 512 * i);
+        touch_corners(nodes, at, head->shift, v);
+        touch_spline_brick(v, head->scale, high, out->v + 512 * i);
     }
 }
 
-/* -- base layers: columns (docs/format/touch-base-layer.md, kind 1) -------------------------------------------------- */
+/* -- base layers: columns (docs/format/touch-base-layer.md, kind 1) --------------------------------------------------
 
-enum { TOUCH_X = 0, TOUCH_Y = 1, TOUCH_START = 2, TOUCH_AMPLITUDE = 3 }; /* the four numbers of a surface */
+   A column runs from outside to inside through up to two surfaces. Behind a surface the force grows along a ramp up to
+   its amplitude. Each surface has four numbers, which are coded as residuals to those of the columns around. */
+
+enum { TOUCH_DIRECTION_A = 0, TOUCH_DIRECTION_B = 1, TOUCH_START = 2, TOUCH_AMPLITUDE = 3 }; /* numbers of a surface */
+enum { TOUCH_WEST = 0, TOUCH_NORTH = 1, TOUCH_CORNER = 2, TOUCH_EAST = 3 }; /* columns before: along b, along a, both; a, -b */
+
+enum {
+    TOUCH_SAMPLE = 256,                     /* starts are in 1/256 samples */
+    TOUCH_MAX_START = 1 << 24,              /* 65536 samples */
+    TOUCH_SECOND_START = 6 * TOUCH_SAMPLE,  /* a second surface is expected so far behind the first, unless one continues */
+    TOUCH_TEAR = 3 * TOUCH_SAMPLE,          /* starts that differ by more are of surfaces that do not continue each other */
+    TOUCH_MAX_RISE = 16 * TOUCH_SAMPLE,     /* from column to column */
+    TOUCH_MIN_OUTWARD = 820,                /* 0.05, in 1/2^14: a normal points outward, so that a rise stays finite */
+    TOUCH_MIN_RAMP = 16,                    /* growth of the fraction from sample to sample, in 1/2^16 */
+    TOUCH_FULL_RAMP = 1 << 16,              /* the fraction deep inside */
+    TOUCH_MIN_TOP_BITS = 4,                 /* an amplitude is expected, and its step is chosen, at 2^-4 of the top or more */
+    TOUCH_MAX_COLUMN_RESIDUAL = 1 << 30,    /* as far as it is stored */
+    TOUCH_COLUMN_UNARY = 20,                /* a magnitude up to here is coded in unary with contexts, then in gamma code, */
+    TOUCH_COLUMN_ESCAPE_DIGITS = 24         /* of so many digits at most */
+};
+
+/* Nodes: pairs of context tables with a set of weights. Each kind of number has 22 of them: significance, sign, 20 of the
+   magnitude. Kind 0 is whether a column has a surface, and two; kind 1 the mode, two bits; kinds 2 to 5 the four numbers
+   of the one surface of a column, 6 to 9 of the first of two, 10 to 13 of the second. */
+enum {
+    TOUCH_NUMBER_NODES = 2 + TOUCH_COLUMN_UNARY,
+    TOUCH_NODE_HAS_SURFACE = 0,
+    TOUCH_NODE_HAS_TWO = 1,
+    TOUCH_NODE_MODE = TOUCH_NUMBER_NODES, /* and two more for its second bit */
+    TOUCH_KIND_NUMBERS = 2,
+    TOUCH_COLUMN_NODES = 14 * TOUCH_NUMBER_NODES
+};
 
 typedef struct {
-    int32_t number[4], normal[3], residual[4]; /* the normal: along a, along b, outward, 1/16384 */
+    int32_t number[4], normal[3], residual[4]; /* the normal: along a, along b, outward, 1/2^14 */
 } touch_surface;
 
 typedef struct {
@@ -1443,7 +1502,7 @@ typedef struct {
 } touch_column;
 
 typedef struct { /* what a writer has decided of a column */
-    int count, mode; /* mode: which neighbours the first surface continues, where they are torn apart */
+    int count, mode; /* mode: which neighbours the first surface continues, where they are torn */
     int64_t residual[2][4];
 } touch_column_choice;
 
@@ -1452,13 +1511,11 @@ typedef struct { /* a box of columns along one axis, from outside to inside */
     int axis, across[2], is_inverted; /* whether the outside is at the end of the axis */
     int64_t depth;                    /* samples of a column */
     int64_t tile[2], tiles[2];        /* the first tile of 8 x 8 columns along a and b, and how many */
-} touch_view;
+} touch_column_box;
 
 typedef struct {
     touch_context first[36], second[16];
 } touch_column_contexts;
-
-enum { TOUCH_COLUMN_NODES = 14 * 22 };
 
 typedef struct { /* the code of columns */
     touch_coder coder;
@@ -1466,30 +1523,33 @@ typedef struct { /* the code of columns */
         touch_column_contexts node[TOUCH_COLUMN_NODES];
     } *context;
     int64_t (*weight)[2];
-    int64_t top, ramp, ratio[2], step[3]; /* steps of a direction, a start and an amplitude */
-    touch_view view;
+    int64_t top, ramp, ratio[2]; /* longest force; growth of the ramp; sample spacings along a and b by that of the axis */
+    int64_t step[3];             /* of a direction, a start and an amplitude */
+    touch_column_box box;
     touch_column *column; /* row by row */
     struct touch_column_fit *fit; /* of a writer */
 } touch_columns;
 
-static int touch_column_bit(touch_columns *h, int node, int first, int second, int bit) {
-    return touch_mix2(&h->coder, h->context->node[node].first + first, h->context->node[node].second + second,
-                      h->weight[node], bit);
+static int touch_column_bit(touch_columns *columns, int node, int first, int second, int bit) {
+    touch_column_contexts *c = columns->context->node + node;
+    return touch_mix2(&columns->coder, c->first + first, c->second + second, columns->weight[node], bit);
 }
 
-static int64_t touch_column_number(touch_columns *h, int kind, int first, int second, int64_t r) {
-    int64_t size = 1, target = touch_abs(r);
-    int node = 22 * kind;
-    if (!touch_column_bit(h, node, first, second, r != 0)) return 0;
-    int is_negative = touch_column_bit(h, node + 1, first, second, r < 0);
-    while (size <= 20 && touch_column_bit(h, node + 1 + (int)size, first, second, target > size)) size++;
-    if (size > 20) size = 20 + touch_gamma(&h->coder, 24, target - 20);
+static int64_t touch_column_number(touch_columns *columns, int kind, int first, int second, int64_t number) {
+    int64_t size = 1, target = touch_abs(number);
+    int node = TOUCH_NUMBER_NODES * kind;
+    if (!touch_column_bit(columns, node, first, second, number != 0)) return 0;
+    int is_negative = touch_column_bit(columns, node + 1, first, second, number < 0);
+    while (size <= TOUCH_COLUMN_UNARY && touch_column_bit(columns, node + 1 + (int)size, first, second, target > size)) size++;
+    if (size > TOUCH_COLUMN_UNARY)
+        size = TOUCH_COLUMN_UNARY +
+               touch_gamma(&columns->coder, TOUCH_COLUMN_ESCAPE_DIGITS, target - TOUCH_COLUMN_UNARY);
     return is_negative ? -size : size;
 }
 
-/* How much farther inside a surface is one column on. */
-static int64_t touch_rise(const touch_columns *h, const int32_t normal[3], int axis) {
-    return touch_clip(touch_div(normal[axis] * h->ratio[axis], normal[2]), -4096, 4096);
+/* How much farther inside a surface starts one column on. */
+static int64_t touch_rise(const touch_columns *columns, const int32_t normal[3], int axis) {
+    return touch_clip_to(touch_div(normal[axis] * columns->ratio[axis], normal[2]), TOUCH_MAX_RISE);
 }
 
 static int64_t touch_median(int64_t a, int64_t b, int64_t c) {
@@ -1497,205 +1557,225 @@ static int64_t touch_median(int64_t a, int64_t b, int64_t c) {
     return c < low ? low : c > high ? high : c;
 }
 
-/* The four numbers that a surface is expected to have by those of west and north (its sides), which it continues. */
-static int touch_expect_surface(const touch_columns *h, const touch_column *const near[4], const touch_column *own,
-                                int slot, int mode, int count, int64_t e[4], const touch_surface *side[2]) {
-    int k = slot || mode == 3, sides;
-    const touch_surface *west = near[0] && near[0]->count > k ? near[0]->surface + k : 0;
-    const touch_surface *north = near[1] && near[1]->count > k ? near[1]->surface + k : 0;
-    const touch_surface *corner = near[2] && near[2]->count > slot ? near[2]->surface + slot : 0;
-    if (!slot && mode) {
+/* A surface of a column, NULL if it has none. */
+static const touch_surface *touch_surface_of(const touch_column *column, int slot) {
+    return column && column->count > slot ? column->surface + slot : 0;
+}
+
+/* The four numbers that a surface is expected to have by the surfaces of west and north that it continues; returns how
+   many it continues. */
+static int touch_expect_surface(const touch_columns *columns, const touch_column *const around[4], const touch_column *own,
+                                int slot, int mode, int count, int64_t expected[4], const touch_surface *continued[2]) {
+    const touch_surface *west = touch_surface_of(around[TOUCH_WEST], slot || mode == 3), *first = own->surface;
+    const touch_surface *north = touch_surface_of(around[TOUCH_NORTH], slot || mode == 3);
+    const touch_surface *corner = touch_surface_of(around[TOUCH_CORNER], slot);
+    if (!slot && mode) { /* 1: west, 2: north, 3: the second surface of west, else that of north */
         if (mode == 1 || (mode == 3 && west)) north = 0;
         else west = 0;
     }
-    side[0] = west, side[1] = north, sides = (west != 0) + (north != 0);
-    if (sides) {
+    int continues = (west != 0) + (north != 0);
+    continued[0] = west, continued[1] = north;
+    if (continues) {
         for (int n = 0; n < 4; n++)
-            e[n] = touch_div((west ? west->number[n] : 0) + (int64_t)(north ? north->number[n] : 0), sides);
-        for (int n = 0; n < 2 && sides == 2 && corner; n++) { /* between their mean and the plane through all three */
+            expected[n] = touch_div((west ? west->number[n] : 0) + (int64_t)(north ? north->number[n] : 0), continues);
+        for (int n = 0; n < 2 && continues == 2 && corner; n++) { /* between their mean and the plane through all three */
             int64_t w = west->number[n], o = north->number[n];
-            e[n] = (e[n] + touch_median(w, o, w + o - corner->number[n])) >> 1;
+            expected[n] = (expected[n] + touch_median(w, o, w + o - corner->number[n])) >> 1;
         }
     } else if (slot) {
-        for (int n = 0; n < 4; n++) e[n] = own->surface[0].number[n];
-        e[TOUCH_START] += 1536;
-    } else if (near[3] && near[3]->count) {
-        for (int n = 0; n < 4; n++) e[n] = near[3]->surface[0].number[n];
-    } else e[0] = e[1] = e[2] = 0, e[TOUCH_AMPLITUDE] = h->top;
-    if (slot) e[TOUCH_AMPLITUDE] = touch_max(h->top - own->surface[0].number[TOUCH_AMPLITUDE], h->top >> 4);
-    else if (count == 2) e[TOUCH_AMPLITUDE] = h->top >> 1;
-    return sides;
+        for (int n = 0; n < 4; n++) expected[n] = first->number[n];
+        expected[TOUCH_START] += TOUCH_SECOND_START;
+    } else if (around[TOUCH_EAST] && around[TOUCH_EAST]->count) {
+        for (int n = 0; n < 4; n++) expected[n] = around[TOUCH_EAST]->surface[0].number[n];
+    } else expected[0] = expected[1] = expected[2] = 0, expected[TOUCH_AMPLITUDE] = columns->top;
+    int64_t left = columns->top - first->number[TOUCH_AMPLITUDE]; /* of the force, for the second surface */
+    if (slot) expected[TOUCH_AMPLITUDE] = touch_max(left, columns->top >> TOUCH_MIN_TOP_BITS);
+    else if (count == 2) expected[TOUCH_AMPLITUDE] = columns->top >> 1;
+    return continues;
 }
 
-/* The direction of a surface; then its sides rise up to its start. */
-static void touch_turn_surface(const touch_columns *h, touch_surface *s, int64_t e[4], const int64_t r[4],
-                               const touch_surface *const side[2], int sides) {
+/* The direction of a surface; then the start that is expected, as the surfaces that it continues rise up to it. */
+static void touch_turn_surface(const touch_columns *columns, touch_surface *s, int64_t expected[4], const int64_t residual[4],
+                               const touch_surface *const continued[2], int continues) {
     int64_t sum = 0;
-    for (int n = 0; n < 2; n++) s->number[n] = (int32_t)touch_clip(e[n] + r[n] * h->step[0], -16384, 16384);
+    for (int n = 0; n < 2; n++)
+        s->number[n] = (int32_t)touch_clip(expected[n] + residual[n] * columns->step[0], -TOUCH_ONE, TOUCH_ONE);
     int64_t x = s->number[0], y = s->number[1], inverse = ((int64_t)1 << 43) / ((1 << 28) + x * x + y * y);
-    s->normal[0] = (int32_t)((x * inverse) >> 14), s->normal[1] = (int32_t)((y * inverse) >> 14);
-    s->normal[2] = (int32_t)touch_max(inverse - 16384, 820);
-    if (!sides) return;
+    s->normal[0] = (int32_t)((x * inverse) >> TOUCH_ONE_BITS), s->normal[1] = (int32_t)((y * inverse) >> TOUCH_ONE_BITS);
+    s->normal[2] = (int32_t)touch_max(inverse - TOUCH_ONE, TOUCH_MIN_OUTWARD);
+    if (!continues) return;
     for (int n = 0; n < 2; n++) /* west is the neighbour along b, north along a */
-        if (side[n])
-            sum += side[n]->number[TOUCH_START] +
-                   ((touch_rise(h, side[n]->normal, 1 - n) + touch_rise(h, s->normal, 1 - n)) >> 1);
-    e[TOUCH_START] = touch_div(sum, sides);
+        if (continued[n])
+            sum += continued[n]->number[TOUCH_START] +
+                   ((touch_rise(columns, continued[n]->normal, 1 - n) + touch_rise(columns, s->normal, 1 - n)) >> 1);
+    expected[TOUCH_START] = touch_div(sum, continues);
 }
 
-static int64_t touch_amplitude_step(const touch_columns *h, int64_t expected) {
-    return touch_max((touch_max(expected, h->top >> 4) * h->step[2]) >> 16, 1);
+static int64_t touch_amplitude_step(const touch_columns *columns, int64_t expected) {
+    return touch_max((touch_max(expected, columns->top >> TOUCH_MIN_TOP_BITS) * columns->step[2]) >> 16, 1);
 }
 
-static void touch_set_surface(const touch_columns *h, touch_surface *s, const int64_t e[4], const int64_t r[4]) {
-    s->number[TOUCH_START] = (int32_t)touch_clip(e[2] + r[2] * h->step[1], -(1 << 24), 1 << 24);
-    s->number[TOUCH_AMPLITUDE] = (int32_t)touch_clip(e[3] + r[3] * touch_amplitude_step(h, e[3]), 1, TOUCH_MAX_COMPONENT);
-    for (int q = 0; q < 4; q++) s->residual[q] = (int32_t)touch_clip(r[q], -(1 << 30), 1 << 30);
+static void touch_set_surface(const touch_columns *columns, touch_surface *s, const int64_t expected[4],
+                              const int64_t residual[4]) {
+    int64_t start = expected[TOUCH_START] + residual[TOUCH_START] * columns->step[1];
+    int64_t step = touch_amplitude_step(columns, expected[TOUCH_AMPLITUDE]);
+    int64_t amplitude = expected[TOUCH_AMPLITUDE] + residual[TOUCH_AMPLITUDE] * step;
+    s->number[TOUCH_START] = (int32_t)touch_clip_to(start, TOUCH_MAX_START);
+    s->number[TOUCH_AMPLITUDE] = (int32_t)touch_clip(amplitude, 1, TOUCH_MAX_COMPONENT);
+    for (int q = 0; q < 4; q++) s->residual[q] = (int32_t)touch_clip_to(residual[q], TOUCH_MAX_COLUMN_RESIDUAL);
 }
 
-/* Neighbours whose starts differ by three samples, or with two surfaces, may not continue one surface. */
-static int touch_is_torn(const touch_column *const near[4]) {
-    int west = near[0] ? near[0]->count : 0, north = near[1] ? near[1]->count : 0;
-    if (west > 1 || north > 1) return 1;
-    if (!west || !north) return 0;
-    return touch_abs((int64_t)near[0]->surface[0].number[TOUCH_START] - near[1]->surface[0].number[TOUCH_START]) > 768;
+/* Whether west and north may not continue one surface: their starts differ much, or one has two surfaces. */
+static int touch_is_torn(const touch_column *const around[4]) {
+    const touch_column *west = around[TOUCH_WEST], *north = around[TOUCH_NORTH];
+    if ((west && west->count > 1) || (north && north->count > 1)) return 1;
+    if (!west || !north || !west->count || !north->count) return 0;
+    return touch_abs((int64_t)west->surface[0].number[TOUCH_START] - north->surface[0].number[TOUCH_START]) > TOUCH_TEAR;
 }
 
-/* A column by its neighbours west, north, corner and east, NULL beyond the box. */
-static void touch_code_column(touch_columns *h, const touch_column *const near[4], touch_column *own,
+/* The four residuals of a surface, by the sizes of those of west and north (5: no such surface), and of the last one. */
+static void touch_code_surface(touch_columns *columns, const touch_column *const around[4], touch_column *own, int slot,
+                               int count, int mode, int some, const int64_t chosen[4]) {
+    touch_surface *s = own->surface + slot;
+    const touch_surface *continued[2];
+    int64_t expected[4], residual[4], last = 0;
+    int continues = touch_expect_surface(columns, around, own, slot, mode, count, expected, continued);
+    for (int q = 0; q < 4; q++) {
+        int64_t sizes[2];
+        for (int n = 0; n < 2; n++) {
+            const touch_surface *beside = touch_surface_of(around[n], slot);
+            sizes[n] = beside ? touch_min(touch_abs(beside->residual[q]), 4) : 5;
+        }
+        residual[q] = touch_column_number(columns, TOUCH_KIND_NUMBERS + 4 * (count - 1 + slot) + q,
+                                          (int)(6 * sizes[0] + sizes[1]), (int)(4 * last) + (some < 3 ? some : 3), chosen[q]);
+        last = touch_max(q == TOUCH_DIRECTION_B ? last : 0, touch_min(touch_abs(residual[q]), 3));
+        if (q == TOUCH_DIRECTION_B) touch_turn_surface(columns, s, expected, residual, continued, continues);
+    }
+    touch_set_surface(columns, s, expected, residual);
+    own->count = slot + 1;
+}
+
+/* A column by those around it: west, north, corner and east, NULL beyond the box. */
+static void touch_code_column(touch_columns *columns, const touch_column *const around[4], touch_column *own,
                               const touch_column_choice *choice) {
-    int here = 0, twos = 0, mode = 0, some = 0, torn = touch_is_torn(near), count;
+    int here = 0, twos = 0, mode = 0, some = 0, torn = touch_is_torn(around), count;
     for (int n = 0; n < 4; n++) {
-        int c = near[n] ? near[n]->count : 0;
-        here |= c > 0 ? 8 >> n : 0, twos |= c > 1 ? 8 >> n : 0, some += c > 0;
+        int surfaces = around[n] ? around[n]->count : 0;
+        here |= surfaces > 0 ? 8 >> n : 0, twos |= surfaces > 1 ? 8 >> n : 0, some += surfaces > 0;
     }
     own->count = 0;
-    if (!touch_column_bit(h, 0, here, twos, choice->count > 0)) return;
-    count = 1 + touch_column_bit(h, 1, 2 * twos + torn, here, choice->count > 1);
+    if (!touch_column_bit(columns, TOUCH_NODE_HAS_SURFACE, here, twos, choice->count > 0)) return;
+    count = 1 + touch_column_bit(columns, TOUCH_NODE_HAS_TWO, 2 * twos + torn, here, choice->count > 1);
     if (torn) {
-        mode = touch_column_bit(h, 22, twos >> 2, count, choice->mode >> 1);
-        mode = 2 * mode + touch_column_bit(h, 23 + mode, twos >> 2, count, choice->mode & 1);
+        mode = touch_column_bit(columns, TOUCH_NODE_MODE, twos >> 2, count, choice->mode >> 1);
+        mode = 2 * mode + touch_column_bit(columns, TOUCH_NODE_MODE + 1 + mode, twos >> 2, count, choice->mode & 1);
     }
-    for (int slot = 0; slot < count; slot++) {
-        touch_surface *s = own->surface + slot;
-        const touch_surface *side[2];
-        int64_t e[4], r[4], last = 0;
-        int sides = touch_expect_surface(h, near, own, slot, mode, count, e, side);
-        for (int q = 0; q < 4; q++) {
-            int64_t sizes[2];
-            for (int n = 0; n < 2; n++)
-                sizes[n] = near[n] && near[n]->count > slot ? touch_min(touch_abs(near[n]->surface[slot].residual[q]), 4) : 5;
-            r[q] = touch_column_number(h, 2 + 4 * (count - 1 + slot) + q, (int)(6 * sizes[0] + sizes[1]),
-                                       (int)(4 * last) + (some < 3 ? some : 3), choice->residual[slot][q]);
-            last = touch_max(q == TOUCH_Y ? last : 0, touch_min(touch_abs(r[q]), 3));
-            if (q == TOUCH_Y) touch_turn_surface(h, s, e, r, side, sides);
-        }
-        touch_set_surface(h, s, e, r);
-        own->count = slot + 1;
-    }
+    for (int slot = 0; slot < count; slot++)
+        touch_code_surface(columns, around, own, slot, count, mode, some, choice->residual[slot]);
 }
 
-static touch_view touch_view_of(const touch_grid *grid, int axis, int is_inverted) {
-    touch_view v;
+static touch_column_box touch_column_box_of(const touch_grid *grid, int axis, int is_inverted) {
+    touch_column_box box;
     int k = 0;
-    memset(&v, 0, sizeof v);
-    v.grid = grid, v.axis = axis, v.is_inverted = is_inverted, v.depth = grid->shape[axis];
+    memset(&box, 0, sizeof box);
+    box.grid = grid, box.axis = axis, box.is_inverted = is_inverted, box.depth = grid->shape[axis];
     for (int n = 0; n < 3; n++)
-        if (n != axis) v.across[k++] = n;
-    return v;
+        if (n != axis) box.across[k++] = n;
+    return box;
 }
 
 /* Fresh models, and columns without surfaces. */
-static int touch_columns_make(touch_columns *h, touch_arena *arena) {
-    h->column = (touch_column *)touch_take_zero(arena, (uint64_t)(64 * h->view.tiles[0] * h->view.tiles[1]),
-                                                sizeof *h->column);
-    *(void **)&h->context = touch_take(arena, 1, sizeof *h->context);
-    h->weight = (int64_t(*)[2])touch_take(arena, TOUCH_COLUMN_NODES, sizeof *h->weight);
-    if (!h->column || !h->context || !h->weight) return 0;
-    touch_fresh((touch_context *)(void *)h->context, sizeof *h->context / sizeof(touch_context), h->weight[0],
-                2 * TOUCH_COLUMN_NODES);
+static int touch_columns_make(touch_columns *columns, touch_arena *arena) {
+    uint64_t count = (uint64_t)(64 * columns->box.tiles[0] * columns->box.tiles[1]);
+    columns->column = (touch_column *)touch_take_zero(arena, count, sizeof *columns->column);
+    *(void **)&columns->context = touch_take(arena, 1, sizeof *columns->context);
+    columns->weight = (int64_t(*)[2])touch_take(arena, TOUCH_COLUMN_NODES, sizeof *columns->weight);
+    if (!columns->column || !columns->context || !columns->weight) return 0;
+    touch_fresh((touch_context *)(void *)columns->context, sizeof *columns->context / sizeof(touch_context),
+                columns->weight[0], 2 * TOUCH_COLUMN_NODES);
     return 1;
 }
 
 #ifdef TOUCH_WRITES
-static void touch_choose_column(touch_columns *h, int64_t a, int64_t b, const touch_column *const near[4],
+static void touch_choose_column(touch_columns *columns, int64_t a, int64_t b, const touch_column *const around[4],
                                 touch_column *own, touch_column_choice *choice);
 #endif
 
 /* All columns of the box that lie within the grid, in raster order. */
-static int touch_code_columns(touch_columns *h, touch_cursor *error) {
-    const touch_view *v = &h->view;
+static int touch_code_columns(touch_columns *columns, touch_cursor *error) {
+    const touch_column_box *v = &columns->box;
     int64_t rows = touch_min(8 * v->tiles[0], v->grid->shape[v->across[0]] - 8 * v->tile[0]), row = 8 * v->tiles[1];
-    int64_t columns = touch_min(row, v->grid->shape[v->across[1]] - 8 * v->tile[1]);
+    int64_t in_row = touch_min(row, v->grid->shape[v->across[1]] - 8 * v->tile[1]);
     for (int64_t a = 0; a < rows; a++) {
-        for (int64_t b = 0; b < columns; b++) {
-            touch_column *own = h->column + a * row + b;
+        for (int64_t b = 0; b < in_row; b++) {
+            touch_column *own = columns->column + a * row + b;
             touch_column_choice choice;
-            const touch_column *near[4];
-            near[0] = b ? own - 1 : 0, near[1] = a ? own - row : 0, near[2] = a && b ? own - row - 1 : 0;
-            near[3] = a && b + 1 < row ? own - row + 1 : 0;
+            const touch_column *around[4];
+            around[TOUCH_WEST] = b ? own - 1 : 0, around[TOUCH_NORTH] = a ? own - row : 0;
+            around[TOUCH_CORNER] = a && b ? own - row - 1 : 0;
+            around[TOUCH_EAST] = a && b + 1 < row ? own - row + 1 : 0;
             memset(&choice, 0, sizeof choice);
 #ifdef TOUCH_WRITES
-            if (TOUCH_IS_WRITING(&h->coder)) touch_choose_column(h, a, b, near, own, &choice);
+            if (TOUCH_IS_WRITING(&columns->coder)) touch_choose_column(columns, a, b, around, own, &choice);
 #endif
-            touch_code_column(h, near, own, &choice);
+            touch_code_column(columns, around, own, &choice);
         }
-        touch_check(&h->coder, error);
+        touch_check(&columns->coder, error);
         if (error->code) return 0;
     }
     return 1;
 }
 
 /* How much of the force deep inside a surface there is at sample t, 0 to 65536. */
-static int64_t touch_ramp(const touch_columns *h, const touch_surface *s, int64_t t) {
-    int64_t slope = touch_max((h->ramp * s->normal[2]) >> 14, 16);
-    return touch_clip(((256 * t - s->number[TOUCH_START]) * slope) >> 8, 0, 65536);
+static int64_t touch_ramp(const touch_columns *columns, const touch_surface *s, int64_t t) {
+    int64_t slope = touch_max((columns->ramp * s->normal[2]) >> TOUCH_ONE_BITS, TOUCH_MIN_RAMP);
+    return touch_clip(((TOUCH_SAMPLE * t - s->number[TOUCH_START]) * slope) >> 8, 0, TOUCH_FULL_RAMP);
 }
 
 /* The forces of a column, laid into the bricks of the base layer. */
-static void touch_fill_column(const touch_columns *h, const touch_column *own, int64_t a, int64_t b,
+static void touch_fill_column(const touch_columns *columns, const touch_column *own, int64_t a, int64_t b,
                               const touch_map *map, touch_units *out) {
-    const touch_view *view = &h->view;
+    const touch_column_box *box = &columns->box;
     int64_t at[3], deep[2][3], slot = -1;
-    at[view->axis] = 0, at[view->across[0]] = 8 * view->tile[0] + a, at[view->across[1]] = 8 * view->tile[1] + b;
+    at[box->axis] = 0, at[box->across[0]] = 8 * box->tile[0] + a, at[box->across[1]] = 8 * box->tile[1] + b;
     for (int s = 0; s < own->count; s++)
         for (int n = 0; n < 3; n++)
-            deep[s][n] = ((int64_t)own->surface[s].number[TOUCH_AMPLITUDE] * own->surface[s].normal[n] + 8192) >> 14;
-    for (int64_t i = 0; i < view->depth; i++) {
-        int64_t sum[3] = {32768, 32768, 32768}, t = view->is_inverted ? view->depth - 1 - i : i;
-        at[view->axis] = i;
+            deep[s][n] = touch_round_one((int64_t)own->surface[s].number[TOUCH_AMPLITUDE] * own->surface[s].normal[n]);
+    for (int64_t i = 0; i < box->depth; i++) {
+        int64_t half = TOUCH_FULL_RAMP / 2, sum[3] = {half, half, half}, t = box->is_inverted ? box->depth - 1 - i : i;
+        at[box->axis] = i;
         if (!(i & 7)) slot = touch_map_get(map, touch_key(at[0] >> 3, at[1] >> 3, at[2] >> 3));
         if (slot < 0) continue;
         for (int s = 0; s < own->count; s++) {
-            int64_t fraction = touch_ramp(h, own->surface + s, t);
+            int64_t fraction = touch_ramp(columns, own->surface + s, t);
             for (int n = 0; n < 3; n++) sum[n] += fraction * deep[s][n];
         }
         touch_vector *v = out->v + 512 * slot + 64 * (at[0] & 7) + 8 * (at[1] & 7) + (at[2] & 7);
         for (int n = 0; n < 3; n++) sum[n] = touch_clip_component(sum[n] >> 16);
-        v->v[view->across[0]] = (int32_t)sum[0], v->v[view->across[1]] = (int32_t)sum[1];
-        v->v[view->axis] = (int32_t)(view->is_inverted ? sum[2] : -sum[2]);
+        v->v[box->across[0]] = (int32_t)sum[0], v->v[box->across[1]] = (int32_t)sum[1];
+        v->v[box->axis] = (int32_t)(box->is_inverted ? sum[2] : -sum[2]);
     }
 }
 
 /* For each tile, the first sample of a column with a force. */
-static int64_t *touch_tile_starts(const touch_columns *h, touch_arena *arena) {
-    const touch_view *v = &h->view;
+static int64_t *touch_tile_starts(const touch_columns *columns, touch_arena *arena) {
+    const touch_column_box *v = &columns->box;
     int64_t row = 8 * v->tiles[1], *start = (int64_t *)touch_take(arena, (uint64_t)(v->tiles[0] * v->tiles[1]), 8);
     if (!start) return 0;
     for (int64_t i = 0; i < v->tiles[0] * v->tiles[1]; i++) start[i] = v->depth;
     for (int64_t i = 0; i < 8 * v->tiles[0] * row; i++) {
         int64_t *first = start + (i / row >> 3) * v->tiles[1] + (i % row >> 3);
-        for (int n = 0; n < h->column[i].count; n++)
-            *first = touch_min(*first, (h->column[i].surface[n].number[TOUCH_START] >> 8) + 1);
+        for (int n = 0; n < columns->column[i].count; n++)
+            *first = touch_min(*first, (columns->column[i].surface[n].number[TOUCH_START] >> 8) + 1);
     }
     return start;
 }
 
 /* The bricks and forces of columns; more than `max` bricks are an error. */
-static int touch_fill_columns(const touch_columns *h, uint64_t max, touch_units *out, touch_arena *arena,
+static int touch_fill_columns(const touch_columns *columns, uint64_t max, touch_units *out, touch_arena *arena,
                               touch_cursor *error) {
-    const touch_view *v = &h->view;
-    int64_t *start = touch_tile_starts(h, arena), row = 8 * v->tiles[1];
+    const touch_column_box *v = &columns->box;
+    int64_t *start = touch_tile_starts(columns, arena), row = 8 * v->tiles[1];
     touch_map map;
     out->list.key = 0, out->list.count = 0;
     for (int is_written = 0; start && is_written < 2; is_written++) { /* counted, then written */
@@ -1719,13 +1799,31 @@ static int touch_fill_columns(const touch_columns *h, uint64_t max, touch_units 
     touch_sort(out->list.key, tag, out->list.count);
     for (uint64_t i = 0; i < out->list.count; i++) touch_map_put(&map, out->list.key[i], (uint32_t)i);
     for (int64_t i = 0; i < 8 * v->tiles[0] * row; i++)
-        if (h->column[i].count) touch_fill_column(h, h->column + i, i / row, i % row, &map, out);
+        if (columns->column[i].count) touch_fill_column(columns, columns->column + i, i / row, i % row, &map, out);
     return 1;
 }
 
 /* -- the exact mode (docs/format/touch-exact.md) --------------------------------------------------------------------- */
 
-enum { TOUCH_EXACT_TABLE = 1 << 18 };
+enum {
+    TOUCH_EXACT_TABLE = 1 << 18,     /* contexts, found by a hash of the numbers that a symbol depends on */
+    TOUCH_HASH_MASK = (1 << 22) - 1, /* of a hash while it takes numbers */
+    TOUCH_ROWS = 14,                 /* samples around that a sample may be equal to; the last one is "not supported" */
+    TOUCH_LAST_ICO = 20,             /* codebooks: 1 to 20 are ico1 to ico20, */
+    TOUCH_LAST_OCTA = 25,            /* 21 to 25 octa1 to octa5 */
+    TOUCH_MAX_VERTICES = 4098,
+    TOUCH_MAX_POINTS = 24576 /* of a codebook, with those that are found several times */
+};
+
+/* What a context is of: first numbers of its hash. `_PLANE` is followed by the number of the plane. */
+enum {
+    TOUCH_HASH_EQUAL = 0,           /* 1 to 14: is the sample equal to that row? by which rows are equal to it */
+    TOUCH_HASH_EQUAL_NEAR = 16,     /* the same, by the first five rows, and those equal to row 2 */
+    TOUCH_HASH_SPATIAL_PLANE = 32,  /* a bit of a symbol, by the distance from an estimate in space, */
+    TOUCH_HASH_TEMPORAL_PLANE = 36, /* in time, */
+    TOUCH_HASH_LEFT_PLANE = 40,     /* by the symbol to the left, */
+    TOUCH_HASH_LAST_PLANE = 44      /* by the symbol of the plane before, and the deep one */
+};
 
 typedef struct { /* a sample: its level and vertex, or its components in the order of floats */
     uint32_t symbol[3];
@@ -1748,7 +1846,8 @@ typedef struct {
         touch_context hashed[TOUCH_EXACT_TABLE];
     } context;
     struct {
-        int64_t plane[3][32][4], copy[15][4]; /* of each bit of a symbol; of a sample that is equal to a row */
+        int64_t plane[3][32][4];            /* of each bit of a symbol */
+        int64_t equal[TOUCH_ROWS + 1][4]; /* of whether a sample is equal to a row */
     } weight;
 } touch_exact_models;
 
@@ -1757,7 +1856,9 @@ static void touch_exact_fresh(touch_exact_models *m) {
     TOUCH_FRESH(m->context, m->weight);
 }
 
-typedef struct {
+#define TOUCH_POINT_SCALE 1099511627776.0 /* 2^40: points nearer to each other than 2^-40 are the same */
+
+typedef struct { /* a unit vector in 2^-40 */
     int64_t p[3];
 } touch_point;
 
@@ -1785,7 +1886,7 @@ static void touch_unit(double v[3]) {
 }
 
 static void touch_add_point(touch_point *p, uint64_t *count, const double v[3]) {
-    for (int n = 0; n < 3; n++) p[*count].p[n] = (int64_t)floor(v[n] * 1099511627776.0 + 0.5);
+    for (int n = 0; n < 3; n++) p[*count].p[n] = (int64_t)floor(v[n] * TOUCH_POINT_SCALE + 0.5);
     (*count)++;
 }
 
@@ -1810,17 +1911,17 @@ static void touch_split(touch_point *p, uint64_t *count, const double t[3][3], i
    in 2^-40. */
 static const float *touch_codebook(int book, uint32_t *vertices, const touch_point **points, touch_arena *arena) {
     uint64_t count = 0, unique = 0;
-    touch_point *p = (touch_point *)touch_take(arena, 24576, sizeof *p);
-    float *out = (float *)touch_take(arena, 3 * 4098, 4);
+    touch_point *p = (touch_point *)touch_take(arena, TOUCH_MAX_POINTS, sizeof *p);
+    float *out = (float *)touch_take(arena, 3 * TOUCH_MAX_VERTICES, 4);
     if (!p || !out) return 0;
-    if (book > 20) {
+    if (book > TOUCH_LAST_ICO) {
         for (int n = 0; n < 8; n++) {
             double t[3][3] = {{0}};
             t[0][0] = n & 4 ? -1 : 1, t[1][1] = n & 2 ? -1 : 1, t[2][2] = n & 1 ? -1 : 1;
-            touch_split(p, &count, (const double(*)[3])t, book - 20);
+            touch_split(p, &count, (const double(*)[3])t, book - TOUCH_LAST_ICO);
         }
     } else {
-        double corner[12][3], weight[21], golden = (1 + sqrt(5.0)) / 2;
+        double corner[12][3], weight[TOUCH_LAST_ICO + 1], golden = (1 + sqrt(5.0)) / 2;
         for (int n = 0; n < 12; n++) {
             int axis = n / 4;
             corner[n][axis] = 0, corner[n][(axis + 1) % 3] = n & 2 ? -1 : 1;
@@ -1854,7 +1955,7 @@ static const float *touch_codebook(int book, uint32_t *vertices, const touch_poi
     for (uint64_t i = 0; i < count; i++)
         if (!i || touch_point_less(p + unique - 1, p + i)) {
             p[unique] = p[i];
-            for (int n = 0; n < 3; n++) out[3 * unique + (uint64_t)n] = (float)((double)p[i].p[n] / 1099511627776.0);
+            for (int n = 0; n < 3; n++) out[3 * unique + (uint64_t)n] = (float)((double)p[i].p[n] / TOUCH_POINT_SCALE);
             unique++;
         }
     *vertices = (uint32_t)unique, *points = p;
@@ -1877,8 +1978,8 @@ static float touch_level_at(const touch_exact *f, uint32_t n) {
 }
 
 static uint32_t touch_hash_value(uint32_t h, int64_t value) {
-    int64_t t = (int64_t)(((int64_t)h ^ value) & 4194303) * 0x2f0b4c47 + value;
-    return (uint32_t)((t ^ (t >> 19)) & 4194303);
+    int64_t t = (int64_t)(((int64_t)h ^ value) & TOUCH_HASH_MASK) * 0x2f0b4c47 + value;
+    return (uint32_t)((t ^ (t >> 19)) & TOUCH_HASH_MASK);
 }
 
 /* The context of a hash of up to four numbers. */
@@ -1889,31 +1990,33 @@ static touch_context *touch_hashed(touch_exact_models *m, uint32_t h, int64_t a,
     return m->context.hashed + (h & (TOUCH_EXACT_TABLE - 1));
 }
 
-/* By how far the symbol lies from an estimate, as far as its bits are known. */
-static touch_context *touch_hashed_near(touch_exact_models *m, uint32_t kind, int64_t estimate, int64_t node, int left) {
-    int64_t ahead = touch_clip(node - (estimate >> (left + 1)), -2, 2);
-    return touch_hashed(m, kind, ((ahead + 2) * 8 + (((estimate * 4) >> left) & 7)) * 32 + left, 0, 0, 1);
+/* The context of a bit of a symbol by an estimate: how far the bits so far (`prefix`) lie from those of the estimate, the
+   next three bits of the estimate, and how many bits remain after this one. */
+static touch_context *touch_hashed_near(touch_exact_models *m, uint32_t kind, int64_t estimate, int64_t prefix,
+                                        int remaining) {
+    int64_t distance = touch_clip(prefix - (estimate >> (remaining + 1)), -2, 2);
+    return touch_hashed(m, kind, ((distance + 2) * 8 + (((estimate * 4) >> remaining) & 7)) * 32 + remaining, 0, 0, 1);
 }
 
 /* The symbol of plane p by those of rows 1 to 5, -1 where there is none; bit by bit from the highest. Mixed from an
    estimate in space (the plane through three neighbours), one in time, and what followed the same symbols before. */
 static int64_t touch_code_symbol(touch_coder *b, touch_exact_models *m, int p, uint64_t size, const int64_t row[5],
                                  int64_t last, int64_t target) {
-    int64_t previous = row[0], left = row[1], up = row[2], deep = row[3], diagonal = row[4], node = 0;
+    int64_t previous = row[0], left = row[1], up = row[2], deep = row[3], diagonal = row[4], prefix = 0;
     int width = touch_bit_length(size - 1);
     int64_t spatial = left >= 0 ? left : up >= 0 ? up : deep >= 0 ? deep : previous >= 0 ? previous : 0;
     if (left >= 0 && up >= 0 && diagonal >= 0) spatial = touch_clip(left + up - diagonal, 0, (int64_t)size - 1);
     int64_t temporal = previous >= 0 ? previous : spatial;
     for (int remaining = width - 1; remaining >= 0; remaining--) {
         touch_context *c[4];
-        int64_t n = 32 * node + remaining;
-        c[0] = touch_hashed_near(m, 32u + (uint32_t)p, spatial, node, remaining);
-        c[1] = touch_hashed_near(m, 36u + (uint32_t)p, temporal, node, remaining);
-        c[2] = touch_hashed(m, 40u + (uint32_t)p, left, n, 0, 2);
-        c[3] = touch_hashed(m, 44u + (uint32_t)p, last, deep, n, 3);
-        node = 2 * node + touch_mix(b, c, m->weight.plane[p][width - 1 - remaining], 4, (int)(target >> remaining & 1));
+        int64_t n = 32 * prefix + remaining;
+        c[0] = touch_hashed_near(m, TOUCH_HASH_SPATIAL_PLANE + (uint32_t)p, spatial, prefix, remaining);
+        c[1] = touch_hashed_near(m, TOUCH_HASH_TEMPORAL_PLANE + (uint32_t)p, temporal, prefix, remaining);
+        c[2] = touch_hashed(m, TOUCH_HASH_LEFT_PLANE + (uint32_t)p, left, n, 0, 2);
+        c[3] = touch_hashed(m, TOUCH_HASH_LAST_PLANE + (uint32_t)p, last, deep, n, 3);
+        prefix = 2 * prefix + touch_mix(b, c, m->weight.plane[p][width - 1 - remaining], 4, (int)(target >> remaining & 1));
     }
-    return node;
+    return prefix;
 }
 
 static int touch_is_same(const touch_symbols *a, const touch_symbols *b, int planes) {
@@ -1923,22 +2026,23 @@ static int touch_is_same(const touch_symbols *a, const touch_symbols *b, int pla
     return 1;
 }
 
-/* A sample by the rows 1 to 14 (here from 0): is it equal to one of them (14: not supported), else its symbols. A writer
+/* A sample by the rows 1 to 14 (here from 0): is it equal to row 14 (not supported), 1, 2, 3 or 4, else its symbols. A writer
    passes it, a reader gets it. */
-static touch_symbols touch_code_sample(touch_coder *b, touch_exact_models *m, const touch_symbols row[14], int planes,
+static touch_symbols touch_code_sample(touch_coder *b, touch_exact_models *m, const touch_symbols row[TOUCH_ROWS], int planes,
                                        const uint64_t size[3], touch_symbols own, touch_cursor *error) {
-    static const int order[5] = {14, 1, 2, 3, 4};
-    uint32_t same[15], c;
+    static const int order[5] = {TOUCH_ROWS, 1, 2, 3, 4};
+    uint32_t same[TOUCH_ROWS + 1], c;
     for (int n = 0; n < 5; n++) {
         c = (uint32_t)order[n], same[c] = 0;
-        for (int k = 0; k < 14; k++) same[c] |= (uint32_t)touch_is_same(row + k, row + c - 1, planes) << k;
+        for (int k = 0; k < TOUCH_ROWS; k++) same[c] |= (uint32_t)touch_is_same(row + k, row + c - 1, planes) << k;
     }
     for (int n = 0; n < 5; n++) {
         c = (uint32_t)order[n];
-        if (c != 14 && (!row[c - 1].is_supported || same[c] & ((1u << (c - 1)) - 1))) continue;
-        int is_equal = touch_mix2(b, touch_hashed(m, c, same[c], 0, 0, 1), touch_hashed(m, 16 + c, same[c] & 31, same[2], 0, 2),
-                                  m->weight.copy[c], TOUCH_CHOOSE(b, touch_is_same(&own, row + c - 1, planes)));
-        TOUCH_ACCOUNT(b, c == 14 ? TOUCH_BITS_SUPPORT : TOUCH_BITS_AMPLITUDE);
+        if (c != TOUCH_ROWS && (!row[c - 1].is_supported || same[c] & ((1u << (c - 1)) - 1))) continue;
+        int is_equal = touch_mix2(b, touch_hashed(m, TOUCH_HASH_EQUAL + c, same[c], 0, 0, 1),
+                                  touch_hashed(m, TOUCH_HASH_EQUAL_NEAR + c, same[c] & 31, same[2], 0, 2),
+                                  m->weight.equal[c], TOUCH_CHOOSE(b, touch_is_same(&own, row + c - 1, planes)));
+        TOUCH_ACCOUNT(b, c == TOUCH_ROWS ? TOUCH_BITS_SUPPORT : TOUCH_BITS_AMPLITUDE);
         if (is_equal) return row[c - 1];
     }
     own.is_supported = 1;
@@ -1966,11 +2070,11 @@ typedef struct { /* a pass over an exact frame */
 
 /* The rows of a sample: itself in the frame before, then those coded before it around it. */
 static void touch_exact_rows(const touch_exact_pass *p, const touch_exact *f, const int32_t brick[3], uint64_t slot,
-                             int64_t slot_before, int sample, touch_symbols row[14]) {
-    static const int8_t side[12][3] = {{0, 0, -1}, {0, -1, 0}, {-1, 0, 0}, {0, -1, -1}, {-1, 0, -1}, {-1, -1, 0},
+                             int64_t slot_before, int sample, touch_symbols row[TOUCH_ROWS]) {
+    static const int8_t step[12][3] = {{0, 0, -1}, {0, -1, 0}, {-1, 0, 0}, {0, -1, -1}, {-1, 0, -1}, {-1, -1, 0},
                                        {0, -1, 1}, {-1, 1, 0}, {-1, 0, 1}, {0, 0, -2}, {0, -2, 0}, {-2, 0, 0}};
     const int x = sample >> 6, y = sample >> 3 & 7, z = sample & 7;
-    memset(row, 0, 14 * sizeof *row);
+    memset(row, 0, TOUCH_ROWS * sizeof *row);
     if (slot_before >= 0) {
         uint64_t at = 512 * (uint64_t)slot_before + (uint64_t)sample;
         row[0] = p->before->own[at];
@@ -1978,7 +2082,7 @@ static void touch_exact_rows(const touch_exact_pass *p, const touch_exact *f, co
             for (int n = 0; n < 3; n++) row[0].symbol[n] = touch_ordered(p->before->force[3 * at + (uint64_t)n]);
     }
     for (int n = 0; n < 12; n++) {
-        int i = x + side[n][0], j = y + side[n][1], k = z + side[n][2];
+        int i = x + step[n][0], j = y + step[n][1], k = z + step[n][2];
         int64_t there = (int64_t)slot;
         if (i & ~7 || j & ~7 || k & ~7)
             there = touch_map_get(&p->map, touch_key(brick[0] + (i >> 3), brick[1] + (j >> 3), brick[2] + (k >> 3)));
@@ -2006,11 +2110,11 @@ static void touch_code_exact_brick(touch_exact_pass *p, touch_exact *f, uint64_t
     touch_position(f->list.key[slot], at), touch_brick_samples(p->grid, at, high);
     int64_t slot_before = p->before ? touch_map_get(&p->map_before, f->list.key[slot]) : -1;
     for (int n = 0; n < 512; n++) {
-        touch_symbols row[14], *own = f->own + 512 * slot + (uint64_t)n;
+        touch_symbols row[TOUCH_ROWS], *own = f->own + 512 * slot + (uint64_t)n;
         if (n >> 6 >= high[0] || (n >> 3 & 7) >= high[1] || (n & 7) >= high[2]) continue;
         touch_exact_rows(p, f, at, slot, slot_before, n, row);
         *own = touch_code_sample(p->coder, p->models, row, f->book ? 2 : 3, p->size,
-                                 TOUCH_IS_WRITING(p->coder) ? *own : row[13], error);
+                                 TOUCH_IS_WRITING(p->coder) ? *own : row[TOUCH_ROWS - 1], error);
         if (error->code) return;
         if (!own->is_supported) continue;
         any = 1;

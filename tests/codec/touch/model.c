@@ -48,14 +48,14 @@ void model_fractions(const double bits[3], uint8_t out[2]) {
 int model_compare(const touch_grid *grid, const touch_options *options, const touch_source *original,
                   const touch_source *decoded, int is_prediction, touch_arena arena, touch_comparison *out) {
     touch_bound bound = touch_frame_bound(options, is_prediction);
-    touch_side side;
+    touch_brick_forces forces;
     uint32_t *slot = (uint32_t *)touch_take(&arena, decoded->bricks, 4);
-    side.count = decoded->bricks, side.key = touch_source_keys(decoded, &arena), side.forces_n = decoded->forces_n;
+    forces.count = decoded->bricks, forces.key = touch_source_keys(decoded, &arena), forces.forces_n = decoded->forces_n;
     for (uint32_t i = 0; i < decoded->bricks; i++) slot[i] = i;
-    side.slot = slot;
-    if (options->mode != TOUCH_LOSSLESS) return touch_compare(original, &side, &bound, grid, 1, out, &arena);
+    forces.slot = slot;
+    if (options->mode != TOUCH_LOSSLESS) return touch_compare(original, &forces, &bound, grid, 1, out, &arena);
     memset(out, 0, sizeof *out);
-    out->violations = !touch_is_identical(original, &side, &out->decoded, &arena);
+    out->outliers = !touch_is_identical(original, &forces, &out->decoded, &arena);
     return 1;
 }
 
