@@ -4,16 +4,19 @@
                                               #include "touch_encode.h"
 
    It writes bodies of segments, and the parts of other records that need the arithmetic code. Nothing is allocated but
-   from memory that the caller gives; any number of threads may each have an encoder. touch_model.h has what the reader
-   and this writer share: here is what only a writer decides, in floating point, and never reaches a reader.
+   from memory that the caller gives; any number of threads may each have an encoder. The coding of bits is in
+   touch_model.h, shared with the reader. Here are: the quantisation steps of a segment (touch_choose_steps), the fit of
+   columns, mode decisions (touch_code_best and the functions touch_choose_...), outliers, and the check of the finished
+   body. These use floating point; a reader gets their results as bits and numbers of the body.
 
        touch_encoder encoder = {0};  touch_segment segment;
        touch_encode_start(&encoder, &grid, &options, longest_n, touch_arena_of(work, size), touch_arena_of(out, size));
        for each frame:  touch_encode_next(&encoder, &frame, 0, 0);
        touch_encode_finish(&encoder, frames, &segment);       // segment.body, segment.size
 
-   The voxel pass asks for a writer's choices (touch_choose_...): the state of a brick, its blocks, the support of a
-   voxel, whether its residual is skipped, and which residual is coded. Each is the cheapest that keeps the bound. */
+   The voxel pass calls touch_choose_...: a brick is COPY if the reference is within the bound everywhere, a residual is
+   skipped if the prediction is within it, and of 27 residuals around the force the one with the least estimated cost is
+   coded of those within it. If there is none, the nearest is coded, and the voxel becomes an outlier. */
 #ifndef TOUCH_ENCODE_H
 #define TOUCH_ENCODE_H
 
@@ -439,32 +442,33 @@ static int touch_choose_skip(const touch_pass *p, const touch_voxel *v) {
 
 /* The nearest whole number, within 2^40. */
 static int64_t touch_round(double x) {
-    const double limit = 1099511627776.0;
-    return (int64_t)rint(x < -limit ? -limit : x < limit ? x : limit);
+    const double max = 1099511627776.0;
+    return (int64_t)rint(x < -max ? -max : x < max ? x : max);
 }
 
 /* The residual that probably costs the fewest bits, of the points around the force that keep the bound: zeros are cheap,
    then small numbers. The nearest point if none keeps it. */
 static void touch_choose_residual(const touch_pass *p, touch_voxel *v) {
     static const int around[3] = {0, -1, 1};
-    const double *f = touch_target_at(p, v->here), larger = 0.3;
-    double along[3], best = HUGE_VAL;
+    const double *f = touch_target_at(p, v->here);
+    const double bits_a_step = 0.3; /* estimated cost of a component: 1 if it is not zero, and so much for each step */
+    double target[3], best = HUGE_VAL; /* the force along the axes of the residual */
     for (int k = 0; k < 3; k++)
-        along[k] = (f[0] * (double)v->basis[k][0] + f[1] * (double)v->basis[k][1] + f[2] * (double)v->basis[k][2]) / 16384.0;
-    int64_t level = touch_step_position(p->steps, touch_round(fabs(along[0])));
-    int64_t nearest = (int64_t)rint((double)((along[0] >= 0 ? level : -level) - v->centre_position) / 256.0);
+        target[k] = (f[0] * (double)v->basis[k][0] + f[1] * (double)v->basis[k][1] + f[2] * (double)v->basis[k][2]) / TOUCH_ONE;
+    int64_t position = touch_step_position(p->steps, touch_round(fabs(target[0])));
+    int64_t nearest = (int64_t)rint((double)((target[0] >= 0 ? position : -position) - v->centre_position) / 256.0);
     v->residual[0] = v->residual[1] = v->residual[2] = 0;
     for (int i = 0; i < 3; i++) {
         int64_t r[3], low[2], step, length;
         r[0] = nearest + around[i], length = touch_radial_length(p, v, r[0], &step);
-        low[0] = touch_round(along[1] / (double)step), low[1] = touch_round(along[2] / (double)step);
+        low[0] = touch_round(target[1] / (double)step), low[1] = touch_round(target[2] / (double)step);
         for (int j = 0; j < 9; j++) {
             int32_t vector[3];
             r[1] = low[0] + around[j / 3], r[2] = low[1] + around[j % 3];
             int64_t sum = touch_abs(r[0]) + touch_abs(r[1]) + touch_abs(r[2]);
             int64_t max = touch_max(touch_max(touch_abs(r[0]), touch_abs(r[1])), touch_abs(r[2]));
-            double cost = (double)((r[0] != 0) + (r[1] != 0) + (r[2] != 0)) + larger * (double)sum;
-            if (!(cost < best) || max >= 1 << 18 || !(max > 0 || v->predictor)) continue;
+            double cost = (double)((r[0] != 0) + (r[1] != 0) + (r[2] != 0)) + bits_a_step * (double)sum;
+            if (!(cost < best) || max > TOUCH_MAX_MAGNITUDE || !(max > 0 || v->predictor)) continue;
             touch_residual_vector(v, length, r[1] * step, r[2] * step, vector);
             int is_within = touch_is_within(vector, f, &p->target->bound);
             if (is_within) best = cost;
@@ -570,7 +574,10 @@ struct touch_column_fit { /* the samples of a column, from outside to inside, an
     double surface[3][4]; /* numbers of the one surface, and of two; an amplitude of 0 is not known */
 };
 
-enum { TOUCH_AXIS_BRICKS = 64 };
+enum {
+    TOUCH_AXIS_BRICKS = 64,       /* so many bricks are enough to find the axis of a frame */
+    TOUCH_BRICK_PAIRS = 7 * 8 * 8 /* samples of a brick that have a next one along an axis within it */
+};
 
 /* The axis of the columns: the main axis of the force, if there is one. */
 static int touch_find_axis(const touch_source *frame, int *axis, int *is_inverted) {
@@ -635,7 +642,8 @@ static uint32_t touch_ranked(const uint32_t *bits, uint64_t n, uint64_t rank, ui
 static double touch_find_ramp(const touch_column_box *v, const touch_source *frame, float unit_n, double f0, double *top,
                               touch_arena *arena) {
     uint64_t mark = arena->used, count = 0, rank;
-    uint32_t *ratio = (uint32_t *)touch_take(arena, 448 * frame->bricks, 4), *room = (uint32_t *)touch_take(arena, 65536, 4);
+    uint32_t *ratio = (uint32_t *)touch_take(arena, TOUCH_BRICK_PAIRS * frame->bricks, 4);
+    uint32_t *room = (uint32_t *)touch_take(arena, 65536, 4);
     int step = 64 >> 3 * v->axis;
     float longest = 0;
     if (!ratio || !room) return -1;
@@ -1014,22 +1022,24 @@ static int64_t touch_below(int64_t limit, double number) {
 
 static double touch_radians(double degrees) { return degrees * (3.14159265358979323846 / 180.0); }
 
-/* Steps of a segment whose longest force is `longest_n`: a cell of the lattice lies within the ball of the mask, that of
-   mask-direction within a disc of directions and a span of lengths. The corners of a somewhat larger cell are outside,
-   and then another point is taken. */
+/* Steps of a segment whose longest force is `longest_n`, which has 65536 units. The points that residuals can reach form a
+   lattice around the centre. In mode MASK its cubes are 1.17 bounds wide: their corners lie within the ball of the bound,
+   but for a small rest of forces (half a diagonal is 1.01 bounds), for which another point is taken. In mode
+   MASK_DIRECTION the bound is a disc of directions and an interval of lengths; the steps fill each a little less. */
 static void touch_choose_steps(const touch_options *o, double longest_n, touch_steps *s) {
-    const double cell = 1.17, span = 1.8, span_floor = 1.25, disc = 0.97 * sqrt(2.0);
+    const double cube = 1.17, interval = 1.8, interval_floor = 1.25, disc = 0.97 * sqrt(2.0);
     double unit_n = longest_n / 65536;
     s->unit_n = (float)(unit_n > 1.1754943508222875e-38 ? unit_n : 1.1754943508222875e-38), unit_n = s->unit_n;
     if (o->mode == TOUCH_NMSE) {
         s->floor = s->cross_floor = touch_max(touch_below(1 << 16, o->step_n / unit_n), 21), s->rate = s->cross_rate = 0;
         return;
     }
-    s->floor = s->cross_floor = touch_below(1 << 16, cell * o->f0_n / unit_n);
-    s->rate = s->cross_rate = touch_below(1 << 17, 65536 * cell * o->k);
+    s->floor = s->cross_floor = touch_below(1 << 16, cube * o->f0_n / unit_n);
+    s->rate = s->cross_rate = touch_below(1 << 17, 65536 * cube * o->k);
     if (o->mode != TOUCH_MASK_DIRECTION) return;
     s->cross_rate = touch_below(1 << 17, 65536 * disc * sin(touch_radians(o->direction_jnd_deg)));
-    s->floor = touch_below(1 << 16, span_floor * o->f0_n / unit_n), s->rate = touch_below(1 << 17, 65536 * span * o->k);
+    s->floor = touch_below(1 << 16, interval_floor * o->f0_n / unit_n);
+    s->rate = touch_below(1 << 17, 65536 * interval * o->k);
 }
 
 /* The bound of the passes, units, less the rounding of whole units to float32 newtons. */
@@ -1859,7 +1869,7 @@ static uint64_t touch_pass_room(const touch_grid *grid, uint64_t bricks, uint64_
 
 /* A base layer of columns: along any axis; `layer` is the number of its bricks. */
 static uint64_t touch_columns_room(const touch_grid *grid, uint64_t bricks, uint64_t layer) {
-    uint64_t ramp = 4 * (448 * bricks + 65536), max = 0;
+    uint64_t ramp = 4 * (TOUCH_BRICK_PAIRS * bricks + 65536), max = 0;
     for (int n = 0; n < 3; n++) {
         uint64_t a = (grid->shape[n == 0] + 7) >> 3, b = (grid->shape[n == 2 ? 1 : 2] + 7) >> 3;
         uint64_t tiles = touch_smaller(a * b, 64 + 4 * bricks), depth = touch_smaller(grid->shape[n], 1 << 14);

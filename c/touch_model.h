@@ -1,13 +1,18 @@
 /* touch_model.h: what a reader and a writer of coder `touch` have in common. touch.h and touch_encode.h include it.
 
-   Both walk through a frame in the same order with the same models, so that the probability of each bit is the same on
-   both sides. Each part of the format is therefore one function for both directions: a writer passes the bit that it
-   has decided on, a reader passes anything, and both go on with the bit that is returned. Choices that only a writer
-   makes (TOUCH_CHOOSE) are functions of touch_encode.h; where that is not compiled they are nothing.
+   Shared, each part as one function for both directions: the arithmetic code, lists of bricks, the voxel pass (prediction,
+   contexts, the order of all bits), base layers, the lossless mode, supports and whole numbers. Such a function takes the
+   bit or number that a writer has decided on, which a reader's call ignores, and returns the one that was coded; both
+   sides go on with that. So both have the same models, and give each bit the same probability.
+
+   Not shared: a few varints in front of each code (touch_read_frame, touch_read_spline, touch_read_columns and
+   touch_read_exact in touch.h; touch_code_frame, touch_put_spline, touch_fit_columns and touch_put_exact in
+   touch_encode.h), and the choices of a writer (touch_choose_..., in touch_encode.h). Functions here call the latter by
+   TOUCH_CHOOSE, which is 0 where touch_encode.h is not compiled.
 
    The sections follow docs/format: bits.md (arithmetic code, list of bricks, supports, whole numbers), touch.md (voxel
-   pass), touch-base-layer.md and touch-exact.md. Whole numbers decide everything that both sides must agree on.
-   Shifts of negative numbers are to be arithmetic, as with every compiler there is. */
+   pass), touch-base-layer.md and touch-exact.md. Everything that both sides must agree on is computed in whole numbers; the
+   exceptions are the vertices of codebooks, rounded to 2^-40. Shifts of negative numbers must be arithmetic. */
 #ifndef TOUCH_MODEL_H
 #define TOUCH_MODEL_H
 
@@ -545,7 +550,8 @@ enum {
     TOUCH_AT_CENTRE = 7,       /* 0 to 14: along an axis of the residual; this one is at the centre */
     TOUCH_MAX_CLASS = 7,       /* of sizes and distances in steps */
     TOUCH_MAX_UNARY = 14,      /* a magnitude up to here is coded in unary with contexts, then an escape in gamma code */
-    TOUCH_ESCAPE_DIGITS = 17,  /* at most, as a magnitude is below 2^18 steps */
+    TOUCH_ESCAPE_DIGITS = 17,  /* at most, */
+    TOUCH_MAX_MAGNITUDE = (1 << 18) - 1, /* which a writer keeps to */
     TOUCH_MAX_ALONG_SIZE = 15, /* sizes of residuals, as far as they matter for contexts */
     TOUCH_MAX_ACROSS_SIZE = 31
 };
@@ -693,7 +699,7 @@ static void touch_scan_inside(const touch_scan *s, const touch_grid *grid, const
 
 /* The window of a brick: its voxels and those around it, from -2 to 9 along each axis, so that all that predicts a voxel
    lies at fixed distances, also across the brick's faces. */
-enum { TOUCH_WINDOW = 12 * 12 * 12, TOUCH_DEEP = 144, TOUCH_UP = 12, TOUCH_LEFT = 1 };
+enum { TOUCH_WINDOW = 12 * 12 * 12, TOUCH_DEEP = 12 * 12, TOUCH_UP = 12, TOUCH_LEFT = 1 };
 
 struct touch_target; /* the forces that a writer codes, and its error bound (touch_encode.h) */
 
@@ -1189,7 +1195,7 @@ static int touch_code_blocks(touch_pass *p, int target) {
     return blocks;
 }
 
-/* A brick at rest is as the reference has it. */
+/* A brick of state COPY: every voxel with a reference is stored with its vector. The bricks after it predict from them. */
 static void touch_copy_reference(touch_pass *p, int32_t first, const int low[3], const int high[3]) {
     for (int x = low[0]; x < high[0]; x++)
         for (int y = low[1]; y < high[1]; y++)
@@ -2143,6 +2149,8 @@ static int touch_code_samples(touch_exact_pass *p, touch_exact *f, touch_arena *
 
 /* -- supports and whole numbers (docs/format/bits.md) ---------------------------------------------------------------- */
 
+enum { TOUCH_SET_WINDOW = 12, TOUCH_SET_WINDOW_SAMPLES = 12 * 12 * 12 }; /* a brick, and two samples around it */
+
 typedef struct { /* samples of bricks that are set, a byte each */
     touch_list list;
     uint8_t *is_set;
@@ -2183,8 +2191,11 @@ static int touch_set_of(const touch_grid *grid, const touch_samples *samples, to
     return 1;
 }
 
+static int touch_set_index(int x, int y, int z) { return (x * TOUCH_SET_WINDOW + y) * TOUCH_SET_WINDOW + z; }
+
 /* Samples of a support in and around a brick: 12 x 12 x 12, the first of the brick at (2, 2, 2). */
-static void touch_fill_window(uint8_t window[1728], const touch_set *set, const touch_map *map, const int32_t at[3]) {
+static void touch_fill_window(uint8_t window[TOUCH_SET_WINDOW_SAMPLES], const touch_set *set, const touch_map *map,
+                              const int32_t at[3]) {
     static const int first[3] = {6, 0, 0}, begin[3] = {0, 2, 10}, length[3] = {2, 8, 2};
     for (int n = 0; n < 27; n++) {
         int part[3];
@@ -2194,7 +2205,7 @@ static void touch_fill_window(uint8_t window[1728], const touch_set *set, const 
         const uint8_t *from = slot < 0 ? 0 : set->is_set + 512 * slot;
         for (int x = 0; x < length[part[0]]; x++)
             for (int y = 0; y < length[part[1]]; y++) {
-                uint8_t *to = window + ((begin[part[0]] + x) * 12 + begin[part[1]] + y) * 12 + begin[part[2]];
+                uint8_t *to = window + touch_set_index(begin[part[0]] + x, begin[part[1]] + y, begin[part[2]]);
                 int row = (first[part[0]] + x) * 64 + (first[part[1]] + y) * 8 + first[part[2]];
                 if (from) memcpy(to, from + row, (size_t)length[part[2]]);
                 else memset(to, 0, (size_t)length[part[2]]);
@@ -2204,19 +2215,20 @@ static void touch_fill_window(uint8_t window[1728], const touch_set *set, const 
 
 typedef struct { /* what a brick of a support is coded by: samples around it, of the support so far and the one before */
     touch_map map, map_before;
-    uint8_t window[1728], before[1728];
+    uint8_t window[TOUCH_SET_WINDOW_SAMPLES], before[TOUCH_SET_WINDOW_SAMPLES];
 } touch_set_pass;
 
 /* The samples of a brick of a support. Whether any is set. */
 static int touch_code_set_brick(touch_coder *b, touch_set_models *m, touch_set_pass *p, uint8_t is_set[512],
                                 const int high[3]) {
-    static const int near_steps[12] = {-144, -12, -1, -143, -13, -11, -156, -288, -24, -132, -131, -2};
-    static const int before_steps[7] = {0, -1, 1, -12, 12, -144, 144};
+    enum { X = TOUCH_SET_WINDOW * TOUCH_SET_WINDOW, Y = TOUCH_SET_WINDOW, Z = 1 }; /* from sample to sample of the window */
+    static const int near_steps[12] = {-X, -Y, -Z, -X + Z, -Y - Z, -Y + Z, -X - Y, -2 * X, -2 * Y, -X + Y, -X + Y + Z, -2 * Z};
+    static const int before_steps[7] = {0, -Z, Z, -Y, Y, -X, X};
     int any = 0;
     for (int x = 0; x < high[0]; x++)
         for (int y = 0; y < high[1]; y++)
             for (int z = 0; z < high[2]; z++) {
-                uint8_t *window = p->window + ((x + 2) * 12 + y + 2) * 12 + z + 2, *own = is_set + 64 * x + 8 * y + z;
+                uint8_t *window = p->window + touch_set_index(x + 2, y + 2, z + 2), *own = is_set + 64 * x + 8 * y + z;
                 const uint8_t *before = p->before + (window - p->window);
                 uint32_t near = 0, was = 0;
                 for (int n = 0; n < 12; n++) near |= (uint32_t)window[near_steps[n]] << n;
@@ -2256,14 +2268,25 @@ static int touch_code_set(touch_coder *b, touch_set_models *m, const touch_grid 
     return !error->code;
 }
 
+enum {
+    TOUCH_NUMBER_BITS = 32,       /* bits of a number with contexts: significance, sign, 14 of the length, 16 second digits */
+    TOUCH_SECOND_DIGITS = 16,     /* the first of the latter */
+    TOUCH_MAX_LENGTH_BIT = 14,    /* longer numbers share the last of the length's contexts, */
+    TOUCH_MAX_SECOND_DIGIT = 15,  /* and of the second digit's */
+    TOUCH_MAX_NUMBER_LENGTH = 62, /* binary digits */
+    TOUCH_SMALL = 2,              /* numbers before count up to here, */
+    TOUCH_LAST_DIGITS = 10,       /* or by their binary digits: the last one up to 10, */
+    TOUCH_BEFORE_DIGITS = 3       /* the one before up to 3 */
+};
+
 typedef struct { /* a list of whole numbers */
     struct {
-        touch_context plain[32];
-        touch_context recent[125][32]; /* the three numbers before, each limited to -2 to 2 */
-        touch_context sizes[147][32];  /* signs and binary digits of the last two */
+        touch_context plain[TOUCH_NUMBER_BITS];
+        touch_context recent[5 * 5 * 5][TOUCH_NUMBER_BITS]; /* the three numbers before, each limited to -2 to 2 */
+        touch_context sizes[21 * 7][TOUCH_NUMBER_BITS];     /* signs and binary digits of the last two */
     } context;
     struct {
-        int64_t bit[32][3];
+        int64_t bit[TOUCH_NUMBER_BITS][3];
     } weight;
     int64_t last[3];
 } touch_numbers;
@@ -2278,24 +2301,26 @@ static int64_t touch_signed_digits(int64_t r, int max) { /* binary digits with t
     return r < 0 ? max - d : max + d;
 }
 
-static int touch_number_bit(touch_coder *b, touch_numbers *t, int64_t recent, int64_t sizes, int j, int bit) {
-    return touch_mix3(b, t->context.plain + j, t->context.recent[recent] + j, t->context.sizes[sizes] + j,
-                      t->weight.bit[j], bit);
+static int touch_number_bit(touch_coder *b, touch_numbers *t, int64_t recent, int64_t sizes, int index, int bit) {
+    return touch_mix3(b, t->context.plain + index, t->context.recent[recent] + index, t->context.sizes[sizes] + index,
+                      t->weight.bit[index], bit);
 }
 
 /* A number: is it zero, its sign, its binary digits one by one, the second digit, the others as they are. */
 static int64_t touch_code_number(touch_coder *b, touch_numbers *t, int64_t number) {
-    int64_t recent = 0, sizes = 7 * touch_signed_digits(t->last[0], 10) + touch_signed_digits(t->last[1], 3);
+    int64_t last_digits = touch_signed_digits(t->last[0], TOUCH_LAST_DIGITS), recent = 0;
+    int64_t sizes = 7 * last_digits + touch_signed_digits(t->last[1], TOUCH_BEFORE_DIGITS);
     int64_t target = touch_abs(number), size = 0;
-    for (int n = 0; n < 3; n++) recent = 5 * recent + touch_clip(t->last[n], -2, 2) + 2;
+    for (int n = 0; n < 3; n++) recent = 5 * recent + touch_clip_to(t->last[n], TOUCH_SMALL) + TOUCH_SMALL;
     if (touch_number_bit(b, t, recent, sizes, 0, number != 0)) {
         int is_negative = touch_number_bit(b, t, recent, sizes, 1, number < 0), length = 1;
-        while (touch_number_bit(b, t, recent, sizes, 1 + (length < 14 ? length : 14), target >> length > 0) && length < 62)
+        while (touch_number_bit(b, t, recent, sizes, 1 + (int)touch_min(length, TOUCH_MAX_LENGTH_BIT), target >> length > 0) &&
+               length < TOUCH_MAX_NUMBER_LENGTH)
             length++;
         size = 1;
         if (length > 1) {
-            int second = (int)(target >> (length - 2) & 1);
-            second = touch_number_bit(b, t, recent, sizes, 16 + (length < 15 ? length : 15), second);
+            int index = TOUCH_SECOND_DIGITS + (int)touch_min(length, TOUCH_MAX_SECOND_DIGIT);
+            int second = touch_number_bit(b, t, recent, sizes, index, (int)(target >> (length - 2) & 1));
             size = (int64_t)(2 | second) << (length - 2);
             size += touch_even(b, length - 2, target);
         }
