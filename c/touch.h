@@ -644,7 +644,7 @@ static int touch_read_columns(touch_cursor c, const touch_grid *grid, const touc
     if (!touch_columns_make(&columns, arena)) return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
     if (!touch_code_columns(&columns, error)) return 0;
     /* what it takes of the arena is given back with that of the frame */
-    if (!touch_fill_columns(&columns, 64 + 16 * columns.coder.size, out, arena, error)) return 0;
+    if (!touch_fill_columns(&columns, touch_max_bricks(columns.coder.size), out, arena, error)) return 0;
     touch_close(&columns.coder, touch_min_column_bytes(range[0][1] * range[1][1], out->list.count), error);
     return !error->code;
 }
@@ -678,7 +678,7 @@ static int touch_read_exact(touch_cursor c, const touch_grid *grid, const touch_
     pass.coder = &coder, pass.models = m, pass.grid = grid, pass.before = before;
     if (!touch_code_list(&coder, &m->list, grid->shape, before ? before->list : none, &out->list, arena, error)) return 0;
     touch_check(&coder, error);
-    if (4 * out->list.count > 64 + 16 * coder.size) touch_fail(error, TOUCH_CUT, "bricks without bytes");
+    if (4 * out->list.count > touch_max_bricks(coder.size)) touch_fail(error, TOUCH_CUT, "bricks without bytes");
     if (error->code) return 0;
     out->own = (touch_symbols *)touch_take_zero(arena, 512 * out->list.count, sizeof *out->own);
     out->force = (float *)touch_take_zero(arena, 3 * 512 * out->list.count, 4);
@@ -1136,7 +1136,7 @@ static const touch_field *touch_next_field(touch_fields *f, touch_cursor *c, con
 /* Numbers of a code, `stride` outliers; those behind its end stay 0. */
 static void touch_read_numbers(touch_coder *b, touch_numbers *models, uint64_t count, uint64_t stride, int64_t *out) {
     for (uint64_t i = 0; i < count; i++) out[stride * i] = 0;
-    for (uint64_t i = 0; i < count && b->position <= b->size + 6; i++) out[stride * i] = touch_code_number(b, models, 0);
+    for (uint64_t i = 0; i < count && !touch_is_cut(b); i++) out[stride * i] = touch_code_number(b, models, 0);
 }
 
 static int64_t touch_wrapping_sum(int64_t a, int64_t b) { return (int64_t)((uint64_t)a + (uint64_t)b); }
@@ -1269,7 +1269,8 @@ static int touch_read_vibration(touch_cursor c, const touch_tables *tables, cons
         touch_vibrating *v = frames + i;
         if (!touch_code_set(&b, models, grid, i ? &v[-1].set : &none, &v->set, arena, error)) return 0;
         bricks += 16 + v->set.list.count;
-        if (bricks > 64 + 16 * b.size) return touch_fail(error, TOUCH_CUT, "more frames or bricks than the bytes may list");
+        if (bricks > touch_max_bricks(b.size))
+            return touch_fail(error, TOUCH_CUT, "more frames or bricks than the bytes may list");
         v->samples = 0;
         for (uint64_t k = 0; k < 512 * v->set.list.count; k++) v->samples += v->set.is_set[k];
         samples += v->samples;
@@ -1297,10 +1298,10 @@ static uint64_t touch_run_stop(const touch_list *list, uint64_t i, int bits) {
 static uint64_t touch_raster(const touch_set *set, uint64_t *key, uint32_t *index) {
     uint64_t count = 0, plane_stop, row_stop;
     for (uint64_t plane = 0; plane < set->list.count; plane = plane_stop) {
-        plane_stop = touch_run_stop(&set->list, plane, 42);
+        plane_stop = touch_run_stop(&set->list, plane, 2 * TOUCH_KEY_BITS);
         for (int x = 0; x < 8; x++)
             for (uint64_t row = plane; row < plane_stop; row = row_stop) {
-                row_stop = touch_run_stop(&set->list, row, 21);
+                row_stop = touch_run_stop(&set->list, row, TOUCH_KEY_BITS);
                 for (int y = 0; y < 8; y++)
                     for (uint64_t i = row; i < row_stop; i++) {
                         int32_t at[3];
@@ -1398,7 +1399,7 @@ enum {
    before and of a base layer together are bounded by all bytes. Exact frames list 4 bricks for a byte, of less than
    TOUCH_DECODED. */
 static uint64_t touch_frames_room(uint64_t lattice, uint64_t bytes) {
-    uint64_t decoded = touch_smaller(lattice, 64 + 16 * bytes), known = 192 + 16 * bytes - decoded;
+    uint64_t decoded = touch_smaller(lattice, touch_max_bricks(bytes)), known = 192 + 16 * bytes - decoded;
     return TOUCH_DECODED * decoded + TOUCH_KNOWN * touch_smaller(known, 2 * lattice) +
            TOUCH_TILE * touch_smaller(lattice, 64 + bytes);
 }
@@ -1661,7 +1662,7 @@ static const touch_tables *touch_tables_in(touch_arena *arena) {
 
 /* Bricks of a lattice that a code of so many bytes may list. */
 static uint64_t touch_listed_bricks(const touch_grid *grid, uint64_t frames, uint64_t size) {
-    uint64_t lattice = touch_brick_count(grid), most = 64 + 16 * size;
+    uint64_t lattice = touch_brick_count(grid), most = touch_max_bricks(size);
     return lattice < most / frames ? lattice * frames : most;
 }
 

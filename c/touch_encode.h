@@ -1856,7 +1856,7 @@ static uint64_t touch_units_room(uint64_t bricks) { return (512 * sizeof(touch_v
 
 /* A list of bricks while it is coded: boxes of a level, and maps of them and of both lists; a reader's keys. */
 static uint64_t touch_list_room(const touch_grid *grid, uint64_t bricks, uint64_t before, uint64_t bytes) {
-    uint64_t keys = touch_smaller(touch_brick_count(grid), touch_larger(bricks, 64 + 16 * bytes)) + 1;
+    uint64_t keys = touch_smaller(touch_brick_count(grid), touch_larger(bricks, touch_max_bricks(bytes))) + 1;
     return 8 * keys + 106 * (bricks + 1) + touch_map_room(8 * bricks) + touch_map_room(bricks) + touch_map_room(before);
 }
 

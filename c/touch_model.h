@@ -130,6 +130,7 @@ static void touch_brick_samples(const touch_grid *g, const int32_t brick[3], int
 /* -- bits: the arithmetic code (docs/format/bits.md) ----------------------------------------------------------------- */
 
 enum {
+    TOUCH_AHEAD_BYTES = 6,             /* that a reader reads before the first bit: `low` has 48 bits */
     TOUCH_MAX_LOGIT = 3071,            /* logistic scale: 1/256 from -12 to 12 */
     TOUCH_ONE_PROBABILITY = 1 << 22,   /* probabilities of contexts are in 1/2^22, */
     TOUCH_INITIAL_PROBABILITY = TOUCH_ONE_PROBABILITY / 2,
@@ -159,7 +160,7 @@ typedef struct { /* a range coder of 48 bits, in either direction */
     const uint8_t *data; /* that is read */
     uint8_t *out;        /* that is written; NULL: this coder reads */
     uint64_t size;       /* bytes of either */
-    uint64_t position;   /* bytes read or written; above `size` + 6 they ended too early, above `size` `out` is full */
+    uint64_t position;   /* bytes read (touch_is_cut: too many) or written (above `size` `out` is full) */
     uint64_t low, range; /* the interval; a reader's `low` is how far the code lies above its low end */
     const touch_tables *tables;
     touch_spent *spent;
@@ -172,7 +173,7 @@ static void touch_fill_tables(touch_tables *t) {
         uint64_t whole = ((uint64_t)1 << 31) + power, s = (((uint64_t)1 << 47) + (whole >> 1)) / whole;
         t->squash[TOUCH_MAX_LOGIT + i] = (uint16_t)(s > 65535 ? 65535 : s);
         t->squash[TOUCH_MAX_LOGIT - i] = (uint16_t)(65536 - s);
-        power = power * 2139111403u >> 31;
+        power = power * 2139111403u >> 31; /* times 2^31 e^(-1/256) */
     }
     for (int64_t i = 0; i < 4096; i++) {
         while (t->squash[n] < 16 * i + 8) n++;
@@ -186,8 +187,9 @@ static void touch_fill_tables(touch_tables *t) {
 static touch_coder touch_reading(const touch_cursor *c, const touch_tables *tables) {
     touch_coder b;
     memset(&b, 0, sizeof b);
-    b.data = c->at, b.size = (uint64_t)(c->end - c->at), b.position = 6, b.range = (uint64_t)1 << 48, b.tables = tables;
-    for (int i = 0; i < 6; i++) b.low = b.low << 8 | ((uint64_t)i < b.size ? b.data[i] : 0);
+    b.data = c->at, b.size = (uint64_t)(c->end - c->at), b.position = TOUCH_AHEAD_BYTES;
+    b.range = (uint64_t)1 << 8 * TOUCH_AHEAD_BYTES, b.tables = tables;
+    for (int i = 0; i < TOUCH_AHEAD_BYTES; i++) b.low = b.low << 8 | ((uint64_t)i < b.size ? b.data[i] : 0);
     return b;
 }
 
@@ -278,9 +280,13 @@ static int64_t touch_gamma(touch_coder *b, int max_digits, int64_t value) {
     return (int64_t)1 << digits | touch_even(b, digits, value);
 }
 
-/* Reading: an error if the bytes end before the code. */
+/* Reading: whether the bytes ended before the code. */
+static int touch_is_cut(const touch_coder *b) {
+    return !TOUCH_IS_WRITING(b) && b->position > b->size + TOUCH_AHEAD_BYTES;
+}
+
 static void touch_check(const touch_coder *b, touch_cursor *c) {
-    if (!TOUCH_IS_WRITING(b) && b->position > b->size + 6) touch_fail(c, TOUCH_CUT, "a code that ends too early");
+    if (touch_is_cut(b)) touch_fail(c, TOUCH_CUT, "a code that ends too early");
 }
 
 /* As touch_need for what a code contains: behind the end of the bytes any contradiction means that the code is cut. */
@@ -290,12 +296,21 @@ static int touch_need_coded(const touch_coder *b, touch_cursor *c, int holds, co
     return touch_fail(c, TOUCH_CORRUPT, what);
 }
 
-/* Bytes that a code of so many bricks has at least: a short code cannot ask for much memory. */
-static uint64_t touch_min_bytes(uint64_t bricks) { return bricks > 64 ? (bricks - 64 + 15) / 16 : 0; }
+enum { TOUCH_FREE_BRICKS = 64, TOUCH_BRICKS_PER_BYTE = 16 }; /* a code of n bytes lists at most 64 + 16 n bricks, */
+enum { TOUCH_FREE_TILES = 64 };                              /* and columns of it have at most 64 + n tiles */
+
+/* Bricks that a code of so many bytes may list: a short code cannot ask for much memory. */
+static uint64_t touch_max_bricks(uint64_t bytes) { return TOUCH_FREE_BRICKS + TOUCH_BRICKS_PER_BYTE * bytes; }
+
+/* Bytes that a code of so many bricks has at least. */
+static uint64_t touch_min_bytes(uint64_t bricks) {
+    uint64_t rounding = TOUCH_BRICKS_PER_BYTE - 1;
+    return bricks > TOUCH_FREE_BRICKS ? (bricks - TOUCH_FREE_BRICKS + rounding) / TOUCH_BRICKS_PER_BYTE : 0;
+}
 
 /* As touch_min_bytes, of columns: also by the tiles of their box. */
 static uint64_t touch_min_column_bytes(uint64_t tiles, uint64_t bricks) {
-    return touch_larger(tiles > 64 ? tiles - 64 : 0, touch_min_bytes(bricks));
+    return touch_larger(tiles > TOUCH_FREE_TILES ? tiles - TOUCH_FREE_TILES : 0, touch_min_bytes(bricks));
 }
 
 /* Reading: a code ends where its bytes do; zeros may follow until it has `min_bytes`. */
@@ -374,13 +389,17 @@ static void touch_sort(uint64_t *key, uint32_t *tag, uint64_t n) { /* ascending,
 }
 
 /* Positions of bricks, nodes or boxes as keys, in raster order; 21 bits an axis, shifted so that -1 and -2 are there. */
+enum { TOUCH_KEY_BITS = 21, TOUCH_KEY_SHIFT = 8 };
+
 static uint64_t touch_key(int64_t x, int64_t y, int64_t z) {
-    return (uint64_t)(x + 8) << 42 | (uint64_t)(y + 8) << 21 | (uint64_t)(z + 8);
+    return (uint64_t)(x + TOUCH_KEY_SHIFT) << 2 * TOUCH_KEY_BITS | (uint64_t)(y + TOUCH_KEY_SHIFT) << TOUCH_KEY_BITS |
+           (uint64_t)(z + TOUCH_KEY_SHIFT);
 }
 
 static void touch_position(uint64_t key, int32_t out[3]) {
-    out[0] = (int32_t)(key >> 42) - 8, out[1] = (int32_t)(key >> 21 & 0x1fffff) - 8;
-    out[2] = (int32_t)(key & 0x1fffff) - 8;
+    const uint64_t mask = ((uint64_t)1 << TOUCH_KEY_BITS) - 1;
+    out[0] = (int32_t)(key >> 2 * TOUCH_KEY_BITS) - TOUCH_KEY_SHIFT;
+    out[1] = (int32_t)(key >> TOUCH_KEY_BITS & mask) - TOUCH_KEY_SHIFT, out[2] = (int32_t)(key & mask) - TOUCH_KEY_SHIFT;
 }
 
 /* -- lists of bricks: an octree, coded level by level ---------------------------------------------------------------- */
@@ -481,7 +500,7 @@ static int touch_octree_level_make(touch_octree_level *l, const uint64_t *box, u
 static int touch_code_list(touch_coder *b, touch_list_models *m, const uint32_t shape[3], touch_list before,
                            touch_list *list, touch_arena *arena, touch_cursor *error) {
     uint64_t total = (uint64_t)((shape[0] + 7) >> 3) * ((shape[1] + 7) >> 3) * ((shape[2] + 7) >> 3), count = 0;
-    uint64_t max = TOUCH_IS_WRITING(b) ? list->count : 64 + 16 * b->size, *key;
+    uint64_t max = TOUCH_IS_WRITING(b) ? list->count : touch_max_bricks(b->size), *key;
     uint32_t longest = 0;
     touch_list target;
     target.key = 0, target.count = 0;
@@ -559,6 +578,9 @@ enum {
 /* The adaptive prediction (LMS). Features are in 1/256 of the step, weights in 1/2^16. */
 enum {
     TOUCH_FEATURES = 13,
+    TOUCH_FEATURE_SLOPE = 6,      /* the first of five */
+    TOUCH_FEATURE_REFERENCE = 11, /* the reference minus the mean */
+    TOUCH_FEATURE_CHANGE = 12,    /* what the neighbours have changed by since the reference */
     TOUCH_MAX_FEATURE = 16 * 256 - 1,  /* limits keep one outlier from spoiling the weights, and products in 63 bits */
     TOUCH_MAX_LMS_ERROR = 4 * 256 - 1, /* 1/256 steps */
     TOUCH_LMS_REGULARISATION = 32768,  /* added to the energy of the features: small features teach little */
@@ -849,7 +871,7 @@ static int64_t touch_mean(const touch_pass *p, const touch_voxel *v, int64_t mea
 }
 
 /* Features: what the mean may have to be corrected by, in 1/256 steps. 0 to 5: neighbours minus the mean, so that a
-   weight prefers one of them; 6 to 10: slopes between slots before, which continue to here; 11: the reference minus the
+   weight prefers one of them; 6 to 10: slopes between voxels before, which continue to here; 11: the reference minus the
    mean; 12: how the neighbours differ from their references, which this voxel is likely to do, too. */
 static void touch_features(const touch_pass *p, touch_voxel *v, const int64_t mean[3]) {
     static const int pair[5][2] = {{-TOUCH_DEEP, -2 * TOUCH_DEEP},
@@ -857,7 +879,7 @@ static void touch_features(const touch_pass *p, touch_voxel *v, const int64_t me
                                    {-TOUCH_LEFT, -TOUCH_DEEP - TOUCH_LEFT},
                                    {-TOUCH_LEFT, -TOUCH_UP - TOUCH_LEFT},
                                    {-TOUCH_UP, -TOUCH_UP - TOUCH_LEFT}};
-    int64_t(*f)[3] = v->feature;
+    int64_t(*f)[3] = v->feature, change[3] = {0, 0, 0};
     int shared = 0;
     memset(f, 0, sizeof v->feature);
     for (int n = 0; n < 6; n++) {
@@ -867,18 +889,21 @@ static void touch_features(const touch_pass *p, touch_voxel *v, const int64_t me
     }
     for (int n = 0; n < 5; n++) {
         int32_t to = p->decoded_at[v->here + pair[n][0]], from = p->decoded_at[v->here + pair[n][1]];
+        int64_t *slope = f[TOUCH_FEATURE_SLOPE + n];
         if (to >= 0 && from >= 0)
-            for (int k = 0; k < 3; k++) f[6 + n][k] = (int64_t)p->decoded[to].vector[k] - p->decoded[from].vector[k];
+            for (int k = 0; k < 3; k++) slope[k] = (int64_t)p->decoded[to].vector[k] - p->decoded[from].vector[k];
     }
     if (v->has_reference) {
         for (int n = 0; n < 3; n++) {
             int32_t at = p->reference_at[v->here + touch_before[n]], own[3];
             if (!v->neighbour[n] || at < 0) continue;
             touch_reference_at(p, at, own), shared++;
-            for (int k = 0; k < 3; k++) f[12][k] += v->neighbour[n]->vector[k] - own[k];
+            for (int k = 0; k < 3; k++) change[k] += v->neighbour[n]->vector[k] - own[k];
         }
-        for (int k = 0; k < 3; k++)
-            f[11][k] = v->reference[k] - mean[k], f[12][k] = touch_div(f[12][k], shared ? shared : 1);
+        for (int k = 0; k < 3; k++) {
+            f[TOUCH_FEATURE_REFERENCE][k] = v->reference[k] - mean[k];
+            f[TOUCH_FEATURE_CHANGE][k] = touch_div(change[k], shared ? shared : 1);
+        }
     }
     for (int n = 0; n < TOUCH_FEATURES; n++)
         for (int k = 0; k < 3; k++) f[n][k] = touch_clip_to((f[n][k] * v->inverse_step) >> 24, TOUCH_MAX_FEATURE);
