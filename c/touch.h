@@ -56,7 +56,7 @@ typedef struct {
     uint64_t size;
 } touch_bytes;
 
-typedef struct { /* the records of a file, held against each other */
+typedef struct { /* the records of a file, compared with each other */
     const uint8_t *data;
     uint64_t size;
     touch_grid grid;
@@ -100,7 +100,7 @@ typedef struct {
 touch_arena touch_arena_of(void *memory, uint64_t size);
 int touch_open(touch_file *file, const void *bytes, uint64_t size);
 /* Bytes that never are too few: for the arena of a decoder, and for that of a frame. They follow what the bytes of the
-   file may tell at most. What one file takes in truth is `peak` of an arena it was decoded with, and for a decoder also
+   file may code at most. What one file really takes is `peak` of an arena it was decoded with, and for a decoder also
    what bodies keep at the end of its arena, by which touch_start makes `size` smaller. */
 void touch_room(const touch_file *file, uint64_t *decoder, uint64_t *frame);
 int touch_start(touch_decoder *decoder, const touch_file *file, touch_arena arena);
@@ -209,14 +209,15 @@ static double touch_f64(touch_cursor *c) {
     return out;
 }
 
-static uint64_t touch_varint(touch_cursor *c, uint64_t least, uint64_t limit) {
+/* A whole number from `min` to below `stop`. */
+static uint64_t touch_varint(touch_cursor *c, uint64_t min, uint64_t stop) {
     uint64_t value = 0;
     for (int place = 0; place < 8; place++) {
         uint64_t byte = touch_u(c, 1);
         value |= (byte & 127) << (7 * place);
         if (byte < 128) {
             touch_need(c, byte || !place, "a varint that is not in its shortest form");
-            touch_need(c, least <= value && value < limit, "a number out of its bounds");
+            touch_need(c, min <= value && value < stop, "a number out of its bounds");
             return c->code ? 0 : value;
         }
     }
@@ -224,8 +225,8 @@ static uint64_t touch_varint(touch_cursor *c, uint64_t least, uint64_t limit) {
     return 0;
 }
 
-static touch_cursor touch_chunk(touch_cursor *c, uint64_t least) {
-    uint64_t n = touch_varint(c, least, (uint64_t)1 << 56);
+static touch_cursor touch_chunk(touch_cursor *c, uint64_t min_size) {
+    uint64_t n = touch_varint(c, min_size, (uint64_t)1 << 56);
     const uint8_t *at = touch_skip(c, n);
     return c->code ? touch_cursor_of(at, 0) : touch_cursor_of(at, n);
 }
@@ -302,9 +303,9 @@ static void touch_settle(touch_cursor *c) {
     if (c->code == TOUCH_CUT) c->code = TOUCH_CORRUPT;
 }
 
-static double touch_bounded(touch_cursor *c, double least, double most) {
+static double touch_bounded(touch_cursor *c, double min, double max) {
     double value = touch_f64(c);
-    touch_need(c, least <= value && value <= most, "a number out of its bounds");
+    touch_need(c, min <= value && value <= max, "a number out of its bounds");
     return value;
 }
 
@@ -466,7 +467,7 @@ static int touch_check_opening(touch_cursor *c, const uint8_t *data, uint64_t si
     return 1;
 }
 
-/* All records in their order; what each tells is held against the others. */
+/* All records in their order; what each states is compared with the others. */
 static void touch_walk(touch_file *f, touch_cursor *c) {
     uint32_t previous = 0, provenance_count = 0, segments = 0, first = 0, vibration[2] = {0, 0}, chain;
     int is_behind_segment = 0, has_vibration = 0, is_chained = 0;
@@ -1143,10 +1144,10 @@ static int64_t touch_wrapping_sum(int64_t a, int64_t b) { return (int64_t)((uint
 
 /* Poses within their limits: positions of 2^50 steps, and unit quaternions. */
 static int touch_check_poses(const int64_t *poses, uint32_t count, int64_t one, touch_cursor *error) {
-    const int64_t longest = (int64_t)1 << 50;
+    const int64_t max_position = (int64_t)1 << 50;
     for (uint32_t i = 0; i < 7 * (uint64_t)count; i++) {
-        int64_t limit = i % 7 < 3 ? longest : one;
-        if (!touch_need(error, -limit <= poses[i] && poses[i] <= limit, "a pose beyond its limit")) return 0;
+        int64_t max = i % 7 < 3 ? max_position : one;
+        if (!touch_need(error, touch_clip_to(poses[i], max) == poses[i], "a pose beyond its limit")) return 0;
     }
     for (uint32_t i = 0; i < count; i++) {
         int64_t squares = 0;
@@ -1227,7 +1228,7 @@ static int touch_read_body_poses(touch_decoder *d, touch_body *body, touch_curso
 }
 
 /* The bodies' part of a segment: all chunks, then poses into row `row` on, then fields of those that deform where they
-   are asked for. */
+   are requested. */
 static int touch_read_bodies(touch_decoder *d, uint32_t segment, int64_t row, int has_fields, touch_cursor *error) {
     touch_state *s = d->state;
     touch_entry e;
@@ -1318,30 +1319,32 @@ static uint64_t touch_raster(const touch_set *set, uint64_t *key, uint32_t *inde
     return count;
 }
 
+enum { TOUCH_MAX_VIBRATION_STEP = 159, TOUCH_MAX_HERTZ = 10000 };
+
 /* Values in place of differences. */
 static int touch_settle_vibration(touch_vibrating *frames, uint32_t count, touch_arena *arena, touch_cursor *error) {
-    uint64_t mark = arena->used, most = 0;
+    uint64_t mark = arena->used, max_samples = 0;
     uint64_t *key[2];
     for (uint32_t i = 0; i < count; i++)
-        if (frames[i].samples > most) most = frames[i].samples;
-    key[0] = (uint64_t *)touch_take(arena, most, 8), key[1] = (uint64_t *)touch_take(arena, most, 8);
-    uint32_t *tag = (uint32_t *)touch_take(arena, most, 4);
+        max_samples = touch_larger(max_samples, frames[i].samples);
+    key[0] = (uint64_t *)touch_take(arena, max_samples, 8), key[1] = (uint64_t *)touch_take(arena, max_samples, 8);
+    uint32_t *tag = (uint32_t *)touch_take(arena, max_samples, 4);
     if (!key[0] || !key[1] || !tag) return touch_fail(error, TOUCH_MEMORY, "no room for a vibration");
     for (uint32_t frame = 0; frame < count; frame++) {
         touch_vibrating *v = frames + frame;
-        const uint64_t *own = key[frame & 1], *old = key[!(frame & 1)];
+        const uint64_t *own = key[frame & 1], *previous = key[!(frame & 1)];
         touch_raster(&v->set, key[frame & 1], tag);
         for (uint32_t n = 0; n < 2; n++) {
             uint64_t at = 0;
             for (uint64_t i = 0; i < v->samples; i++) {
                 int64_t from = i ? v->value[n][i - 1] : 0;
                 if (frame) {
-                    while (at < v[-1].samples && old[at] < own[i]) at++;
-                    if (at < v[-1].samples && old[at] == own[i]) from = v[-1].value[n][at];
+                    while (at < v[-1].samples && previous[at] < own[i]) at++;
+                    if (at < v[-1].samples && previous[at] == own[i]) from = v[-1].value[n][at];
                 }
                 v->value[n][i] = touch_wrapping_sum(v->value[n][i], from);
-                if (!touch_need(error, v->value[n][i] >= (int64_t)n && v->value[n][i] <= (n ? 10000 : 159),
-                                "a vibration beyond its limit"))
+                int64_t max = n ? TOUCH_MAX_HERTZ : TOUCH_MAX_VIBRATION_STEP, value = v->value[n][i];
+                if (!touch_need(error, value >= (int64_t)n && value <= max, "a vibration beyond its limit"))
                     return 0;
             }
         }
@@ -1379,9 +1382,9 @@ static const touch_field *touch_vibration_field(touch_decoder *d, const touch_vi
 /* -- the decoder ----------------------------------------------------------------------------------------------------- */
 
 /* Bricks that the fields of some frames may list at most: 16 for a byte of a code. Those of outliers take two bytes. */
-static uint64_t touch_most_bricks(uint64_t lattice, uint64_t bytes, uint64_t frames) {
-    uint64_t most = 64 * frames + 16 * bytes;
-    return lattice < most / frames ? lattice * frames : most;
+static uint64_t touch_bricks_of_bytes(uint64_t lattice, uint64_t bytes, uint64_t frames) {
+    uint64_t max = 64 * frames + 16 * bytes;
+    return lattice < max / frames ? lattice * frames : max;
 }
 
 /* Bytes of models; of each brick: of a field that stays, of a frame while it is decoded (vectors 6144, cells 16384, keys and
@@ -1407,7 +1410,7 @@ static uint64_t touch_frames_room(uint64_t lattice, uint64_t bytes) {
 void touch_body_room(const touch_grid *grid, touch_bytes body, uint64_t *decoder, uint64_t *frame) {
     uint64_t lattice = touch_brick_count(grid);
     *decoder = TOUCH_FIXED + touch_frames_room(lattice, body.size);
-    *frame = 4096 + TOUCH_KEPT * touch_most_bricks(lattice, body.size, 1);
+    *frame = 4096 + TOUCH_KEPT * touch_bricks_of_bytes(lattice, body.size, 1);
 }
 
 void touch_room(const touch_file *file, uint64_t *decoder, uint64_t *frame) {
@@ -1419,19 +1422,19 @@ void touch_room(const touch_file *file, uint64_t *decoder, uint64_t *frame) {
         touch_record r = touch_read_record(&at, file->data, 0);
         if (r.tag == TOUCH_OBJT && !at.code) {
             touch_object o = touch_read_object(&r.payload);
-            uint64_t lattice = touch_brick_count(&o.grid), most = touch_most_bricks(lattice, r.length, 1);
+            uint64_t lattice = touch_brick_count(&o.grid), listed = touch_bricks_of_bytes(lattice, r.length, 1);
             if (o.is_deforming) deforming += lattice, bodies++;
-            else rigid += most, work = touch_larger(work, touch_frames_room(lattice, r.length));
+            else rigid += listed, work = touch_larger(work, touch_frames_room(lattice, r.length));
         } else if ((r.tag == TOUCH_SEGM || r.tag == TOUCH_VIBR) && !at.code) {
             touch_u(&r.payload, 4);
             uint64_t count = touch_u(&r.payload, 2);
             frames = touch_larger(frames, count);
-            if (r.tag == TOUCH_VIBR) vibrating = touch_larger(vibrating, touch_most_bricks(bricks, r.length, count));
+            if (r.tag == TOUCH_VIBR) vibrating = touch_larger(vibrating, touch_bricks_of_bytes(bricks, r.length, count));
             else if (!has_bodies) {
-                field = touch_larger(field, touch_most_bricks(bricks, r.length, 1));
+                field = touch_larger(field, touch_bricks_of_bytes(bricks, r.length, 1));
                 work = touch_larger(work, touch_frames_room(bricks, r.length));
             } else if (bodies > 1) {
-                segment = touch_larger(segment, touch_most_bricks(deforming, r.length, (bodies - 1) * count));
+                segment = touch_larger(segment, touch_bricks_of_bytes(deforming, r.length, (bodies - 1) * count));
                 work = touch_larger(work, touch_frames_room(deforming, r.length));
             }
         }
@@ -1662,8 +1665,8 @@ static const touch_tables *touch_tables_in(touch_arena *arena) {
 
 /* Bricks of a lattice that a code of so many bytes may list. */
 static uint64_t touch_listed_bricks(const touch_grid *grid, uint64_t frames, uint64_t size) {
-    uint64_t lattice = touch_brick_count(grid), most = touch_max_bricks(size);
-    return lattice < most / frames ? lattice * frames : most;
+    uint64_t lattice = touch_brick_count(grid), max = touch_max_bricks(size);
+    return lattice < max / frames ? lattice * frames : max;
 }
 
 uint64_t touch_support_room(const touch_grid *grid, uint64_t size, uint64_t bricks_before) {

@@ -926,7 +926,8 @@ static void touch_predict_adaptive(touch_pass *p, touch_voxel *v) {
     for (int k = 0; k < 3; k++) v->adaptive[k] = touch_clip_component(mean[k] + (((sum[k] >> 16) * step) >> 8));
 }
 
-/* Whether the reference is more than a step off at the deep neighbour: then it is off here, too. */
+/* Whether the reference is more than a step off at the deep neighbour: then it is off here, too. One neighbour is enough:
+   deep is along the slowest axis, which the scan aligns with the largest force. */
 static int touch_is_reference_off(const touch_pass *p, const touch_voxel *v) {
     int32_t at = p->reference_at[v->here - TOUCH_DEEP], own[3];
     int64_t square = 0, step;
