@@ -592,7 +592,7 @@ static int touch_find_axis(const touch_source *frame, int *axis, int *is_inverte
     *axis = fabs(total[1]) > fabs(total[0]) ? 1 : 0;
     if (fabs(total[2]) > fabs(total[*axis])) *axis = 2;
     *is_inverted = total[*axis] > 0;
-    return !(fabs(total[*axis]) < 0.4 * size);
+    return !(fabs(total[*axis]) < 0.4 * size); /* else forces point in all directions */
 }
 
 /* The box of columns of a frame: 1; 0 if it has no main axis, few of its tiles reach the inner border of the grid (what
@@ -1297,18 +1297,19 @@ static int touch_fit_base_layer(touch_writer *w, const touch_source *frame, cons
 static int touch_code_best(touch_writer *w, const touch_source *frame, int is_inter, double inter_fraction,
                            const touch_spline_fit *splines, touch_layer *layer, touch_coded *best, touch_cursor *error) {
     const double bit_price = 0.1, min_gain = 0.03; /* of a bit, in squared steps; of a base layer in a frame's bytes */
+    const double good_inter = 0.8, good_layer = 0.85; /* fractions of voxels within the bound: nothing else is tried */
     const touch_models *models = is_inter ? w->models : w->fresh;
     touch_units none, *references[2];
     touch_coded coded[2];
     double cost[2];
     int count = 0, index;
     memset(&none, 0, sizeof none), memset(layer, 0, sizeof *layer);
-    if (w->tries_base_layers && inter_fraction < 0.8) {
+    if (w->tries_base_layers && inter_fraction < good_inter) {
         if (!touch_fit_base_layer(w, frame, splines, layer, error)) return 0;
         if (!(layer->fraction > inter_fraction)) layer->bytes.size = 0;
     }
     if (layer->bytes.size) references[count++] = &layer->units;
-    if (!layer->bytes.size || layer->fraction < 0.85 || w->options.mode == TOUCH_NMSE)
+    if (!layer->bytes.size || layer->fraction < good_layer || w->options.mode == TOUCH_NMSE)
         references[count++] = is_inter ? &w->previous : &none;
     for (int n = 0; n < count; n++) {
         if (!touch_code_frame(&w->grid, &w->steps, &w->tables, &w->bound, frame, references[n], models, coded + n,
@@ -1335,6 +1336,7 @@ int touch_encode_next(touch_encoder *encoder, const touch_source *frame, const t
     touch_cursor error = touch_cursor_of(0, 0);
     touch_layer layer;
     touch_coded best;
+    const double min_inter = 0.1; /* fraction of voxels that the frame before predicts within the bound */
     double inter_fraction = 0.0;
     int is_inter = 0;
     const touch_source *source = coded ? coded : frame;
@@ -1344,7 +1346,7 @@ int touch_encode_next(touch_encoder *encoder, const touch_source *frame, const t
     if (w->frames && w->options.interframe == TOUCH_INTER_AUTO)
         inter_fraction = touch_fraction_within(w, source, &w->previous, &w->work);
     if (inter_fraction < 0) touch_fail(&error, TOUCH_MEMORY, "no room for a frame");
-    if (w->frames) is_inter = w->options.interframe == TOUCH_INTER_ON || inter_fraction >= 0.1;
+    if (w->frames) is_inter = w->options.interframe == TOUCH_INTER_ON || inter_fraction >= min_inter;
     if (!error.code && touch_code_best(w, source, is_inter, inter_fraction, splines, &layer, &best, &error) &&
         touch_put_frame(w, frame, is_inter, &layer.bytes, &best, &error)) {
         uint64_t count = best.units.list.count;
