@@ -454,7 +454,8 @@ static void touch_choose_residual(const touch_pass *p, touch_voxel *v) {
     const double bits_a_step = 0.3; /* estimated cost of a component: 1 if it is not zero, and so much for each step */
     double target[3], best = HUGE_VAL; /* the force along the axes of the residual */
     for (int k = 0; k < 3; k++)
-        target[k] = (f[0] * (double)v->basis[k][0] + f[1] * (double)v->basis[k][1] + f[2] * (double)v->basis[k][2]) / TOUCH_ONE;
+        target[k] = (f[0] * (double)v->basis[k][0] + f[1] * (double)v->basis[k][1] + f[2] * (double)v->basis[k][2]) /
+                    (double)TOUCH_ONE;
     int64_t position = touch_step_position(p->steps, touch_round(fabs(target[0])));
     int64_t nearest = (int64_t)rint((double)((target[0] >= 0 ? position : -position) - v->centre_position) / 256.0);
     v->residual[0] = v->residual[1] = v->residual[2] = 0;
