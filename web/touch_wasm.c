@@ -94,7 +94,7 @@ static uint32_t read_start(touch_file *f, touch_cursor *c) {
         if (at.code) touch_fail(c, at.code, at.what);
         else if (!touch_need(c, (r.tag == TOUCH_HEAD) == !records++, "records in another order")) break;
         else if (r.tag == TOUCH_HEAD) touch_read_head(f, &r.payload);
-        else if (r.tag == TOUCH_PROV && touch_need(c, !provenances++, "PROV twice")) touch_read_story(&r.payload);
+        else if (r.tag == TOUCH_PROV && touch_need(c, !provenances++, "PROV twice")) touch_read_provenance(&r.payload);
         else if (r.tag == TOUCH_OBJT && touch_need(c, f->object_count++ < 4096, "too many OBJT")) touch_read_object(&r.payload);
         else if (r.tag == TOUCH_VIBR && touch_need(c, !vibrations++, "VIBR twice")) check_vibration(&r, &e, c);
         else if (touch_is_known(r.tag)) touch_fail(c, TOUCH_CORRUPT, "records in another order");
