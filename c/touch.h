@@ -583,7 +583,7 @@ static int touch_read_frame(touch_cursor c, const touch_grid *grid, const touch_
     if (!touch_code_list(&coder, &models->list, grid->shape, reference->list, &out->list, arena, error)) return 0;
     touch_check(&coder, error);
     if (error->code) return 0;
-    out->v = (touch_vector *)touch_take_zero(arena, 512 * out->list.count, sizeof *out->v);
+    out->v = (touch_int_vector *)touch_take_zero(arena, 512 * out->list.count, sizeof *out->v);
     if (!out->v) return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
     uint64_t mark = arena->used;
     if (!touch_code_bricks(p, grid, out, arena, error)) return 0;
@@ -611,7 +611,7 @@ static int touch_read_spline(touch_cursor c, const touch_grid *grid, const touch
     if (!touch_code_list(&coder, &models->list, grid->shape, none, &out->list, arena, error)) return 0;
     touch_check(&coder, error);
     if (!touch_need(error, out->list.count > 0, "a base layer without bricks")) return 0;
-    out->v = (touch_vector *)touch_take_zero(arena, 512 * out->list.count, sizeof *out->v);
+    out->v = (touch_int_vector *)touch_take_zero(arena, 512 * out->list.count, sizeof *out->v);
     uint64_t mark = arena->used;
     if (!out->v || !touch_nodes_of(&nodes, head.shift, out->list, arena))
         return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
@@ -1129,7 +1129,7 @@ static const touch_field *touch_next_field(touch_fields *f, touch_cursor *c, con
         field = touch_make_field(f, parts.outliers, out, arena, error);
         arena->used = mark;
         f->units.list.key = (uint64_t *)touch_keep(arena, next.list.key, 8 * next.list.count);
-        f->units.v = (touch_vector *)touch_keep(arena, next.v, 512 * next.list.count * sizeof *next.v);
+        f->units.v = (touch_int_vector *)touch_keep(arena, next.v, 512 * next.list.count * sizeof *next.v);
     }
     return field;
 }

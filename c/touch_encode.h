@@ -537,7 +537,7 @@ static int touch_code_frame(const touch_grid *grid, const touch_steps *steps, co
     touch_coder coder;
     memset(out, 0, sizeof *out);
     out->models = (touch_models *)touch_take(arena, 1, sizeof *out->models);
-    out->units.v = (touch_vector *)touch_take_zero(arena, 512 * frame->bricks, sizeof *out->units.v);
+    out->units.v = (touch_int_vector *)touch_take_zero(arena, 512 * frame->bricks, sizeof *out->units.v);
     out->units.list.key = touch_source_keys(frame, arena), out->units.list.count = frame->bricks;
     if (!target || !p || !out->models || !out->units.v || !out->units.list.key ||
         !touch_sink_open(&out->payload, (frame->bricks + 1) * TOUCH_BRICK_BYTES, arena))
@@ -726,7 +726,7 @@ static double touch_unit_of(double u[3]) {
     return length;
 }
 
-static double touch_dot(const double a[3], const double b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+static double touch_inner_product(const double a[3], const double b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
 /* A sample of the column, or of what the first surface leaves. */
 static void touch_column_sample(const struct touch_column_fit *f, int is_rest, int64_t t, double out[3]) {
@@ -750,7 +750,7 @@ static double touch_ramp_start(const struct touch_column_fit *f, int is_rest, co
     double total = 0, weight = 0, d[3];
     for (int64_t t = start; t < stop; t++) {
         touch_column_sample(f, is_rest, t, d);
-        double fraction = touch_dot(d, u) / amplitude;
+        double fraction = touch_inner_product(d, u) / amplitude;
         if (0.0 < fraction && fraction < 0.97) total += f->weight[t] * ((double)t - fraction / slope), weight += f->weight[t];
     }
     return weight > 0 ? total / weight : (double)start - 0.5;
@@ -785,7 +785,7 @@ static double touch_fit_cut(struct touch_column_fit *f, int64_t depth, int64_t c
     double u[3], v[3], growth, amplitude = 0, cost = 0, before[3], after[3];
     touch_direction(f, 0, f->first, cut, u);
     touch_column_sample(f, 0, f->first + 1, before), touch_column_sample(f, 0, cut - 1, after);
-    growth = (touch_dot(after, u) - touch_dot(before, u)) / (double)(cut - f->first - 2);
+    growth = (touch_inner_product(after, u) - touch_inner_product(before, u)) / (double)(cut - f->first - 2);
     if (u[2] > 0.05) amplitude = growth / (f->ramp * u[2]);
     if (amplitude < 0.01 * f->top || amplitude > 1.5 * f->top) return -1;
     double start = touch_ramp_start(f, 0, u, amplitude, f->ramp * u[2], f->first, cut);
@@ -802,7 +802,7 @@ static double touch_fit_cut(struct touch_column_fit *f, int64_t depth, int64_t c
         double fraction = ((double)t - start_behind) * f->ramp * v[2], e[3];
         double size = behind * (fraction < 0 ? 0.0 : fraction > 1 ? 1.0 : fraction);
         for (int n = 0; n < 3; n++) e[n] = f->rest[t][n] - size * v[n];
-        double error = touch_dot(e, e) * f->weight[t];
+        double error = touch_inner_product(e, e) * f->weight[t];
         cost += error < 4.0 ? error : 4.0;
     }
     touch_set_fit(one, u, start, amplitude), touch_set_fit(two, v, start_behind, behind);
@@ -964,7 +964,7 @@ static int touch_put_spline(const touch_grid *grid, const touch_tables *tables, 
     none.key = 0, none.count = 0, head.step = spline->step;
     for (int n = 0; n < 3; n++) head.shift[n] = spline->shift[n], head.scale[n] = spline->scale[n];
     out->list.key = touch_source_keys(frame, arena), out->list.count = frame->bricks;
-    out->v = (touch_vector *)touch_take_zero(arena, 512 * frame->bricks, sizeof *out->v);
+    out->v = (touch_int_vector *)touch_take_zero(arena, 512 * frame->bricks, sizeof *out->v);
     if (!models || !out->list.key || !out->v || !touch_nodes_of(&nodes, head.shift, out->list, arena) ||
         !touch_sink_open(s, touch_spline_bytes(frame->bricks, nodes.count), arena))
         return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
@@ -1150,7 +1150,7 @@ int touch_encode_move(touch_encoder *encoder, touch_arena work) {
     w->fresh = (touch_models *)touch_moved(w->fresh, from, to);
     w->steps.border = (int32_t *)touch_moved(w->steps.border, from, to);
     w->previous.list.key = (uint64_t *)touch_moved(w->previous.list.key, from, to);
-    w->previous.v = (touch_vector *)touch_moved(w->previous.v, from, to);
+    w->previous.v = (touch_int_vector *)touch_moved(w->previous.v, from, to);
     w->work = work, w->mark = work.used - behind, encoder->error = "";
     return TOUCH_OK;
 }
@@ -1255,7 +1255,7 @@ static void touch_keep_layer(touch_layer *layer, touch_arena *arena) {
     touch_units *u = &layer->units;
     uint64_t count = u->list.count;
     u->list.key = (uint64_t *)touch_keep(arena, u->list.key, 8 * count);
-    u->v = (touch_vector *)touch_keep(arena, u->v, 512 * count * sizeof *u->v);
+    u->v = (touch_int_vector *)touch_keep(arena, u->v, 512 * count * sizeof *u->v);
     layer->bytes.bytes = (uint8_t *)touch_keep(arena, layer->bytes.bytes, layer->bytes.size);
 }
 
@@ -1353,7 +1353,7 @@ int touch_encode_next(touch_encoder *encoder, const touch_source *frame, const t
         uint64_t count = best.units.list.count;
         memcpy(w->models, best.models, sizeof *w->models);
         w->work.used = w->mark; /* the frame moves down, over what is no longer needed */
-        w->previous.v = (touch_vector *)touch_keep(&w->work, best.units.v, 512 * count * sizeof *best.units.v);
+        w->previous.v = (touch_int_vector *)touch_keep(&w->work, best.units.v, 512 * count * sizeof *best.units.v);
         w->previous.list.key = (uint64_t *)touch_keep(&w->work, best.units.list.key, 8 * count);
         w->previous.list.count = count, w->frames++;
     }
@@ -1855,7 +1855,7 @@ static uint64_t touch_map_room(uint64_t count) {
 }
 
 /* A frame in units. */
-static uint64_t touch_units_room(uint64_t bricks) { return (512 * sizeof(touch_vector) + 8) * bricks; }
+static uint64_t touch_units_room(uint64_t bricks) { return (512 * sizeof(touch_int_vector) + 8) * bricks; }
 
 /* A list of bricks while it is coded: boxes of a level, and maps of them and of both lists; a reader's keys. */
 static uint64_t touch_list_room(const touch_grid *grid, uint64_t bricks, uint64_t before, uint64_t bytes) {

@@ -536,11 +536,11 @@ static int touch_code_list(touch_coder *b, touch_list_models *m, const uint32_t 
 
 typedef struct {
     int32_t v[3];
-} touch_vector;
+} touch_int_vector;
 
 typedef struct { /* vectors in units, 512 a brick, in the order of the grid; (0, 0, 0): none there */
     touch_list list;
-    touch_vector *v;
+    touch_int_vector *v;
 } touch_units;
 
 typedef struct { /* a decoded voxel that is supported, in the order of the scan */
@@ -1258,10 +1258,10 @@ static void touch_code_brick(touch_pass *p, int64_t slot, const int low[3], cons
 }
 
 /* Cells of a brick as vectors of the grid. */
-static void touch_unscan(const touch_scan *s, const touch_decoded *decoded, touch_vector *out) {
+static void touch_unscan(const touch_scan *s, const touch_decoded *decoded, touch_int_vector *out) {
     for (int n = 0; n < 512; n++) {
         if (!decoded[n].length) continue;
-        touch_vector *v = out + touch_grid_sample(s, n >> 6, n >> 3 & 7, n & 7);
+        touch_int_vector *v = out + touch_grid_sample(s, n >> 6, n >> 3 & 7, n & 7);
         for (int k = 0; k < 3; k++) v->v[s->axis[k]] = s->sign[k] * decoded[n].vector[k];
     }
 }
@@ -1454,7 +1454,7 @@ static void touch_corners(const touch_nodes *nodes, const int32_t brick[3], cons
 }
 
 /* Forces of a brick: the depth against its gradient, but shorter where the potential has a fold. */
-static void touch_spline_brick(int64_t v[9][9][9], const int64_t scale[3], const int high[3], touch_vector *out) {
+static void touch_spline_brick(int64_t v[9][9][9], const int64_t scale[3], const int high[3], touch_int_vector *out) {
     for (int x = 0; x < high[0]; x++)
         for (int y = 0; y < high[1]; y++)
             for (int z = 0; z < high[2]; z++) {
@@ -1782,7 +1782,7 @@ static void touch_fill_column(const touch_columns *columns, const touch_column *
             int64_t fraction = touch_ramp(columns, own->surface + s, t);
             for (int n = 0; n < 3; n++) sum[n] += fraction * deep[s][n];
         }
-        touch_vector *v = out->v + 512 * slot + 64 * (at[0] & 7) + 8 * (at[1] & 7) + (at[2] & 7);
+        touch_int_vector *v = out->v + 512 * slot + 64 * (at[0] & 7) + 8 * (at[1] & 7) + (at[2] & 7);
         for (int n = 0; n < 3; n++) sum[n] = touch_clip_component(sum[n] >> 16);
         v->v[box->across[0]] = (int32_t)sum[0], v->v[box->across[1]] = (int32_t)sum[1];
         v->v[box->axis] = (int32_t)(box->is_inverted ? sum[2] : -sum[2]);
@@ -1825,7 +1825,7 @@ static int touch_fill_columns(const touch_columns *columns, uint64_t max, touch_
         if (!out->list.key) return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
     }
     uint32_t *tag = (uint32_t *)touch_take_zero(arena, out->list.count, 4);
-    out->v = (touch_vector *)touch_take_zero(arena, 512 * out->list.count, sizeof *out->v);
+    out->v = (touch_int_vector *)touch_take_zero(arena, 512 * out->list.count, sizeof *out->v);
     if (!start || !tag || !out->v || !touch_map_make(&map, out->list.count, arena))
         return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
     touch_sort(out->list.key, tag, out->list.count);

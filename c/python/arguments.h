@@ -134,6 +134,45 @@ static inline void release_arrays(buffer_list *list) {
     memset(list, 0, sizeof *list);
 }
 
+/* -- arguments of functions that are called for each point or tick (METH_FASTCALL) ------------------------------------- */
+
+/* A function of such arguments, as a table of methods has it. */
+#define FAST_FUNCTION(function) ((PyCFunction)(void (*)(void))(function))
+
+/* 0: an error is raised. */
+static inline int expect_arguments(Py_ssize_t count, Py_ssize_t expected) {
+    return count == expected || refuse(TOUCH_ARGUMENT, "another number of arguments");
+}
+
+/* `count` numbers; 0: an error is raised. */
+static inline int read_doubles(PyObject *const *arguments, int count, double *to) {
+    for (int n = 0; n < count; n++) {
+        to[n] = PyFloat_AsDouble(arguments[n]);
+        if (to[n] == -1.0 && PyErr_Occurred()) return 0;
+    }
+    return 1;
+}
+
+static inline int read_integers(PyObject *const *arguments, int count, int64_t *to) {
+    for (int n = 0; n < count; n++) {
+        to[n] = PyLong_AsLongLong(arguments[n]);
+        if (to[n] == -1 && PyErr_Occurred()) return 0;
+    }
+    return 1;
+}
+
+/* A tuple of numbers; NULL: an error is raised. */
+static inline PyObject *tuple_of(const double *numbers, Py_ssize_t count) {
+    PyObject *tuple = PyTuple_New(count);
+    for (Py_ssize_t n = 0; tuple && n < count; n++) {
+        PyObject *number = PyFloat_FromDouble(numbers[n]);
+        if (number && !PyTuple_SetItem(tuple, n, number)) continue;
+        Py_DecRef(tuple);
+        return NULL;
+    }
+    return tuple;
+}
+
 /* -- results --------------------------------------------------------------------------------------------------------- */
 
 /* A bytes object to be written, and where; NULL: an error is raised. */

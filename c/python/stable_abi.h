@@ -48,9 +48,12 @@ typedef struct {
 } Py_buffer;
 
 #define PyBUF_SIMPLE 0
+#define PyBUF_WRITABLE 0x0001
 
 #define METH_VARARGS 0x0001
+#define METH_NOARGS 0x0004
 #define METH_O 0x0008
+#define METH_FASTCALL 0x0080
 
 typedef struct {
     PyObject ob_base;
@@ -94,8 +97,13 @@ PYTHON_IMPORT PyObject *PySequence_GetItem(PyObject *sequence, Py_ssize_t index)
 PYTHON_IMPORT PyObject *PyList_New(Py_ssize_t size);
 PYTHON_IMPORT int PyList_SetItem(PyObject *list, Py_ssize_t index, PyObject *item);
 PYTHON_IMPORT PyObject *PyLong_FromUnsignedLongLong(unsigned long long number);
+PYTHON_IMPORT PyObject *PyLong_FromLongLong(long long number);
+PYTHON_IMPORT long long PyLong_AsLongLong(PyObject *number);
+PYTHON_IMPORT PyObject *PyTuple_New(Py_ssize_t size);
+PYTHON_IMPORT int PyTuple_SetItem(PyObject *tuple, Py_ssize_t index, PyObject *item);
 PYTHON_IMPORT PyObject *PyBool_FromLong(long value);
 PYTHON_IMPORT double PyFloat_AsDouble(PyObject *number);
+PYTHON_IMPORT PyObject *PyFloat_FromDouble(double number);
 PYTHON_IMPORT PyObject *PyCapsule_New(void *pointer, const char *name, void (*destructor)(PyObject *));
 PYTHON_IMPORT void *PyCapsule_GetPointer(PyObject *capsule, const char *name);
 PYTHON_IMPORT void PyErr_SetString(PyObject *type, const char *message);

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from receiver_values import value_of
 
+from touchfield.compute.native import native
 from touchfield.devices import device
 from touchfield.medium import ForceField
 from touchfield.medium.cells import CellPool
 from touchfield.pipeline.preparation import prepare
 from touchfield.pipeline.spec import EncodeSpec
-from touchfield.render.block import Memory, words as W
-from touchfield.render.block.frames import FramePart, field_words, frame_words, write_field, write_frame
-from touchfield.render.kernels.tick import tick
+from touchfield.render.block import Memory, layout
+from touchfield.render.block.frames import FramePart, field_bytes, frame_bytes, write_field, write_frame
 from touchfield.render.spec import RenderSpec, wall_of, write_parameters
 from touchfield.sources.shapes.analytic_scene import AnalyticScene
 from touchfield.sources.shapes.shapes import Shape
@@ -46,43 +48,47 @@ class Held:
         stiffness: float | None = None,
     ) -> None:
         self.field, pool = field, CellPool.of(field)
-        at = W.FREE + field_words(pool)
-        self.frames = [at + n * frame_words(1) for n in range(max(1, len(poses)))]
-        self.memory = Memory.empty(self.frames[-1] + frame_words(1))
-        write_field(self.memory, W.FREE, pool)
+        start = layout.RECEIVER.itemsize
+        first = start + field_bytes(pool)
+        self.frames = [first + n * frame_bytes(1) for n in range(max(1, len(poses)))]
+        self.memory = Memory.empty(self.frames[-1] + frame_bytes(1))
+        write_field(self.memory, start, pool)
         for n, frame in enumerate(self.frames):
             write_frame(
                 self.memory,
                 frame,
-                [FramePart(W.FREE, *poses[n]) if poses else FramePart.voxels(W.FREE)],
+                [FramePart(start, *poses[n]) if poses else FramePart.voxels(start)],
                 np.inf,
                 0,
             )
         spec = RenderSpec(slew_n_per_s=1e9, ramp_s=DT_S, render="field")
         write_parameters(self.memory, spec, STRONG, mu, damping, STRONG.axes)
-        wall, f8 = wall_of(field), self.memory.f8
+        wall, settings = wall_of(field), self.memory.receiver["settings"]
         assert wall is not None
         self.wall = wall if stiffness is None else replace(wall, stiffness_n_per_m=stiffness)
         if is_proxy:
-            f8[W.WALL], f8[W.WALL_LEVEL] = self.wall.stiffness_n_per_m, self.wall.level_n
+            settings["wall_n_per_m"], settings["wall_level_n"] = (
+                self.wall.stiffness_n_per_m,
+                self.wall.level_n,
+            )
             spacing = (min(wall.spacing_m),) * 3 if poses else wall.spacing_m
-            f8[W.WALL_SPACING : W.WALL_SPACING + 3] = spacing
+            settings["wall_spacing_m"] = spacing
         self.at = 0.0
 
     def tick(self, hand: Vector) -> Vector:
         """The force on a hand, newtons; `at` selects the poses to interpolate."""
         n = min(int(self.at), len(self.frames) - 1)
         following, blend = self.frames[min(n + 1, len(self.frames) - 1)], float(self.at - n)
-        return np.array(tick(*self.memory.views, self.frames[n], following, blend, *map(float, hand), DT_S))
+        return np.array(native.tick(self.memory.bytes, self.frames[n], following, blend, *hand, DT_S))
 
-    def word(self, place: int, count: int = 3) -> Vector:
-        """A copy of words of the state."""
-        return self.memory.f8[place : place + count].copy()
+    def value(self, path: str) -> Any:
+        """A copy of a value of the receiver, such as "state.friction_n"."""
+        return value_of(self.memory, path)
 
     @property
     def proxy_m(self) -> Vector:
         """Position of the proxy."""
-        return self.word(W.PROXY)
+        return np.asarray(self.value("state.proxy.position_m"))
 
     def pushed(
         self,

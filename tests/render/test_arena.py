@@ -10,55 +10,69 @@ from player_makers import numbered_medium
 
 from touchfield.devices import device
 from touchfield.errors import InvalidArgument
-from touchfield.render.block import PREFIX, Block, Layout, Memory, Ring, check_fits, shared_folder, words as W
-from touchfield.render.feeder import FrameSource, arena_word_count
+from touchfield.render.block import (
+    PREFIX,
+    Block,
+    Layout,
+    Memory,
+    Ring,
+    aligned,
+    check_fits,
+    layout,
+    shared_folder,
+)
+from touchfield.render.feeder import FrameSource, arena_bytes
 from touchfield.render.player import Session, ramp_limit_s
 from touchfield.render.spec import RenderSpec
 
+LINE = aligned(1)  # bytes of a cache line, where every frame starts
+
 
 @given(st.integers(20, 60), st.lists(st.tuples(st.integers(1, 25), st.integers(0, 3)), max_size=40))
-def test_allocations_never_overlap(word_count: int, turns: list[tuple[int, int]]) -> None:
-    ring, allocated = Ring(100, word_count), {}
+def test_allocations_never_overlap(line_count: int, turns: list[tuple[int, int]]) -> None:
+    ring, allocated = Ring(100, LINE * line_count), {}
     for frame, (size, stored_frames) in enumerate(turns):
         ring.free_before(frame - stored_frames)
         allocated = {n: piece for n, piece in allocated.items() if n >= frame - stored_frames}
+        size *= LINE
         at = ring.take(frame, size)
         if at is None:
-            assert allocated or size > word_count  # an empty ring accepts anything up to its size
+            assert allocated or size > LINE * line_count  # an empty ring accepts anything up to its size
             continue
-        assert at >= 100 and at + size <= 100 + word_count
+        assert at >= 100 and at + size <= 100 + LINE * line_count
         for other, length in allocated.values():
             assert at + size <= other or other + length <= at
         allocated[frame] = at, size
 
 
 def test_a_ring_of_three_frames_stores_two_for_ever() -> None:
-    ring = Ring(0, 30)
+    ring = Ring(0, 3 * LINE)
     for frame in range(50):
         ring.free_before(frame - 1)
-        assert ring.take(frame, 10) is not None
+        assert ring.take(frame, LINE) is not None
 
 
 def test_a_cleared_ring_is_empty() -> None:
-    ring = Ring(7, 10)
-    assert ring.take(0, 10) == 7 and ring.take(1, 1) is None
+    ring = Ring(7, LINE)
+    assert ring.take(0, LINE) == 7 and ring.take(1, 1) is None
     ring.clear()
-    assert ring.take(2, 10) == 7
+    assert ring.take(2, LINE) == 7
 
 
 def test_parts_of_the_block_are_contiguous() -> None:
-    layout = Layout(1000, slots=16, log_rows=32)
-    assert W.FREE < layout.log < layout.arena == layout.words - 1000
-    memory = Memory.empty(layout.words)
-    layout.write(memory, 7, 30.0, True, 500.0)
-    assert memory.i8[W.TICK_NS] == 2_000_000 and memory.f8[W.FRAME_RATE_HZ] == 30.0
-    assert (memory.i8[W.FREE : layout.log : W.DIRECTORY_WORDS] == -1).all()
+    block = Layout(8000, slots=16, log_rows=32)
+    assert block.directory < block.log < block.arena == block.size_bytes - 8000
+    memory = Memory.empty(block.size_bytes)
+    block.write(memory, 7, 30.0, True, 500.0)
+    written = memory.receiver["layout"]
+    assert written["tick_ns"] == 2_000_000 and written["frame_rate_hz"] == 30.0
+    assert (memory.array(layout.DIRECTORY_ENTRY, block.directory, 16)["tag"] == -1).all()
 
 
 def test_the_block_is_no_larger_than_the_medium_needs() -> None:
     few, many = FrameSource(numbered_medium(2)), FrameSource(numbered_medium(2000))
-    assert arena_word_count(few, 1 << 40) < arena_word_count(many, 1 << 40)
-    assert arena_word_count(many, 1 << 20) == 1 << 17
+    assert arena_bytes(few, 1 << 40) < arena_bytes(many, 1 << 40)
+    assert arena_bytes(many, 1 << 20) == 1 << 20
     slots = [
         Session(numbered_medium(2000), device("phantom-omni"), RenderSpec(), speed=s).layout.slots
         for s in (0.1, 1, 9)
@@ -77,24 +91,25 @@ def test_a_ramp_has_a_time_limit() -> None:
 def test_the_ramp_limit_is_that_of_the_slower_of_force_and_torque(slow: dict[str, float]) -> None:
     sigma = replace(device("sigma.7"), force_max_n=20.0, torque_max_nm=0.4)
     session = Session(numbered_medium(1), sigma, RenderSpec(**slow))  # type: ignore[arg-type]
-    memory = Memory.empty(session.layout.words)
+    memory = Memory.empty(session.layout.size_bytes)
     session.set_up(memory)
-    assert memory.i8[W.RAMP_LIMIT_NS] == pytest.approx(1e9 * (1.02 + 1.6))
+    assert memory.receiver["layout"]["ramp_limit_ns"] == pytest.approx(1e9 * (1.02 + 1.6))
 
 
 def test_a_block_is_shared_and_leaves_no_file() -> None:
     before = set(shared_folder().glob(PREFIX + "*"))
-    created = Block.create(W.FREE)
-    created.reserve(W.FREE)
+    size_bytes = layout.RECEIVER.itemsize
+    created = Block.create(size_bytes)
+    created.reserve(size_bytes)
     attached = Block.attach(created.path)
     created.unlink()
-    created.memory.f8[17] = 2.5
-    assert attached.memory.f8[17] == 2.5 and attached.memory.words == W.FREE
-    view = attached.memory.f8
+    created.memory.receiver["clock"]["media_s"] = 2.5
+    assert attached.memory.receiver["clock"]["media_s"] == 2.5 and attached.memory.size_bytes == size_bytes
+    view = attached.memory.receiver["clock"]
     for _ in range(2):
         created.close()
         attached.close()
-    assert view[17] == 2.5  # a remaining view stays valid
+    assert view["media_s"] == 2.5  # a remaining view stays valid
     assert set(shared_folder().glob(PREFIX + "*")) == before
 
 

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from player_makers import RATE_HZ, frame_of, laid_out, numbered_medium
+from receiver_values import value_of
 
+from touchfield.compute.native import native
 from touchfield.medium import HapticMedium
-from touchfield.render.block import FLAGS, TickLog, statistics_of, words as W
-from touchfield.render.kernels.tick import cycle
+from touchfield.render.block import FLAGS, TickLog, layout, statistics_of
 from touchfield.render.spec import RenderSpec
 
 TICK_NS = 1_000_000
@@ -37,20 +38,20 @@ class Desk:
         for _ in range(count):
             if self.is_fed:
                 self.feeder.fill_lookahead(4)
-            force = cycle(*self.memory.views, 0.0, 0.0, 0.0, self.now_ns)
+            force = native.cycle(self.memory.bytes, 0.0, 0.0, 0.0, self.now_ns)
             self.now_ns += step_ns
         return force
 
     def played_frame(self) -> float:
         """The frame number encoded by the force; fractional between two frames."""
-        return frame_of(float(self.memory.f8[W.FIELD_FORCE + 2]))
+        return frame_of(float(self.memory.receiver["state"]["field_force_n"][2]))
 
-    def word(self, index: int) -> int:
-        return int(self.memory.i8[index])
+    def value(self, path: str) -> int:
+        return int(value_of(self.memory, path))
 
     @property
     def media_s(self) -> float:
-        return float(self.memory.f8[W.MEDIA_S])
+        return float(self.memory.receiver["clock"]["media_s"])
 
     @property
     def counts(self) -> dict[str, float]:
@@ -59,7 +60,7 @@ class Desk:
 
 def playing(frames: int = 20, **options: object) -> Desk:
     desk = Desk(numbered_medium(frames), **options)  # type: ignore[arg-type]
-    desk.order(mode=W.PLAYING)
+    desk.order(mode=layout.PLAYING)
     return desk
 
 
@@ -67,8 +68,8 @@ def test_no_force_before_play() -> None:
     desk = Desk(numbered_medium())
     for _ in range(50):
         assert desk.tick() == (0.0, 0.0, 0.0)
-    assert desk.media_s == 0 and desk.word(W.RESTING)
-    desk.order(mode=W.PLAYING)
+    assert desk.media_s == 0 and desk.value("clock.is_resting")
+    desk.order(mode=layout.PLAYING)
     assert desk.tick(100)[2] > 0 and desk.counts["waits"] == 0
 
 
@@ -105,11 +106,11 @@ def test_a_change_of_speed_is_continuous() -> None:
 def test_pause_keeps_the_field_and_the_time() -> None:
     desk = playing()
     desk.tick(151)
-    desk.order(mode=W.PAUSED)
+    desk.order(mode=layout.PAUSED)
     force = desk.tick(400)
     assert desk.media_s == pytest.approx(0.151, abs=1e-9)
     assert force[2] == pytest.approx(0.5 + 0.151 * RATE_HZ / 64, abs=1e-6)
-    desk.order(mode=W.PLAYING)
+    desk.order(mode=layout.PLAYING)
     desk.tick(11)
     assert desk.media_s == pytest.approx(0.161, abs=1e-9) and desk.counts["underruns"] == 0
 
@@ -118,20 +119,20 @@ def test_the_end_is_a_ramp_to_zero() -> None:
     desk = playing(10)
     desk.tick(200)
     assert (
-        desk.played_frame() == 9.0 and desk.word(W.FEED) == W.RUNNING
+        desk.played_frame() == 9.0 and desk.value("clock.feed") == layout.RUNNING
     )  # the last frame stays for its duration
-    assert desk.tick()[2] > 0 and desk.word(W.FEED) == W.ENDED
-    assert desk.tick(40) == (0.0, 0.0, 0.0) and desk.word(W.RESTING)
+    assert desk.tick()[2] > 0 and desk.value("clock.feed") == layout.ENDED
+    assert desk.tick(40) == (0.0, 0.0, 0.0) and desk.value("clock.is_resting")
     assert desk.media_s == pytest.approx(0.2)
     desk.order(seek_s=0.1)
-    assert desk.tick(60)[2] > 0 and desk.word(W.FEED) == W.RUNNING
+    assert desk.tick(60)[2] > 0 and desk.value("clock.feed") == layout.RUNNING
     assert desk.media_s == pytest.approx(0.158, abs=2e-3)
 
 
 def test_a_single_frame_stays() -> None:
     desk = playing(1)
     assert desk.tick(3000)[2] == pytest.approx(0.5)
-    assert desk.word(W.FEED) == W.RUNNING
+    assert desk.value("clock.feed") == layout.RUNNING
 
 
 def test_an_underrun_is_counted_once_and_keeps_time() -> None:
@@ -153,17 +154,17 @@ def test_an_underrun_is_counted_once_and_keeps_time() -> None:
 def test_the_clock_stops_after_the_last_frame() -> None:
     desk = playing()
     desk.tick(50)
-    desk.is_fed, desk.memory.i8[W.FEED_FAILED] = False, 1
+    desk.is_fed, desk.memory.receiver["orders"]["has_feed_failed"] = False, 1
     assert desk.tick(500) == (0.0, 0.0, 0.0)
     stood_s = desk.media_s
     desk.tick(500)
-    assert desk.media_s == stood_s < 0.4 and desk.word(W.FEED) == W.STALLED
+    assert desk.media_s == stood_s < 0.4 and desk.value("clock.feed") == layout.STALLED
 
 
 def test_waiting_for_the_first_frames_is_no_underrun() -> None:
     desk = Desk(numbered_medium())
     desk.is_fed = False
-    desk.order(mode=W.PLAYING)
+    desk.order(mode=layout.PLAYING)
     assert desk.tick(30) == (0.0, 0.0, 0.0)
     assert (desk.counts["waits"], desk.counts["waiting_ticks"], desk.counts["underruns"]) == (1, 30, 0)
     desk.is_fed = True
@@ -177,10 +178,10 @@ def test_waiting_for_the_first_frames_is_no_underrun() -> None:
 
 def test_a_silent_player_stops_the_servo() -> None:
     desk = playing(1)
-    desk.memory.i8[W.HEARTBEAT_NS] = START_NS
+    desk.memory.receiver["orders"]["heartbeat_ns"] = START_NS
     assert desk.tick(1000)[2] > 0
     assert desk.tick(60) == (0.0, 0.0, 0.0)
-    desk.memory.i8[W.HEARTBEAT_NS] = desk.now_ns
+    desk.memory.receiver["orders"]["heartbeat_ns"] = desk.now_ns
     assert desk.tick(60)[2] > 0 and desk.counts["underruns"] == 0
 
 
@@ -188,25 +189,25 @@ def test_a_stop_ends_in_zero() -> None:
     desk = playing(1)
     assert desk.tick(100)[2] > 0
     desk.order(is_stopping=True)
-    assert desk.tick()[2] > 0 and not desk.word(W.RELEASED)
-    assert desk.tick(60) == (0.0, 0.0, 0.0) and desk.word(W.RELEASED)
-    desk.order(mode=W.PLAYING)
+    assert desk.tick()[2] > 0 and not desk.value("clock.is_released")
+    assert desk.tick(60) == (0.0, 0.0, 0.0) and desk.value("clock.is_released")
+    desk.order(mode=layout.PLAYING)
     assert desk.tick(100) == (0.0, 0.0, 0.0)
 
 
 def test_an_unfinished_order_is_not_applied() -> None:
     desk = playing()
     desk.tick(10)
-    desk.memory.i8[W.SEQUENCE] += 1
-    desk.memory.i8[W.STOP] = 1
+    desk.memory.receiver["orders"]["sequence"] += 1
+    desk.memory.receiver["orders"]["is_stopping"] = 1
     assert desk.tick(30)[2] > 0
-    desk.memory.i8[W.SEQUENCE] += 1
+    desk.memory.receiver["orders"]["sequence"] += 1
     assert desk.tick(60) == (0.0, 0.0, 0.0)
 
 
 def test_time_of_a_simulated_device_is_the_number_of_its_tick() -> None:
     desk = playing()
-    desk.memory.i8[W.IS_SIMULATED] = 1
+    desk.memory.receiver["layout"]["is_simulated"] = 1
     desk.tick(101, step_ns=7_654_321)
     assert desk.media_s == pytest.approx(0.1, abs=1e-12)
 
@@ -216,7 +217,7 @@ def test_jitter_and_lateness_are_counted() -> None:
     late_ns = [0, 100_000, 0, 700_000, 3_500_000, 0, 0]
     for n, late in enumerate(late_ns):
         periods = n if n < 5 else n + 3  # three periods were missed
-        cycle(*desk.memory.views, 0.0, 0.0, 0.0, START_NS + periods * TICK_NS + late)
+        native.cycle(desk.memory.bytes, 0.0, 0.0, 0.0, START_NS + periods * TICK_NS + late)
     counts = desk.counts
     assert counts["ticks"] == 7 and counts["missed_ticks"] == 3 and counts["late_ticks"] == 2
     assert counts["lateness_worst_us"] == 3500 and counts["jitter_worst_us"] == 2800
@@ -229,9 +230,9 @@ def test_quantiles_are_those_of_the_ticks(late_ns: list[int]) -> None:
     desk = playing(1)
     found = []
     for late in late_ns:
-        deadline = desk.word(W.DEADLINE_NS) or START_NS
-        found.append(late if desk.word(W.TICKS) else 0)
-        cycle(*desk.memory.views, 0.0, 0.0, 0.0, deadline + found[-1])
+        deadline = desk.value("clock.deadline_ns") or START_NS
+        found.append(late if desk.value("counts.ticks") else 0)
+        native.cycle(desk.memory.bytes, 0.0, 0.0, 0.0, deadline + found[-1])
     ordered = np.sort(found) * 1e-3
     for name, fraction in (("p50", 0.5), ("p99", 0.99)):
         exact = ordered[max(math.ceil(fraction * len(ordered)) - 1, 0)]
@@ -252,7 +253,7 @@ def test_the_log_has_a_row_for_each_tick() -> None:
     desk = playing(3)
     forces = [desk.tick() for _ in range(120)]
     desk.log.drain()
-    desk.order(mode=W.PAUSED, seek_s=0.0)
+    desk.order(mode=layout.PAUSED, seek_s=0.0)
     forces += [desk.tick() for _ in range(5)]
     desk.log.drain()
     rows = desk.log.rows()

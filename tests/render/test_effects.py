@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, strategies as st
 from tick_makers import OMNI, Bench, Vector, constant, linear, wall
 
+from touchfield.compute.native import native
 from touchfield.medium import Grid
-from touchfield.render.block import Memory, words as W
-from touchfield.render.block.frames import frame_words
-from touchfield.render.kernels.tick import tick
+from touchfield.render.block import Memory, layout
+from touchfield.render.block.frames import frame_bytes
 from touchfield.render.spec import RenderSpec
 
 STRONG = replace(OMNI, force_max_n=100.0, force_continuous_n=None)
@@ -53,8 +53,8 @@ def test_friction_and_damping_of_a_hand_that_slides() -> None:
     bench = Bench(constant(0.0, 0.0, 2.0), friction=0.3, damping=1.5)
     path = np.arange(200)[:, None] * 0.0001 * np.array([0.6, 0.8, 0.0])  # 0.1 m/s
     force = [f for _, f in bench.along(path)][-1]
-    assert bench.state(W.VELOCITY) == pytest.approx([0.06, 0.08, 0.0], rel=1e-6)
-    assert bench.state(W.FRICTION_FORCE) == pytest.approx([-0.36, -0.48, 0], rel=1e-6)
+    assert bench.value("state.velocity_m_s") == pytest.approx([0.06, 0.08, 0.0], rel=1e-6)
+    assert bench.value("state.friction_n") == pytest.approx([-0.36, -0.48, 0], rel=1e-6)
     assert force == pytest.approx([-0.36 - 0.09, -0.48 - 0.12, 2.0], rel=1e-6)
     bench.restart(
         RenderSpec(friction=0.0, damping_n_s_per_m=0.0)
@@ -71,10 +71,11 @@ def test_friction_and_damping_only_dissipate(way: list[tuple[float, ...]], mu: f
     FIELD.restart(RenderSpec(friction=mu, damping_n_s_per_m=b, coupling_n_per_m=200.0 * (mu > 1)))
     for x, y, z, dt in way:
         FIELD.tick(x, y, z, dt)
-        v, f, t = (FIELD.state(p) for p in (W.VELOCITY, W.FIELD_FORCE, W.FRICTION_FORCE))
+        v, f, t = (FIELD.value(f"state.{name}") for name in ("velocity_m_s", "field_force_n", "friction_n"))
         assert math.fsum(t * v) <= 2e-16 * float(np.abs(t * v).sum())
         assert math.hypot(*t) <= mu * math.hypot(*f) * (1 + 1e-12) + 1e-300  # squares below 1e-154 underflow
-        assert (FIELD.state(W.WANTED) - f - t) @ v <= 1e-9 * (1 + np.abs(f).sum()) * (1 + b * (v @ v))
+        added = FIELD.value("state.force.wanted") - f - t
+        assert added @ v <= 1e-9 * (1 + np.abs(f).sum()) * (1 + b * (v @ v))
 
 
 FIELD = Bench(lambda p: 90.0 * p[..., ::-1] * np.array([1.0, -1.0, 3.0]), device=STRONG)
@@ -86,15 +87,17 @@ def test_the_velocity_follows_true_times() -> None:
     for dt in rng.uniform(0.0002, 0.003, 300):
         x += 0.05 * dt
         bench.tick(x, 0, 0, dt)
-    assert bench.state(W.VELOCITY) == pytest.approx([0.05, 0, 0], rel=1e-6)
+    assert bench.value("state.velocity_m_s") == pytest.approx([0.05, 0, 0], rel=1e-6)
     for _ in range(20):  # time passes while the device is silent
         bench.tick(math.nan, 0, 0, 0.001)
     bench.tick(x + 21 * 0.05 * 0.001, 0, 0, 0.001)
-    assert bench.state(W.VELOCITY) == pytest.approx([0.05, 0, 0], rel=1e-6)
+    assert bench.value("state.velocity_m_s") == pytest.approx([0.05, 0, 0], rel=1e-6)
     bench.restart(RenderSpec(velocity_cutoff_hz=20.0))
     for n in range(9):  # a step of the velocity, through the low-pass
         bench.tick(0.05 * 0.001 * n, 0, 0, 0.001)
-    assert bench.word(W.VELOCITY) == pytest.approx(0.05 * (1 - math.exp(-2 * math.pi * 20 * 0.008)))
+    assert bench.value("state.velocity_m_s")[0] == pytest.approx(
+        0.05 * (1 - math.exp(-2 * math.pi * 20 * 0.008))
+    )
 
 
 # -- coupling ----------------------------------------------------------------------------------------------
@@ -104,7 +107,7 @@ def test_a_coupling_gives_the_force_of_the_field_in_steady_contact() -> None:
     for law in (wall(400.0), wall(1e5, 3.0)):
         bench = Bench(law, RenderSpec(coupling_n_per_m=300.0), device=STRONG)
         force = bench.settled(0.01, 0.0, -0.005, 300)
-        proxy = bench.state(W.PROXY)
+        proxy = bench.value("state.proxy.position_m")
         at_proxy = Bench(law, RenderSpec(), device=STRONG).settled(*proxy)
         assert force == pytest.approx(at_proxy, rel=1e-6, abs=1e-6)
         assert force == pytest.approx(300 * (proxy - [0.01, 0, -0.005]), rel=1e-6, abs=1e-9)
@@ -165,7 +168,7 @@ def test_the_proxy_comes_to_rest_in_any_stable_linear_field(
     bench.settled(*hand)
     expected = np.linalg.solve(coupling * np.eye(3) - matrix, coupling * np.array(hand))
     # in float32, forces at the edge of the field are exact to one part in 2^24
-    assert bench.state(W.PROXY) == pytest.approx(
+    assert bench.value("state.proxy.position_m") == pytest.approx(
         expected, abs=1e-6 + 0.2 * (stiffness + abs(curl)) * 2**-24 / coupling
     )
 
@@ -175,11 +178,12 @@ def test_an_unstable_field_drives_the_proxy_away_monotonically() -> None:
         bench = Bench(linear(growth * np.eye(3)), RenderSpec(coupling_n_per_m=500.0), device=STRONG)
         for _ in range(200):
             bench.tick(0.001, 0.0, 0.0)
-            step, pull = bench.state(W.PROXY_STEP), bench.state(W.PROXY_PULL)
-            if np.linalg.norm(bench.state(W.PROXY)) < 0.07:
+            proxy = bench.value("state.proxy")
+            step, pull = proxy["coupling_step_m"], proxy["coupling_pull_n"]
+            if np.linalg.norm(proxy["position_m"]) < 0.07:
                 assert 0 <= step @ pull <= pull @ pull / 499
         if growth < 400:
-            assert bench.state(W.PROXY)[0] == pytest.approx(0.001 / (1 - growth / 500), rel=1e-6)
+            assert proxy["position_m"][0] == pytest.approx(0.001 / (1 - growth / 500), rel=1e-6)
 
 
 def test_a_coupling_does_not_drag_in_free_space() -> None:
@@ -198,11 +202,11 @@ def test_a_field_with_curl_adds_energy_unless_it_is_observed() -> None:
     bench = Bench(linear(CURL))
     free = gained_j(bench, path)
     assert free == pytest.approx(5 * 0.8 * 2 * math.pi * 0.02, rel=0.02)
-    assert bench.word(W.ENERGY) == pytest.approx(-free, rel=1e-9)
+    assert bench.value("state.energy_j") == pytest.approx(-free, rel=1e-9)
     bench.restart(RenderSpec(passivity=True))
     watched = gained_j(bench, path)
     assert watched < 1e-3 * free
-    assert bench.word(W.ENERGY) == pytest.approx(-watched, abs=1e-12)
+    assert bench.value("state.energy_j") == pytest.approx(-watched, abs=1e-12)
 
 
 def test_stored_energy_may_return() -> None:
@@ -231,9 +235,9 @@ def test_observed_energy_is_bounded_by_one_step(corners: list[tuple[float, float
     before, force = path[0], bench.tick(*path[0])
     for position in path[1:]:
         gained += float(force @ (position - before))
-        low = min(low, bench.word(W.ENERGY))
+        low = min(low, bench.value("state.energy_j"))
         before, force = position, bench.tick(*position)
-    assert bench.word(W.ENERGY) == pytest.approx(-gained, abs=1e-9)
+    assert bench.value("state.energy_j") == pytest.approx(-gained, abs=1e-9)
     # the error of the low-passed velocity at corners, and a creep too slow to be damped
     assert low >= -20 * 4.0 * fastest - 1e-8
 
@@ -244,11 +248,11 @@ WATCHED = Bench(linear(CURL))
 def test_an_energy_debt_is_paid_by_a_gentle_damper() -> None:
     bench = Bench(constant(0.0, 0.0, 0.0), RenderSpec(passivity=True))
     bench.settled(0, 0, 0)
-    bench.memory.f8[W.ENERGY] = -0.01
+    bench.memory.receiver["state"]["energy_j"] = -0.01
     path = np.array([[0.00002 * n, 0, 0] for n in range(3000)])  # 0.02 m/s
     forces = np.array([f[0] for _, f in bench.along(path)])
     assert forces.min() == pytest.approx(-0.5 * 0.05 / 0.001 * 0.02, rel=1e-6)
-    assert bench.word(W.ENERGY) == pytest.approx(0, abs=1e-5)
+    assert bench.value("state.energy_j") == pytest.approx(0, abs=1e-5)
     assert abs(forces[-1]) < 1e-3
 
 
@@ -278,7 +282,7 @@ def test_a_vibration_adds_a_sine_to_the_force(force: tuple[float, float, float],
 def test_its_phase_is_continuous_for_uneven_ticks() -> None:
     bench = Bench(constant(0.0, 0.0, 0.0), RenderSpec(slew_n_per_s=1e6), device=STRONG, vibration=(0.4, 80.0))
     bench.settled(0, 0, 0)
-    rng, t, start = np.random.default_rng(5), 0.0, bench.word(W.PHASE)
+    rng, t, start = np.random.default_rng(5), 0.0, bench.value("state.vibration_phase")
     for dt in rng.uniform(0.0001, 0.0019, 300):
         t += dt
         assert bench.tick(0, 0, 0, dt)[2] == pytest.approx(
@@ -289,13 +293,14 @@ def test_its_phase_is_continuous_for_uneven_ticks() -> None:
 def test_amplitudes_are_blended_between_frames() -> None:
     spec = RenderSpec(slew_n_per_s=1e5)
     bench = Bench(constant(0.0, 0.0, 0.0), spec, device=STRONG, vibration=(0.4, 80.0))
-    memory = Memory.empty(bench.memory.words + frame_words(1))
-    memory.u8[: bench.memory.words] = bench.memory.u8
-    silent = bench.memory.words
-    memory.u8[silent:] = memory.u8[bench.frame : bench.frame + frame_words(1)]
-    memory.i8[silent + W.FRAME_VIBRATION] = 0
+    silent = bench.memory.size_bytes
+    memory = Memory.empty(silent + frame_bytes(1))
+    memory.bytes[:silent] = bench.memory.bytes
+    memory.bytes[silent:] = memory.bytes[bench.frame : bench.frame + frame_bytes(1)]
+    memory.view(layout.FRAME_HEADER, silent)["vibration_offset"] = 0
+    hand = (0.01, 0.01, 0.01)
     for first, second, blend in ((bench.frame, silent, 0.25), (silent, bench.frame, 0.75)):
-        forces = [tick(*memory.views, first, second, blend, 0.01, 0.01, 0.01, 0.001)[2] for _ in range(200)]
+        forces = [native.tick(memory.bytes, first, second, blend, *hand, 0.001)[2] for _ in range(200)]
         assert max(forces[100:]) == pytest.approx(0.3, rel=1e-2)
 
 

@@ -9,23 +9,24 @@ import pytest
 from hypothesis import given, strategies as st
 from player_makers import GRID, laid_out, numbered_field, numbered_medium
 
+from touchfield.compute.native import native
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
-from touchfield.render.block import Memory, words as W
+from touchfield.render.block import Memory, aligned, layout
 from touchfield.render.feeder import Feeder, FrameSource
-from touchfield.render.kernels.frames import force_at
 from touchfield.render.player import Session
 from touchfield.render.spec import RenderSpec
 
 
 def entry(session: Session, memory: Memory, frame: int) -> tuple[int, int]:
-    """Tag and address of the entry of a frame."""
-    at = W.FREE + W.DIRECTORY_WORDS * (frame % session.layout.slots)
-    return int(memory.i8[at]), int(memory.i8[at + 1])
+    """Tag and offset of the entry of a frame."""
+    entries = memory.array(layout.DIRECTORY_ENTRY, session.layout.directory, session.layout.slots)
+    tag, offset = entries[frame % session.layout.slots]
+    return int(tag), int(offset)
 
 
 def tag(generation: int, frame: int) -> int:
-    return (generation << W.FRAME_BITS) | frame
+    return (generation << layout.FRAME_BITS) | frame
 
 
 def stored_force_z(session: Session, memory: Memory, generation: int, frame: int) -> float | None:
@@ -33,7 +34,7 @@ def stored_force_z(session: Session, memory: Memory, generation: int, frame: int
     found, address = entry(session, memory, frame)
     if found != tag(generation, frame):
         return None
-    return float(force_at(*memory.views, address, address, 0.0, 0.0, 0.0, 0.0)[2])
+    return native.force_at(memory.bytes, address, address, 0.0, 0.0, 0.0, 0.0)[2]
 
 
 def run_dry(feeder: Feeder) -> int:
@@ -52,7 +53,7 @@ def test_frames_are_written_in_order_until_the_end() -> None:
 def test_a_loop_continues_to_count_and_can_start_in_the_middle() -> None:
     session, memory = laid_out(numbered_medium(5), loop=True, start_s=13 / 50)  # the third time round
     feeder = session.feeder(memory)
-    assert memory.f8[W.MEDIA_S] == pytest.approx(3 / 50)  # also before the first tick
+    assert memory.receiver["clock"]["media_s"] == pytest.approx(3 / 50)  # also before the first tick
     feeder.fill_lookahead(6)
     assert [stored_force_z(session, memory, 1, n) for n in range(3, 9)] == [
         0.5 + n % 5 / 64 for n in range(3, 9)
@@ -66,14 +67,14 @@ def test_one_frame_is_written_once() -> None:
     sessions = session, laid_out(numbered_medium(10))[0]  # without an end, and with one
     assert [either.media_time_s(7.0) for either in sessions] == [0, 0.2]
     feeder.seek(2, 0)
-    memory.i8[W.NEEDS] = tag(2, 0)
+    memory.receiver["clock"]["needs"] = tag(2, 0)
     assert run_dry(feeder) == 1 and stored_force_z(session, memory, 2, 0) == 0.5
 
 
 @given(st.lists(st.integers(0, 12), max_size=30), st.integers(3, 9))
 def test_needed_frames_are_never_overwritten(steps: list[int], frames_of_room: int) -> None:
-    word_count = FrameSource(numbered_medium()).prepare(0).word_count
-    session, memory = laid_out(numbered_medium(7), loop=True, memory_bytes=8 * word_count * frames_of_room)
+    size_bytes = aligned(FrameSource(numbered_medium()).prepare(0).size_bytes)
+    session, memory = laid_out(numbered_medium(7), loop=True, memory_bytes=size_bytes * frames_of_room)
     feeder = session.feeder(memory)
     run_dry(feeder)
     needed, is_stored = 0, lambda n: stored_force_z(session, memory, 1, n) == 0.5 + n % 7 / 64
@@ -81,7 +82,7 @@ def test_needed_frames_are_never_overwritten(steps: list[int], frames_of_room: i
         stored = [n for n in range(needed, needed + 20) if is_stored(n)]
         assert stored and stored == list(range(needed, needed + len(stored)))
         needed += min(step, len(stored) - 1)
-        memory.i8[W.NEEDS] = tag(1, needed)
+        memory.receiver["clock"]["needs"] = tag(1, needed)
         run_dry(feeder)
         assert is_stored(needed) and is_stored(needed + 1)
 
@@ -93,19 +94,19 @@ def test_a_seek_waits_for_the_servo() -> None:
     feeder.seek(2, 11)
     assert run_dry(feeder) == 0  # decoded but not written
     assert [stored_force_z(session, memory, 1, n) for n in range(20)] == [0.5 + n / 64 for n in range(20)]
-    memory.i8[W.NEEDS] = tag(2, 11)
+    memory.receiver["clock"]["needs"] = tag(2, 11)
     assert run_dry(feeder) == 9
     assert stored_force_z(session, memory, 2, 11) == 0.5 + 11 / 64
 
 
 def test_a_seek_back_reuses_the_space_of_later_frames() -> None:
     session, memory = laid_out(
-        numbered_medium(20), memory_bytes=4 * W.WORD * FrameSource(numbered_medium()).prepare(0).word_count
+        numbered_medium(20), memory_bytes=4 * aligned(FrameSource(numbered_medium()).prepare(0).size_bytes)
     )
     feeder = session.feeder(memory, is_timed=False)
     for generation, frame in ((1, 10), (2, 0)):
         feeder.seek(generation, frame)
-        memory.i8[W.NEEDS] = tag(generation, frame)
+        memory.receiver["clock"]["needs"] = tag(generation, frame)
         run_dry(feeder)
         assert (
             stored_force_z(session, memory, generation, frame + 2) == 0.5 + (frame + 2) / 64
@@ -117,7 +118,7 @@ def test_past_frames_are_not_decoded() -> None:
     session, memory = laid_out(numbered_medium(20))
     feeder = session.feeder(memory)
     feeder.step()
-    memory.i8[W.NEEDS] = tag(1, 9)
+    memory.receiver["clock"]["needs"] = tag(1, 9)
     feeder.step()
     assert (
         stored_force_z(session, memory, 1, 9) == 0.5 + 9 / 64
@@ -125,7 +126,7 @@ def test_past_frames_are_not_decoded() -> None:
     )
     assert feeder.dropped_frames == 8
     feeder.seek(2, 0)
-    memory.i8[W.NEEDS] = tag(2, 3)
+    memory.receiver["clock"]["needs"] = tag(2, 3)
     feeder.step()
     assert feeder.dropped_frames == 8  # the frames before the target of a seek were not due
 
@@ -144,13 +145,13 @@ class Desk:
             list[int](),
         )
         medium = replace(numbered_medium(count), make_frame=self.make)
-        word_count = FrameSource(numbered_medium()).prepare(0).word_count
+        size_bytes = aligned(FrameSource(numbered_medium()).prepare(0).size_bytes)
         self.session, self.memory = laid_out(
-            medium, RenderSpec(render="field"), memory_bytes=int(8 * capacity_frames * word_count)
+            medium, RenderSpec(render="field"), memory_bytes=int(capacity_frames * size_bytes)
         )
         self.session.source.starts = starts
-        self.memory.i8[W.MODE_NOW] = W.PLAYING
-        self.memory.f8[W.SPEED_NOW] = 1.0
+        self.memory.receiver["clock"]["mode"] = layout.PLAYING
+        self.memory.receiver["clock"]["speed"] = 1.0
         self.feeder = Feeder(
             self.session.source, self.memory, self.session.layout, clock_s=lambda: self.now_s
         )
@@ -166,24 +167,24 @@ class Desk:
         return numbered_field(frame)
 
     def tick(self) -> None:
-        i8, f8 = self.memory.i8, self.memory.f8
+        clock = self.memory.receiver["clock"]
         self.now_s += 0.001
-        if i8[W.FEED] != W.RUNNING:
+        if clock["feed"] != layout.RUNNING:
             return
-        f8[W.MEDIA_S] += 0.001
-        due = int(f8[W.MEDIA_S] * 50 + 1e-6)
+        clock["media_s"] += 0.001
+        due = int(clock["media_s"] * 50 + 1e-6)
         if due < self.count:
             found = [
                 stored_force_z(self.session, self.memory, 1, min(n, self.count - 1)) for n in (due, due + 1)
             ]
             self.late.append(None if found[0] is None or found[1] is None else due - 64 * (found[0] - 0.5))
-            i8[W.NEEDS] = tag(1, due)
+            clock["needs"] = tag(1, due)
 
     def play(self) -> None:
         for _ in range(4):
             self.feeder.step()
-        self.memory.i8[W.FEED] = W.RUNNING
-        while self.memory.f8[W.MEDIA_S] < self.count / 50 + 0.01:
+        self.memory.receiver["clock"]["feed"] = layout.RUNNING
+        while self.memory.receiver["clock"]["media_s"] < self.count / 50 + 0.01:
             if not self.feeder.step():
                 self.tick()
         assert self.feeder.error is None
@@ -224,21 +225,21 @@ def test_hopeless_frames_are_not_repeated() -> None:
 
 
 def test_a_frame_that_does_not_fit_is_one_clear_error() -> None:
-    word_count = FrameSource(numbered_medium()).prepare(0).word_count
+    size_bytes = FrameSource(numbered_medium()).prepare(0).size_bytes
     for factor, message in ((0.5, r"frame 0"), (1.5, r"room for two frames")):
-        session, memory = laid_out(numbered_medium(3), memory_bytes=8 * int(word_count * factor))
+        session, memory = laid_out(numbered_medium(3), memory_bytes=int(size_bytes * factor))
         feeder = session.feeder(memory)
         run_dry(feeder)
         assert isinstance(feeder.error, InvalidArgument)
         assert message in str(feeder.error) and "Ask for more memory" in str(feeder.error)
-        assert memory.i8[W.FEED_FAILED]
+        assert memory.receiver["orders"]["has_feed_failed"]
 
 
 def test_an_error_of_the_medium_is_stored() -> None:
     session, memory = laid_out(numbered_medium(9, corrupt_from=4))
     feeder = session.feeder(memory)
     assert run_dry(feeder) == 4
-    assert isinstance(feeder.error, CorruptFile) and memory.i8[W.FEED_FAILED]
+    assert isinstance(feeder.error, CorruptFile) and memory.receiver["orders"]["has_feed_failed"]
 
 
 def test_rigid_bodies_are_written_once() -> None:
@@ -255,9 +256,9 @@ def test_rigid_bodies_are_written_once() -> None:
         address = entry(session, memory, n)[1]
         for z in (0.0, 0.033, -0.02):
             expected = scene.sample_n(n, [0.001, 0.002, z])
-            found = force_at(*memory.views, address, address, 0.0, 0.001, 0.002, z)
+            found = native.force_at(memory.bytes, address, address, 0.0, 0.001, 0.002, z)
             assert found == pytest.approx(expected, abs=1e-6)
-    assert FrameSource(HapticScene(GRID, 50.0, (rigid,), 4.0)).prepare(2).word_count < 64
+    assert FrameSource(HapticScene(GRID, 50.0, (rigid,), 4.0)).prepare(2).size_bytes < 512
 
 
 def test_the_thread_feeds_and_ends() -> None:
@@ -269,7 +270,7 @@ def test_the_thread_feeds_and_ends() -> None:
         time.sleep(0.001)
     assert feeder.is_preloaded
     feeder.seek(2, 5)
-    memory.i8[W.NEEDS] = tag(2, 5)
+    memory.receiver["clock"]["needs"] = tag(2, 5)
     while stored_force_z(session, memory, 2, 19) is None and time.monotonic() < deadline_s:
         time.sleep(0.001)
     assert stored_force_z(session, memory, 2, 19) == 0.5 + 19 / 64

@@ -28,7 +28,7 @@ from player_makers import (
 
 from touchfield.errors import CorruptFile, DeviceError, InvalidArgument
 from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
-from touchfield.render.block import FLAGS, PREFIX, shared_folder, words as W
+from touchfield.render.block import FLAGS, PREFIX, aligned, shared_folder
 from touchfield.render.feeder import FrameSource
 from touchfield.render.player import Player
 from touchfield.render.servo import zero_by_reconnecting
@@ -122,7 +122,7 @@ def slow(frame: int) -> ForceField:
 
 def test_a_slow_stream_is_noted_during_play_and_keeps_time() -> None:
     medium = replace(numbered_medium(30), make_frame=slow)
-    frame_bytes = W.WORD * FrameSource(medium).prepare(0).word_count
+    frame_bytes = aligned(FrameSource(medium).prepare(0).size_bytes)
     # capacity for some frames, so that not all are decoded while a device opens slowly
     with Player(medium, OMNI, RestingDevice, memory_bytes=6 * frame_bytes) as player:
         player.play()

@@ -20,7 +20,6 @@ from touchfield.medium.pose_track import PoseTrack
 from touchfield.medium.trace import Trace
 from touchfield.pipeline import prepare
 from touchfield.pipeline.spec import EncodeSpec
-from touchfield.render.block import words as W
 from touchfield.render.feeder import FrameSource
 from touchfield.render.offline import run_offline
 from touchfield.render.spec import RenderSpec, stated_n_per_m, wall_of
@@ -80,11 +79,11 @@ def test_forces_of_thick_bodies_are_those_of_the_field() -> None:
         for _ in range(10):
             unit = rng.normal(size=3)
             unit /= np.linalg.norm(unit)
-            ball.memory.f8[W.IS_COUPLED] = 0.0
+            ball.memory.receiver["state"]["proxy"]["is_active"] = 0.0
             force = into(ball, 0.03 * unit, (0.025 - depth) * unit)
             errors.append(np.linalg.norm(force / (500 * depth) - unit))
             x, y = rng.uniform(-0.6, 0.6, 2) * (0.02, 0.01)
-            block.memory.f8[W.IS_COUPLED] = 0.0
+            block.memory.receiver["state"]["proxy"]["is_active"] = 0.0
             force = into(block, np.array([x, y, 0.02]), np.array([x, y, 0.015 - depth]))
             assert np.linalg.norm(force / (500 * depth) - [0, 0, 1]) < 0.01
     assert np.mean(errors) < 0.01 and max(errors) < 0.02
@@ -101,7 +100,7 @@ def test_a_wall_saturated_within_two_samples_starts_at_its_surface(
     forces[..., 2] = np.minimum(stiffness * np.maximum(-grid.axis_m(2), 0.0), 3.3)
     rendered = Held(ForceField.from_dense(grid, forces), stiffness=stiffness)
     for fraction in (0.3, 0.5, 0.8):
-        rendered.memory.f8[W.IS_COUPLED] = 0.0
+        rendered.memory.receiver["state"]["proxy"]["is_active"] = 0.0
         depth = fraction * 3.3 / stiffness
         force = into(rendered, np.array([0.0, 0.0, 2 * spacing_m]), np.array([0.0, 0.0, -depth]))
         assert force[2] == pytest.approx(stiffness * depth, rel=0.3, abs=0.1)
@@ -112,7 +111,7 @@ def test_a_resting_hand_on_a_rough_surface_gets_no_step() -> None:
     noise = rng.normal(size=smooth.forces_n.shape) * np.linalg.norm(smooth.forces_n, axis=-1, keepdims=True)
     rough = Held(ForceField(smooth.grid, smooth.bricks, (smooth.forces_n + 0.2 * noise).astype(np.float32)))
     for _ in range(40):
-        rough.memory.f8[W.IS_COUPLED] = 0.0
+        rough.memory.receiver["state"]["proxy"]["is_active"] = 0.0
         x, y = rng.uniform(-0.7, 0.7, 2) * (0.03, 0.02)
         end = np.array([x, y, rng.uniform(0.008, 0.012)])
         assert into(rough, np.array([x, y, 0.019]), end, 100).any()
@@ -142,8 +141,8 @@ def test_friction_sticks_then_slips_at_mu_times_the_pressure() -> None:
         into(rendered, np.array([0.0, 0.0, 0.02]), np.array([0.0, 0.0, 0.013]))
         for way in np.linspace(0, 0.004, 200):
             rendered.tick(np.array([way, 0.5 * way, 0.013]))
-            pressure = np.linalg.norm(rendered.word(W.FIELD_FORCE))
-            drag = np.linalg.norm(rendered.word(W.FRICTION_FORCE))
+            pressure = np.linalg.norm(rendered.value("state.field_force_n"))
+            drag = np.linalg.norm(rendered.value("state.friction_n"))
             pull = rendered.wall.stiffness_n_per_m * np.hypot(way, 0.5 * way)
             assert drag == pytest.approx(min(pull, mu * pressure), rel=0.02, abs=0.02)
 
@@ -201,9 +200,9 @@ def test_friction_holds_on_a_body_that_turns(turn_deg: int) -> None:
     for at in np.linspace(0, 3, 151):
         rendered.at = at
         rendered.tick(place + of_body(0.022 * pressed))
-        normal, force = of_body(pressed), rendered.word(W.FIELD_FORCE)
+        normal, force = of_body(pressed), rendered.value("state.field_force_n")
         assert force @ normal > 1.0 and force @ normal == pytest.approx(np.linalg.norm(force), rel=0.01)
-        assert np.linalg.norm(rendered.word(W.FRICTION_FORCE)) < 0.05
+        assert np.linalg.norm(rendered.value("state.friction_n")) < 0.05
         assert np.cross(rendered.proxy_m - place, normal) == pytest.approx(np.zeros(3), abs=1e-4)
 
 
@@ -217,7 +216,10 @@ def test_friction_carries_a_hand_along_with_a_body_that_turns() -> None:
         rendered.at = at
         rendered.tick(np.array([0.022, 0.0, 0.0]))
         slip = 0.025 * np.radians(2 * at)
-        drag, pressure = rendered.word(W.FRICTION_FORCE), np.linalg.norm(rendered.word(W.FIELD_FORCE))
+        drag, pressure = (
+            rendered.value("state.friction_n"),
+            np.linalg.norm(rendered.value("state.field_force_n")),
+        )
         expected = min(rendered.wall.stiffness_n_per_m * slip, 0.7 * pressure)
         assert drag[1] == pytest.approx(expected, rel=0.15, abs=0.05)
         assert abs(drag[2]) < 0.05
@@ -293,9 +295,10 @@ def test_a_session_selects_the_proxy_and_notes_it() -> None:
     soft = RenderSpec(wall_n_per_m=300.0)
     assert _peak_n(medium, soft)[0] == pytest.approx(300 * 0.006, rel=0.1)
     session, memory = laid_out(medium, soft)
-    selected = memory.f8[[W.BRAKE, W.COUPLING]]
+    settings = memory.receiver["settings"]
+    selected = settings[["brake_n_s_per_m", "coupling_n_per_m"]].copy()
     session.feeder(memory).fill_lookahead(1)  # its stiffest slope is that of the field, which the proxy hides
-    assert (memory.f8[[W.BRAKE, W.COUPLING]] == selected).all()
+    assert settings[["brake_n_s_per_m", "coupling_n_per_m"]] == selected
     for spec in (RenderSpec(render="field"), RenderSpec(coupling_n_per_m=300.0)):
         plain, notes = _peak_n(medium, spec)
         assert abs(plain) < 0.5 and not any("proxy" in note for note in notes)

@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from player_makers import laid_out
+from receiver_values import differing, value_of
 from tick_makers import GRID, OMNI, points, wall
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.render.block import Memory, statistics_of, words as W
+from touchfield.render.block import Memory, layout, statistics_of
 from touchfield.render.feeder import Feeder
 from touchfield.render.material import Material, materials_json, read_materials
 from touchfield.render.point_device import BOX_AXES, axes_matrix, axes_notes
@@ -33,45 +34,52 @@ def medium(stiffness_n_per_m: float = 300.0, frames: int = 1, axes: str = AXES) 
 # ---------------------------------------------------------------------------------------------------------
 
 OPTIONS = {
-    "rate_hz": (2000.0, "RATE_HZ", 2000.0),
-    "friction": (0.21, "FRICTION", 0.21),
-    "damping_n_s_per_m": (0.31, "DAMPING", 0.31),
-    "slip_speed_m_s": (0.0041, "SLIP_SPEED", 0.0041),
-    "coupling_n_per_m": (51.0, "COUPLING", 51.0),
-    "passivity": (True, "PASSIVITY", 1.0),
-    "scale": (0.61, "SCALE", 0.61),
-    "force_scale": (0.71, "FORCE_SCALE", 0.71),
-    "peak_n": (3.1, "PEAK", 3.1),
-    "continuous_n": (0.81, "CONTINUOUS", 0.81),
-    "slew_n_per_s": (91.0, "SLEW", 91.0),
-    "thermal_s": (1.1, "THERMAL_S", 1.1),
-    "ramp_s": (0.012, "RAMP_S", 0.012),
-    "velocity_cutoff_hz": (13.0, "CUTOFF", 2 * math.pi * 13.0),
-    "peak_nm": (0.14, "TORQUE_PEAK", 0.14),
-    "continuous_nm": (0.015, "TORQUE_CONTINUOUS", 0.015),
-    "slew_nm_per_s": (1.6, "TORQUE_SLEW", 1.6),
+    "rate_hz": (2000.0, "settings.rate_hz", 2000.0),
+    "friction": (0.21, "settings.friction", 0.21),
+    "damping_n_s_per_m": (0.31, "settings.damping_n_s_per_m", 0.31),
+    "slip_speed_m_s": (0.0041, "settings.slip_speed_m_s", 0.0041),
+    "coupling_n_per_m": (51.0, "settings.coupling_n_per_m", 51.0),
+    "passivity": (True, "settings.is_passive", 1.0),
+    "scale": (0.61, "settings.scale", 0.61),
+    "force_scale": (0.71, "settings.force_scale", 0.71),
+    "peak_n": (3.1, "settings.force_limits.peak", 3.1),
+    "continuous_n": (0.81, "settings.force_limits.continuous", 0.81),
+    "slew_n_per_s": (91.0, "settings.force_limits.slew_per_s", 91.0),
+    "thermal_s": (1.1, "settings.thermal_s", 1.1),
+    "ramp_s": (0.012, "settings.ramp_s", 0.012),
+    "velocity_cutoff_hz": (13.0, "settings.velocity_cutoff_rad_s", 2 * math.pi * 13.0),
+    "peak_nm": (0.14, "settings.torque_limits.peak", 0.14),
+    "continuous_nm": (0.015, "settings.torque_limits.continuous", 0.015),
+    "slew_nm_per_s": (1.6, "settings.torque_limits.slew_per_s", 1.6),
 }
 TWISTING = replace(OMNI, torque_max_nm=0.2, torque_continuous_nm=0.05)
 
 
+def empty() -> Memory:
+    """A receiver of zeros."""
+    return Memory.empty(layout.RECEIVER.itemsize)
+
+
 def written(spec: RenderSpec) -> tuple[Memory, tuple[str, ...]]:
-    memory = Memory.empty(W.FREE)
+    memory = empty()
     return memory, write_parameters(memory, spec, TWISTING, 0.3, 0.7, AXES)
 
 
 @pytest.mark.parametrize("name", OPTIONS)
-def test_an_option_changes_only_its_word(name: str) -> None:
-    value, word, expected = OPTIONS[name]
+def test_an_option_changes_only_its_setting(name: str) -> None:
+    value, path, expected = OPTIONS[name]
     default, found = written(RenderSpec())[0], written(RenderSpec(**{name: value}))[0]
-    at = getattr(W, word)
-    assert found.f8[at] == pytest.approx(expected) and default.f8[at] != found.f8[at]
+    assert value_of(found, path) == pytest.approx(expected)
     follow = {
-        "friction": {W.FRICTION_NOW},
-        "peak_n": {W.SLEW, W.LIMIT},  # the slew limit reaches the peak in 5 ms
-        "peak_nm": {W.TORQUE_SLEW, W.TORQUE_LIMIT},
-        "rate_hz": {W.DELAY},
+        "friction": {"state.friction"},
+        "peak_n": {
+            "settings.force_limits.slew_per_s",
+            "state.force.limit",
+        },  # the slew limit reaches the peak in 5 ms
+        "peak_nm": {"settings.torque_limits.slew_per_s", "state.torque.limit"},
+        "rate_hz": {"settings.delay_ticks"},
     }.get(name, set())
-    assert set(np.flatnonzero(default.f8 != found.f8).tolist()) - follow == {at}
+    assert differing(default, found) - follow == {path}
 
 
 def test_combined_options_equal_single_ones() -> None:
@@ -81,11 +89,12 @@ def test_combined_options_equal_single_ones() -> None:
         gravity_n=(0.4, -0.5, 0.6),
     )
     memory, notes = written(spec)
-    for name, (_, word, expected) in OPTIONS.items():
-        assert memory.f8[getattr(W, word)] == pytest.approx(expected), name
-    assert memory.f8[W.CLUTCH : W.CLUTCH + 3].tolist() == [0.1, -0.2, 0.3]
-    assert memory.f8[W.GRAVITY : W.GRAVITY + 3].tolist() == [0.4, -0.5, 0.6]
-    assert memory.f8[[W.LIMIT, W.TORQUE_LIMIT]].tolist() == [3.1, 0.14]
+    for name, (_, path, expected) in OPTIONS.items():
+        assert value_of(memory, path) == pytest.approx(expected), name
+    assert memory.receiver["settings"]["clutch_m"].tolist() == [0.1, -0.2, 0.3]
+    assert memory.receiver["settings"]["gravity_n"].tolist() == [0.4, -0.5, 0.6]
+    limits = [value_of(memory, f"state.{part}.limit") for part in ("force", "torque")]
+    assert limits == [3.1, 0.14]
     weight = math.sqrt(0.4**2 + 0.5**2 + 0.6**2)
     assert notes == (
         f"the constant force of {weight:g} N leaves nothing of the limit of 0.81 N to the field",
@@ -93,9 +102,11 @@ def test_combined_options_equal_single_ones() -> None:
 
 
 def test_torque_limits_are_those_of_a_device_that_states_them() -> None:
-    default = written(RenderSpec())[0].f8
-    assert default[[W.TORQUE_PEAK, W.TORQUE_CONTINUOUS, W.TORQUE_LIMIT]].tolist() == [0.2, 0.05, 0.2]
-    assert default[W.TORQUE_SLEW] == pytest.approx(0.2 / 0.005)
+    memory = written(RenderSpec())[0]
+    limits = value_of(memory, "settings.torque_limits")
+    assert (limits["peak"], limits["continuous"]) == (0.2, 0.05)
+    assert value_of(memory, "state.torque.limit") == 0.2
+    assert limits["slew_per_s"] == pytest.approx(0.2 / 0.005)
     for name, max_nm, message in (
         ("peak_nm", 0.2, "to 0.2 N m, the limit of"),
         ("continuous_nm", 0.05, "to 0.05 continuously, the limit of"),
@@ -107,8 +118,8 @@ def test_torque_limits_are_those_of_a_device_that_states_them() -> None:
         with pytest.raises(
             InvalidArgument, match=f"{name}: found a limit for phantom-omni; expected a device that states"
         ):
-            write_parameters(Memory.empty(W.FREE), RenderSpec(**{name: 0.01}), OMNI, 0, 0, AXES)
-    silent = write_parameters(Memory.empty(W.FREE), RenderSpec(tool=Tool.sphere(0.001, 10)), OMNI, 0, 0, AXES)
+            write_parameters(empty(), RenderSpec(**{name: 0.01}), OMNI, 0, 0, AXES)
+    silent = write_parameters(empty(), RenderSpec(tool=Tool.sphere(0.001, 10)), OMNI, 0, 0, AXES)
     assert silent == ("phantom-omni states no torque: only the tool's force is rendered",)
 
 
@@ -168,22 +179,27 @@ def test_note_states_damping_and_coupling_in_units_of_the_device(scale: float, s
     assert coupled_result.coupling_n_per_m == pytest.approx(70.0)
 
 
+def stiffness_of(memory: Memory) -> float:
+    return float(memory.receiver["settings"]["wall_n_per_m"])
+
+
 def test_note_states_the_wall_of_the_proxy_as_rendered() -> None:
     grid = Grid((33, 31, 65), (0.004, 0.006, 0.0025), (-0.064, -0.09, -0.08))
     for max_n, level_n in ((9.0, 0.05), (0.2, 0.02)):  # a tenth of a weak force
         field = ForceField.from_dense(grid, wall(30.0, max_n)(points(grid)).astype(np.float32))
         _, memory = laid_out(HapticMedium.from_frames([field], 20.0, AXES))
-        assert memory.f8[W.WALL] == pytest.approx(30, rel=0.01)
-        assert memory.f8[W.WALL_LEVEL] == pytest.approx(level_n)
-        assert memory.f8[W.WALL_SPACING : W.WALL_SPACING + 3].tolist() == list(grid.spacing_m)
+        settings = memory.receiver["settings"]
+        assert settings["wall_n_per_m"] == pytest.approx(30, rel=0.01)
+        assert settings["wall_level_n"] == pytest.approx(level_n)
+        assert settings["wall_spacing_m"].tolist() == list(grid.spacing_m)
     usual, memory = laid_out(medium())
     found = wall_of(medium()[0])
-    assert found is not None and memory.f8[W.WALL] == pytest.approx(found.stiffness_n_per_m)
+    assert found is not None and stiffness_of(memory) == pytest.approx(found.stiffness_n_per_m)
     assert f"a proxy holds the hand at walls of {found.stiffness_n_per_m:.0f} N/m" in usual.notes
     softer, memory = laid_out(medium(), RenderSpec(wall_n_per_m=123.0))
-    assert memory.f8[W.WALL] == 123 and "a proxy holds the hand at walls of 123 N/m" in softer.notes
+    assert stiffness_of(memory) == 123 and "a proxy holds the hand at walls of 123 N/m" in softer.notes
     plain, memory = laid_out(medium(), RenderSpec(render="field"))
-    assert memory.f8[W.WALL] == 0 and not any("proxy" in note for note in plain.notes)
+    assert stiffness_of(memory) == 0 and not any("proxy" in note for note in plain.notes)
 
 
 def test_note_quotes_assumed_axes() -> None:
@@ -200,7 +216,7 @@ def test_note_quotes_assumed_axes() -> None:
     spec = RenderSpec(up="z")
     session, memory = laid_out(medium(axes="x, y, z"), spec)
     expected = axes_matrix(OMNI.axes, "x, y, z", "z")
-    assert np.array_equal(memory.f8[W.AXES : W.AXES + 9].reshape(3, 3), expected)
+    assert np.array_equal(memory.receiver["settings"]["axes"].reshape(3, 3), expected)
     assert not np.array_equal(expected, axes_matrix(OMNI.axes, "x, y, z", "auto"))
     assert not any("axes of the field" in note for note in session.notes)
 
@@ -208,12 +224,12 @@ def test_note_quotes_assumed_axes() -> None:
 def test_note_of_a_slow_feed_states_both_rates() -> None:
     session, memory = laid_out(medium(frames=4))
     feeder: Feeder = session.feeder(memory)
-    memory.f8[W.SPEED_NOW] = 1.0
+    memory.receiver["clock"]["speed"] = 1.0
     feeder._pace.frame_s = 0.08
     assert "This machine decodes 12.5 frames a second, and speed 1 needs 20:" in feeder.note
     feeder._pace.frame_s = 0.04  # 25 a second: enough at this speed, but not at twice the speed
     assert "had to be fetched" in feeder.note
-    memory.f8[W.SPEED_NOW] = 2.0
+    memory.receiver["clock"]["speed"] = 2.0
     assert "This machine decodes 25 frames a second, and speed 2 needs 40:" in feeder.note
 
 
@@ -289,27 +305,27 @@ def test_invalid_materials_are_refused_by_name() -> None:
 
 
 def test_every_statistic_has_its_counter() -> None:
-    memory = Memory.empty(W.FREE)
+    memory = empty()
     counts = {
-        "LATE": 11,
-        "MISSED": 12,
-        "UNDERRUNS": 13,
-        "STALLED_TICKS": 14,
-        "WAITS": 15,
-        "WAITING_TICKS": 16,
-        "FRAMES_USED": 17,
-        "TICKS": 501,
-        "PLAYED_TICKS": 56,
-        "FIRST_NS": 2_000_000_000,
-        "LAST_NS": 2_250_000_000,
-        "WORST_PERIOD_NS": 9_000_000,
-        "WORST_LATENESS_NS": 20_500,
+        "late": 11,
+        "missed": 12,
+        "underruns": 13,
+        "stalled_ticks": 14,
+        "waits": 15,
+        "waiting_ticks": 16,
+        "frames_used": 17,
+        "ticks": 501,
+        "played_ticks": 56,
+        "first_ns": 2_000_000_000,
+        "last_ns": 2_250_000_000,
+        "worst_period_ns": 9_000_000,
+        "worst_lateness_ns": 20_500,
     }
     for name, value in counts.items():
-        memory.i8[getattr(W, name)] = value
-    memory.f8[W.RATE_HZ] = 2000.0
-    memory.i8[W.PERIODS + np.array([0, 5, 40, W.TIME_BINS])] = [600, 389, 10, 1]
-    memory.i8[W.LATENESSES + np.array([3, 20])] = [400, 600]
+        memory.receiver["counts"][name] = value
+    memory.receiver["settings"]["rate_hz"] = 2000.0
+    memory.receiver["counts"]["periods"][[0, 5, 40, layout.TIME_BINS]] = [600, 389, 10, 1]
+    memory.receiver["counts"]["latenesses"][[3, 20]] = [400, 600]
     assert statistics_of(memory) == {
         "ticks": 501,
         "seconds": pytest.approx(0.25),
@@ -332,8 +348,8 @@ def test_every_statistic_has_its_counter() -> None:
         "lateness_p99_9_us": 20.5,
         "lateness_worst_us": 20.5,
     }
-    memory.i8[W.PERIODS + W.TIME_BINS] = 2  # the open bin reports the maximum
-    memory.i8[W.PERIODS + 40] = 9
+    memory.receiver["counts"]["periods"][layout.TIME_BINS] = 2  # the open bin reports the maximum
+    memory.receiver["counts"]["periods"][40] = 9
     assert statistics_of(memory)["jitter_p99_9_us"] == 9000.0
-    nothing = statistics_of(Memory.empty(W.FREE))
+    nothing = statistics_of(empty())
     assert not any(nothing.values()) and nothing.keys() == statistics_of(memory).keys()

@@ -18,7 +18,7 @@ from touchfield.devices import device
 from touchfield.errors import CorruptFile, DeviceError
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.render import servo
-from touchfield.render.block import Memory, words as W
+from touchfield.render.block import Memory, layout
 from touchfield.render.player import Session
 from touchfield.render.point_device import Point, Quaternion
 from touchfield.render.servo import VirtualClock, serve
@@ -129,7 +129,7 @@ class Net:
 
 
 def _dead_player(memory: Memory) -> None:
-    memory.i8[W.HEARTBEAT_NS] = 1
+    memory.receiver["orders"]["heartbeat_ns"] = 1
 
 
 NETS = {
@@ -148,12 +148,12 @@ NETS = {
 def served(net: Net, spec: RenderSpec = SPEC, force_n: float = 0.0) -> tuple[Wrist, Memory]:
     """The device after two seconds in which the net brings the wrench to zero."""
     session = Session(medium(net.is_readable, force_n), SIGMA, spec)
-    memory = Memory.empty(session.layout.words)
+    memory = Memory.empty(session.layout.size_bytes)
     session.set_up(memory)
     feeder = session.feeder(memory, is_timed=False)
-    session.order(memory, mode=W.PLAYING)
+    session.order(memory, mode=layout.PLAYING)
     clock = VirtualClock()
-    clock.sleep_until(2 * W.SILENCE_NS)  # a dead process has been so for long
+    clock.sleep_until(2_000_000_000)  # a dead process has been so for long
     device_ = net.make(clock)
     is_fed = True
 
@@ -164,7 +164,7 @@ def served(net: Net, spec: RenderSpec = SPEC, force_n: float = 0.0) -> tuple[Wri
                 feeder.fill_lookahead(3)
             except CorruptFile:
                 is_fed = False
-        ticks = int(memory.i8[W.TICKS])
+        ticks = int(memory.receiver["counts"]["ticks"])
         if ticks == FIRES:
             net.act(memory)
         return ticks >= (FIRES if net.is_stop else 2000)
@@ -186,11 +186,10 @@ def test_force_and_torque_push_before_the_fault_and_vanish_after(name: str) -> N
     assert len(after) and not after.any(), "zero in time, and not only as the servo ends"
     assert hand.closed == 1
     times_s = 1e-9 * np.diff(hand.times_ns)
-    for part, slew in ((wrenches[:, :3], W.SLEW), (wrenches[:, 3:], W.TORQUE_SLEW)):
+    for part, name in ((wrenches[:, :3], "force"), (wrenches[:, 3:], "torque")):
         steps = np.linalg.norm(np.diff(part, axis=0), axis=1)
-        assert (steps <= float(memory.f8[slew]) * times_s * (1 + 1e-9) + 1e-9).all(), (
-            "no faster than the slew limit"
-        )
+        slew_per_s = float(memory.receiver["settings"][f"{name}_limits"]["slew_per_s"])
+        assert (steps <= slew_per_s * times_s * (1 + 1e-9) + 1e-9).all(), "no faster than the slew limit"
 
 
 @pytest.mark.parametrize("slow", [{"slew_n_per_s": 4.0}, {"slew_nm_per_s": 0.1}])
@@ -210,16 +209,16 @@ def test_heat_and_peak_limit_force_and_torque_from_both_sides(name: str) -> None
     )
     device = replace(SIGMA, force_max_n=20.0, torque_max_nm=9.0)
     session = Session(medium(force_n=6.0), device, spec)
-    memory = Memory.empty(session.layout.words)
+    memory = Memory.empty(session.layout.size_bytes)
     session.set_up(memory)
     feeder = session.feeder(memory, is_timed=False)
-    session.order(memory, mode=W.PLAYING)
+    session.order(memory, mode=layout.PLAYING)
     clock = VirtualClock()
     hand = Wrist(clock)
 
     def must_stop() -> bool:
         feeder.fill_lookahead(3)
-        return int(memory.i8[W.TICKS]) >= 2300
+        return int(memory.receiver["counts"]["ticks"]) >= 2300
 
     serve(memory, hand, clock, must_stop)
     wrenches = np.array(hand.wrenches)

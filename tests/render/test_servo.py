@@ -11,7 +11,7 @@ from hypothesis import given, strategies as st
 from player_makers import OMNI, Absent, Failing, RestingDevice, Simulated, frame_of, laid_out, numbered_medium
 
 from touchfield.errors import CorruptFile, DeviceError, InvalidArgument
-from touchfield.render.block import LOG_ROWS, words as W
+from touchfield.render.block import LOG_ROWS, layout
 from touchfield.render.offline import run_offline
 from touchfield.render.point_device import Point, PointDevice
 from touchfield.render.servo import VirtualClock, serve
@@ -72,7 +72,7 @@ numbers = st.sampled_from([0.0, 0.004, -0.02, 0.024, 0.03, 1.0, -1e300, np.nan, 
 events = st.one_of(
     st.tuples(st.just("seek_s"), st.floats(0, 0.5)),
     st.tuples(st.just("speed"), st.floats(0.01, 100)),
-    st.tuples(st.just("mode"), st.sampled_from([W.PLAYING, W.PAUSED, W.IDLE])),
+    st.tuples(st.just("mode"), st.sampled_from([layout.PLAYING, layout.PAUSED, layout.IDLE])),
     st.tuples(st.just("feed"), st.booleans()),
     st.tuples(st.just("heartbeat"), st.sampled_from([0, 1])),
     st.tuples(st.just("signal"), st.just(0)),
@@ -110,8 +110,8 @@ def test_forces_always_keep_their_limits_and_end_at_zero(
     session, memory = laid_out(numbered_medium(corrupt_from=corrupt_from), spec, loop=loop)
     feeder, clock = session.feeder(memory, is_timed=False), Late(delays_ns)
     device = Ordeal(clock, **faulty)  # type: ignore[arg-type]
-    i8, is_fed = memory.i8, True
-    session.order(memory, mode=W.PLAYING)
+    receiver, is_fed = memory.receiver, True
+    session.order(memory, mode=layout.PLAYING)
     script: dict[int, tuple[str, object]] = {}
     at = 0
     for after, event in turns:
@@ -120,12 +120,12 @@ def test_forces_always_keep_their_limits_and_end_at_zero(
 
     def before_tick() -> bool:
         nonlocal is_fed
-        ticks = int(i8[W.TICKS])
+        ticks = int(receiver["counts"]["ticks"])
         option, value = script.get(ticks, ("", None))
         if option == "feed":
             is_fed = bool(value)
         elif option == "heartbeat":
-            i8[W.HEARTBEAT_NS] = value
+            receiver["orders"]["heartbeat_ns"] = value
         elif option == "signal":
             return True
         elif option:
@@ -155,11 +155,11 @@ def test_forces_always_keep_their_limits_and_end_at_zero(
 def served(device: PointDevice, must_stop: Callable[[int], bool], **options: object) -> None:
     session, memory = laid_out(numbered_medium(), **options)  # type: ignore[arg-type]
     feeder = session.feeder(memory, is_timed=False)
-    session.order(memory, mode=W.PLAYING)
+    session.order(memory, mode=layout.PLAYING)
 
     def before_tick() -> bool:
         feeder.fill_lookahead(3)
-        return must_stop(int(memory.i8[W.TICKS]))
+        return must_stop(int(memory.receiver["counts"]["ticks"]))
 
     serve(memory, device, VirtualClock(), before_tick)
 
@@ -197,7 +197,7 @@ def test_a_slow_device_does_not_delay_the_end() -> None:
 
     session, memory = laid_out(numbered_medium(1))
     session.feeder(memory).step()
-    session.order(memory, mode=W.PLAYING)
+    session.order(memory, mode=layout.PLAYING)
     device = Slow()
     with pytest.raises(DeviceError):
         serve(memory, device, clock, lambda: False)
@@ -216,13 +216,14 @@ def test_zero_is_reached_no_faster_than_the_slew_limit() -> None:
 
     session, memory = laid_out(numbered_medium(1))
     session.feeder(memory).step()
-    session.order(memory, mode=W.PLAYING)
+    session.order(memory, mode=layout.PLAYING)
     device = Once()
     with pytest.raises(DeviceError):
         serve(memory, device, clock, lambda: False)
     last_n = np.linalg.norm(device.forces[-2])
     assert last_n > 0.1 and device.forces[-1] == (0.0, 0.0, 0.0)
-    assert last_n <= 1e-9 * (times_ns[-1] - times_ns[-2]) * float(memory.f8[W.SLEW]) * (1 + 1e-9)
+    slew_n_per_s = float(memory.receiver["settings"]["force_limits"]["slew_per_s"])
+    assert last_n <= 1e-9 * (times_ns[-1] - times_ns[-2]) * slew_n_per_s * (1 + 1e-9)
 
 
 class Driver(RestingDevice):
@@ -234,19 +235,19 @@ class Driver(RestingDevice):
         super().__init__()
         self._calls = calls
 
-    def drive(self, address: int, word_count: int) -> None:
+    def drive(self, address: int, size_bytes: int) -> None:
         import ctypes
         import threading
         import time
 
+        from touchfield.compute.native import native
         from touchfield.render.block import Memory
-        from touchfield.render.kernels.tick import cycle
 
-        memory = Memory.of((ctypes.c_char * (8 * word_count)).from_address(address))
+        memory = Memory((ctypes.c_char * size_bytes).from_address(address))
 
         def call() -> None:
             while not self.closed and len(self.forces) < self._calls:
-                self.forces.append(cycle(*memory.views, 0.0, 0.0, 0.0, time.perf_counter_ns()))
+                self.forces.append(native.cycle(memory.bytes, 0.0, 0.0, 0.0, time.perf_counter_ns()))
                 time.sleep(5e-4)
 
         self._thread = threading.Thread(target=call, daemon=True)

@@ -14,7 +14,7 @@ from tick_makers import GRID, OMNI, Bench, constant, points, wall
 from touchfield.devices import Device
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.cells import CellPool
-from touchfield.render.block import Memory, words as W
+from touchfield.render.block import Memory, layout
 from touchfield.render.player import Session
 from touchfield.render.spec import RenderSpec, stability_of, stiffest_n_per_m
 
@@ -58,8 +58,8 @@ def with_automatic(bench: Bench, device: Device, stiffness: float, spec: RenderS
     bench.device = device
     bench.restart(spec)
     found = stability_of(device, spec, 0.0, stiffness)
-    bench.memory.f8[W.BRAKE] = found.brake_n_s_per_m
-    bench.memory.f8[W.COUPLING] = found.coupling_n_per_m
+    bench.memory.receiver["settings"]["brake_n_s_per_m"] = found.brake_n_s_per_m
+    bench.memory.receiver["settings"]["coupling_n_per_m"] = found.coupling_n_per_m
     return bench
 
 
@@ -81,7 +81,7 @@ def test_the_observer_uses_the_force_that_acted_during_the_motion(delay_ms: floa
     acting = np.interp(np.arange(400) - delay_ms, np.arange(-9, 400), np.concatenate([np.zeros(9), forces]))
     work_j = float(acting[:-1] @ np.diff(path[:, 2]))
     assert abs(work_j) > 1e-3
-    assert bench.word(W.ENERGY) == pytest.approx(-work_j, abs=1e-9)
+    assert bench.value("state.energy_j") == pytest.approx(-work_j, abs=1e-9)
 
 
 def test_passivity_with_a_sample_of_delay_removes_the_energy_of_a_wall() -> None:
@@ -131,7 +131,8 @@ def test_missing_device_parameters_are_assumed_and_stated_ones_used() -> None:
     assert coupling(**smooth, inertia_kg=0.2) > coupling(**smooth) > coupling(**smooth, delay_ms=2.0) > 0
     stated = coupling(**smooth, inertia_kg=0.045, damping_n_s_per_m=0.0, delay_ms=1.0)
     assert coupling(**smooth) == pytest.approx(stated)
-    assert Bench(wall(300.0), device=replace(STRONG, delay_ms=30.0)).word(W.DELAY) == W.MOST_DELAY
+    late = Bench(wall(300.0), device=replace(STRONG, delay_ms=30.0))
+    assert late.value("settings.delay_ticks") == layout.MAX_DELAY
 
 
 def test_requested_values_are_used_and_zero_disables() -> None:
@@ -158,7 +159,7 @@ def test_scaling_the_field_changes_nothing_at_the_device() -> None:
 
 def test_the_damper_acts_along_the_force_and_never_exceeds_it() -> None:
     bench = Bench(constant(0.0, 0.0, 2.0), device=STRONG)
-    bench.memory.f8[W.BRAKE] = 5.0
+    bench.memory.receiver["settings"]["brake_n_s_per_m"] = 5.0
     slides = np.arange(100)[:, None] * np.array([1e-4, 0.0, 0.0])
     assert [f for _, f in bench.along(slides)][-1] == pytest.approx([0.0, 0.0, 2.0], abs=1e-6)
     leaves = slides[-1] + np.arange(100)[:, None] * np.array([0.0, 0.0, 1e-4])  # 0.1 m/s
@@ -173,7 +174,7 @@ def test_the_damper_is_bounded_by_the_force_at_any_speed(axis: int, speed_m_s: f
     """At 0.5 N and 5 N s/m the limit is 0.1 m/s: a faster hand feels 0 N on leaving and 1 N on entering."""
     direction = np.eye(3)[axis]
     bench = Bench(constant(*(0.5 * direction)), device=STRONG)
-    bench.memory.f8[W.BRAKE] = 5.0
+    bench.memory.receiver["settings"]["brake_n_s_per_m"] = 5.0
     bench.settled(*(-0.05 * np.sign(speed_m_s) * direction))
     path = (-0.05 * np.sign(speed_m_s) + 1e-3 * speed_m_s * np.arange(1, 100))[:, None] * direction
     forces = np.array([force for _, force in bench.along(path)]) @ direction
@@ -183,7 +184,7 @@ def test_the_damper_is_bounded_by_the_force_at_any_speed(axis: int, speed_m_s: f
 
 def test_in_free_space_nothing_is_damped() -> None:
     bench = Bench(wall(1000.0), device=STRONG)
-    bench.memory.f8[W.BRAKE] = 20.0
+    bench.memory.receiver["settings"]["brake_n_s_per_m"] = 20.0
     path = np.array([[0.0, 0.0, 0.06 - 0.0002 * n] for n in range(280)])
     assert not np.array([f for _, f in bench.along(path)]).any()
 
@@ -219,15 +220,15 @@ def test_a_stiffer_later_frame_is_damped_more_without_a_jump() -> None:
     medium = HapticMedium.from_frames([field(200.0), field(200.0), field(1500.0)], 10.0, OMNI.axes)
     device = device_of(0.3, 1)
     session = Session(medium, device, RenderSpec(render="field"))
-    memory = Memory.empty(session.layout.words)
+    memory = Memory.empty(session.layout.size_bytes)
     session.set_up(memory)
     feeder = session.feeder(memory, is_timed=False)
     feeder.fill_lookahead(1)
-    first = memory.f8[W.BRAKE]
+    first = memory.receiver["settings"]["brake_n_s_per_m"]
     assert first == pytest.approx(2 * 200 * 0.0015 - 0.3, rel=0.1)
     assert "stiffest slope" in session.notes[-1]
     feeder.fill_lookahead(3)
-    assert memory.f8[W.BRAKE] == pytest.approx(2 * 1500 * 0.0015 - 0.3, rel=0.05)
+    assert memory.receiver["settings"]["brake_n_s_per_m"] == pytest.approx(2 * 1500 * 0.0015 - 0.3, rel=0.05)
 
 
 @pytest.mark.parametrize("coupling", [0.0, 800.0])
@@ -235,8 +236,8 @@ def test_changes_of_damper_and_coupling_are_gradual(coupling: float) -> None:
     bench = Bench(wall(500.0, 12.0), RenderSpec(coupling_n_per_m=coupling), device=STRONG)
     way = np.array([[0.0, 0.0, -0.010 - 5e-6 * n] for n in range(300)])
     before = np.array([f[2] for _, f in bench.along(way[:150])])
-    bench.memory.f8[W.BRAKE] = 5.0
-    bench.memory.f8[W.COUPLING] = 400.0
+    bench.memory.receiver["settings"]["brake_n_s_per_m"] = 5.0
+    bench.memory.receiver["settings"]["coupling_n_per_m"] = 400.0
     after = np.array([f[2] for _, f in bench.along(way[150:])])
     steps = np.abs(np.diff(np.concatenate([before[-1:], after])))
     assert abs(after[-1] - before[-1]) > 0.3

@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from receiver_values import value_of
 from tick_makers import OMNI, Bench, constant, linear, wall
 
+from touchfield.compute.native import native
 from touchfield.devices import device
 from touchfield.errors import DeviceError, InvalidArgument
-from touchfield.render.block import Memory, words as W
-from touchfield.render.kernels.tick import release, tick
+from touchfield.render.block import Memory, layout
 from touchfield.render.point_device import axes_matrix
 from touchfield.render.spec import RenderSpec, write_parameters
 from touchfield.sources.scene import CAMERA_AXES, UP_Z_AXES
@@ -25,10 +26,10 @@ def test_a_hand_at_rest_gets_the_force_of_the_field() -> None:
     bench = Bench(wall(80.0))
     force = bench.settled(0.01, 0.02, -0.012)
     assert force == pytest.approx([0, 0, 0.96], abs=1e-6)
-    assert bench.state(W.FIELD_FORCE) == pytest.approx(force)
-    assert bench.state(W.POSITION) == pytest.approx([0.01, 0.02, -0.012])
-    assert not bench.state(W.VELOCITY).any()
-    assert bench.word(W.GAIN) == 1
+    assert bench.value("state.field_force_n") == pytest.approx(force)
+    assert bench.value("state.position_m") == pytest.approx([0.01, 0.02, -0.012])
+    assert not bench.value("state.velocity_m_s").any()
+    assert bench.value("state.gain") == 1
     assert not bench.settled(0.0, 0.0, 0.02).any()
     assert not bench.settled(9e5, 0.0, -0.02).any()
 
@@ -48,7 +49,7 @@ def test_axes_scale_clutch_and_gravity(device_axes: str, field_axes: str) -> Non
         inside = np.array(spec.clutch_m) + 2.0 * turn @ position
         expected = 0.5 * turn.T @ (FULL @ inside) + spec.gravity_n
         assert bench.settled(*position) == pytest.approx(expected, abs=1e-6)
-        assert bench.state(W.POSITION) == pytest.approx(inside)
+        assert bench.value("state.position_m") == pytest.approx(inside)
 
 
 @given(
@@ -64,7 +65,7 @@ def test_friction_and_damping_dissipate_in_any_axes(scale: float, force_scale: f
     path = np.arange(60)[:, None] * np.array([1e-5, -2e-5, 3e-5])
     force = [f for _, f in bench.along(path)][-1]
     turn = axes_matrix(OMNI.axes, axes, "auto")
-    field_force = force_scale * turn.T @ bench.state(W.FIELD_FORCE)
+    field_force = force_scale * turn.T @ bench.value("state.field_force_n")
     assert (force - field_force) @ path[1] < 0
 
 
@@ -83,7 +84,7 @@ def test_the_force_rises_and_falls_within_the_ramp() -> None:
     away = np.array([bench.tick(0, 0, 0, is_there=False) for _ in range(30)])
     assert away[9] == pytest.approx([0.4, 0.25, 0])  # the full force, as before
     assert not away[20:].any()
-    assert not bench.state(W.FIELD_FORCE).any()
+    assert not bench.value("state.field_force_n").any()
     back = np.array([bench.tick(0, 0, 0) for _ in range(30)])
     assert back == pytest.approx(rising)
 
@@ -126,11 +127,11 @@ def test_a_release_respects_the_slew_limit() -> None:
 def test_a_tick_of_zero_duration_changes_nothing() -> None:
     bench = Bench(constant(0.8, 0.0, 0.0))
     force = bench.settled(0, 0, 0, 5)
-    before = bench.state(W.STATE, W.STATE_WORDS)
+    before = bench.value("state")
     for dt in (0.0, -0.001, math.nan, math.inf):
         assert (bench.tick(0.01, 0, 0, dt) == force).all()
         assert (bench.release(dt) == force).all()
-    assert (bench.state(W.STATE, W.STATE_WORDS) == before).all()
+    assert bench.value("state") == before
 
 
 def test_the_same_ticks_give_the_same_forces() -> None:
@@ -148,23 +149,33 @@ def test_the_same_ticks_give_the_same_forces() -> None:
 
 def written(spec: RenderSpec, **device_changes: object) -> tuple[Memory, tuple[str, ...]]:
     """A block with parameters, and their notes."""
-    memory = Memory.empty(W.FREE)
+    memory = Memory.empty(layout.RECEIVER.itemsize)
     notes = write_parameters(memory, spec, replace(OMNI, **device_changes), 0.3, 0.7, "x right, y up, z back")
     return memory, notes
+
+
+def coefficients(memory: Memory) -> tuple[float, float]:
+    """Friction and damping in the settings."""
+    settings = memory.receiver["settings"]
+    return float(settings["friction"]), float(settings["damping_n_s_per_m"])
 
 
 def test_limits_are_those_of_the_device_or_lower_requested_ones() -> None:
     memory, notes = written(RenderSpec())
     assert notes == ()
-    assert memory.f8[[W.PEAK, W.CONTINUOUS, W.SLEW]].tolist() == [4, 1, 800]
-    assert memory.f8[[W.FRICTION, W.DAMPING]].tolist() == [0.3, 0.7]
+    assert value_of(memory, "settings.force_limits").tolist() == (4, 1, 800)
+    assert coefficients(memory) == (0.3, 0.7)
     memory, _ = written(
         RenderSpec(peak_n=2.0, continuous_n=0.5, slew_n_per_s=50.0, friction=0.0, damping_n_s_per_m=0.1)
     )
-    assert memory.f8[[W.PEAK, W.CONTINUOUS, W.SLEW]].tolist() == [2, 0.5, 50]
-    assert memory.f8[[W.FRICTION, W.DAMPING]].tolist() == [0, 0.1]
-    assert written(RenderSpec(), force_continuous_n=None)[0].f8[W.CONTINUOUS] == 0
-    assert written(RenderSpec(peak_n=0.9))[0].f8[W.CONTINUOUS] == 0  # the peak is below the continuous limit
+    assert value_of(memory, "settings.force_limits").tolist() == (2, 0.5, 50)
+    assert coefficients(memory) == (0, 0.1)
+    for spec, changes in (
+        (RenderSpec(), {"force_continuous_n": None}),
+        (RenderSpec(peak_n=0.9), {}),  # the peak is below the continuous limit
+    ):
+        memory, _ = written(spec, **changes)
+        assert value_of(memory, "settings.force_limits.continuous") == 0
 
 
 @pytest.mark.parametrize(
@@ -183,13 +194,15 @@ def test_limits_beyond_the_device_are_refused(spec: RenderSpec) -> None:
 
 def test_unsupported_devices_are_refused() -> None:
     with pytest.raises(DeviceError, match="type 2"):
-        write_parameters(Memory.empty(W.FREE), RenderSpec(), device("tactsuit-x40"), 0, 0, "")
+        write_parameters(
+            Memory.empty(layout.RECEIVER.itemsize), RenderSpec(), device("tactsuit-x40"), 0, 0, ""
+        )
     for force in (0.0, math.nan, math.inf, 1e9):
         with pytest.raises(DeviceError, match="force_max_n"):
             written(RenderSpec(), force_max_n=force)
     for mu, b in ((-1.0, 0.0), (math.nan, 0.0), (0.0, math.inf)):
         with pytest.raises(InvalidArgument, match="of the medium"):
-            write_parameters(Memory.empty(W.FREE), RenderSpec(), OMNI, mu, b, "")
+            write_parameters(Memory.empty(layout.RECEIVER.itemsize), RenderSpec(), OMNI, mu, b, "")
 
 
 def test_a_weight_beyond_the_continuous_limit_is_noted() -> None:
@@ -199,18 +212,16 @@ def test_a_weight_beyond_the_continuous_limit_is_noted() -> None:
 
 
 def test_a_block_without_parameters_gives_no_force() -> None:
-    memory = Memory.empty(W.FREE)
-    assert tick(*memory.views, 0, 0, 0.0, 0.01, 0.0, 0.0, 0.001) == (0, 0, 0)
-    assert release(memory.f8, 0.001) == (0, 0, 0)
-    assert not memory.u8.any()
+    memory = Memory.empty(layout.RECEIVER.itemsize)
+    assert native.tick(memory.bytes, 0, 0, 0.0, 0.01, 0.0, 0.0, 0.001) == (0, 0, 0)
+    assert native.release(memory.bytes, 0.001) == (0, 0, 0)
+    assert not memory.bytes.any()
 
 
-def test_parameters_stay_within_their_zones_of_the_block() -> None:
-    memory = Memory.empty(W.FREE)
-    memory.u8[:] = 7
+def test_parameters_are_written_to_settings_state_and_grip_only() -> None:
+    memory = Memory.empty(layout.RECEIVER.itemsize)
+    memory.array(np.int64, 0, memory.size_bytes // 8)[:] = 7
     write_parameters(memory, RenderSpec(), OMNI, 0, 0, "x right, y up, z back")
-    touched = np.flatnonzero(memory.u8 != 7)
-    first, last = W.RATE_HZ + W.PARAMETER_WORDS, W.STATE + W.STATE_WORDS
-    zones = ((128, first), (W.STATE, last), (W.WRENCH, W.WRENCH + W.WRENCH_WORDS))
-    assert np.logical_or.reduce([(touched >= start) & (touched < end) for start, end in zones]).all()
-    assert len(touched) == W.PARAMETER_WORDS + W.STATE_WORDS + W.WRENCH_WORDS
+    for name in layout.RECEIVER.names:
+        is_written = np.frombuffer(memory.receiver[name].tobytes(), np.int64) != 7
+        assert is_written.all() if name in ("settings", "state", "grip") else not is_written.any(), name

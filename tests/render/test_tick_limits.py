@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given, strategies as st
 from tick_makers import OMNI, Bench, Vector, constant, limits, linear
 
-from touchfield.render.block import Memory, words as W
-from touchfield.render.kernels.effects import limited
+from touchfield.compute.native import native
+from touchfield.render.block import Memory, layout
 from touchfield.render.spec import RenderSpec, write_parameters
 
 BENCH = Bench(lambda p: 900.0 * p[..., ::-1] * np.array([1.0, -1.0, 3.0]), vibration=(0.7, 240.0))
@@ -101,41 +101,43 @@ forces = st.floats(-1e3, 1e3) | odd
 def test_any_requested_force_stays_within_the_limits(
     wishes: list[tuple[float, float, float, float]], continuous: float, thermal_s: float
 ) -> None:
-    memory = Memory.empty(W.FREE)
+    memory = Memory.empty(layout.RECEIVER.itemsize)
     spec = RenderSpec(continuous_n=min(continuous, 1.0), thermal_s=thermal_s)
     write_parameters(memory, spec, OMNI, 0.0, 0.0, "")
-    peak, slew = memory.f8[W.PEAK], memory.f8[W.SLEW]
+    limits = memory.receiver["settings"]["force_limits"]
+    peak, slew = limits["peak"], limits["slew_per_s"]
     before = np.zeros(3)
     for x, y, z, dt in wishes:
-        force = np.array(limited(memory.f8, (x, y, z), dt))
+        force = np.array(native.limited(memory.bytes, x, y, z, dt))
         check_step(before, force, peak, slew, dt)
-        assert np.linalg.norm(force) <= memory.f8[W.LIMIT]
+        assert np.linalg.norm(force) <= memory.receiver["state"]["force"]["limit"]
         before = force
 
 
 def test_a_turning_force_with_a_falling_limit_keeps_the_slew() -> None:
     for turn in range(1, 40):
-        memory, before = Memory.empty(W.FREE), np.zeros(3)
+        memory, before = Memory.empty(layout.RECEIVER.itemsize), np.zeros(3)
         write_parameters(memory, RenderSpec(thermal_s=0.02, slew_n_per_s=1000.0), OMNI, 0.0, 0.0, "")
+        limits = memory.receiver["settings"]["force_limits"]
         for tick in range(turn + 8):
             wish = (-3.0, 4.0, 0.0) if tick >= turn else (3.0, 4.0, 0.0)
-            force = np.array(limited(memory.f8, wish, 0.001))
-            check_step(before, force, memory.f8[W.PEAK], memory.f8[W.SLEW], 0.001)
+            force = np.array(native.limited(memory.bytes, *wish, 0.001))
+            check_step(before, force, limits["peak"], limits["slew_per_s"], 0.001)
             before = force
 
 
 def test_no_direction_rounds_beyond_the_peak() -> None:
-    memory = Memory.empty(W.FREE)
+    memory = Memory.empty(layout.RECEIVER.itemsize)
     write_parameters(memory, RenderSpec(peak_n=0.7, slew_n_per_s=1e9, thermal_s=1e9), OMNI, 0.0, 0.0, "")
     for wish in np.random.default_rng(4).normal(0, 100, (1000, 3)):
-        assert square(np.array(limited(memory.f8, tuple(wish), 0.001))) <= Fraction(0.7) ** 2
+        assert square(np.array(native.limited(memory.bytes, *wish, 0.001))) <= Fraction(0.7) ** 2
 
 
 def test_a_late_tick_moves_the_force_by_at_most_two_ticks() -> None:
-    memory = Memory.empty(W.FREE)
+    memory = Memory.empty(layout.RECEIVER.itemsize)
     write_parameters(memory, RenderSpec(slew_n_per_s=100.0), OMNI, 0.0, 0.0, "")
-    assert limited(memory.f8, (3.0, 0.0, 0.0), 0.3)[0] == pytest.approx(0.2)
-    assert limited(memory.f8, (3.0, 0.0, 0.0), 0.0015)[0] == pytest.approx(0.35)
+    assert native.limited(memory.bytes, 3.0, 0.0, 0.0, 0.3)[0] == pytest.approx(0.2)
+    assert native.limited(memory.bytes, 3.0, 0.0, 0.0, 0.0015)[0] == pytest.approx(0.35)
 
 
 def test_the_peak_limit_preserves_the_direction() -> None:
@@ -152,10 +154,10 @@ def test_the_peak_is_allowed_until_the_heat_is_reached() -> None:
     assert 0.045 < full.max() / 1000 < 0.07
     assert forces[2000:] == pytest.approx(1.0, rel=1e-2)
     assert (np.diff(forces[full.max() :]) <= 1e-12).all()  # no buzz on the way down
-    assert bench.word(W.HEAT) <= 1.0
+    assert bench.value("state.force.heat") <= 1.0
     for _ in range(3000):
         bench.tick(0.2, 0, 0)  # where there is no force
-    assert bench.word(W.HEAT) < 0.1
+    assert bench.value("state.force.heat") < 0.1
     assert max(bench.tick(0, 0, 0)[2] for _ in range(30)) > 3.999  # cold again
 
 
@@ -167,7 +169,7 @@ def test_the_continuous_limit_holds_in_the_long_run(stays: list[tuple[float, int
     for coordinate, count in stays * 3:
         for _ in range(count):
             squares.append(float(np.square(bench.tick(coordinate, 0, 0)).sum()))
-            heats.append(bench.word(W.HEAT))
+            heats.append(bench.value("state.force.heat"))
     assert max(heats) <= 1.01  # N^2: 1 N continuously
     seconds = len(squares) / 1000
     assert sum(squares) / 1000 <= 1.0 * (seconds + 0.3) + 0.01  # plus the initial thermal margin

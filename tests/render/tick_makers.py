@@ -4,26 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from receiver_values import value_of
 
+from touchfield.compute.native import native
 from touchfield.devices import Device, device
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.cells import CellPool
 from touchfield.medium.deformation import Deformation
 from touchfield.medium.medium import VibrationFrame
-from touchfield.render.block import Memory, words as W
+from touchfield.render.block import Memory, layout
 from touchfield.render.block.frames import (
     FramePart,
-    field_words,
-    frame_words,
-    warp_words,
+    deformation_bytes,
+    field_bytes,
+    frame_bytes,
+    write_deformation,
     write_field,
     write_frame,
-    write_warp,
 )
-from touchfield.render.kernels.tick import release, tick
 from touchfield.render.spec import RenderSpec, write_parameters
 
 OMNI = replace(device("phantom-omni"), force_max_n=4.0, force_continuous_n=1.0, delay_ms=0.0)
@@ -83,36 +85,35 @@ class Bench:
             amplitudes, frequencies = (np.full(every[..., 0].size, v, np.float32) for v in self.vibration)
             band = VibrationFrame(self.grid, every.reshape(-1, 3).astype(np.int32), amplitudes, frequencies)
             pools.append(CellPool.of(band.as_field()))
-        at = [W.FREE + 8]
+        at = [layout.RECEIVER.itemsize]
         for pool in pools:
-            at.append(at[-1] + field_words(pool))
+            at.append(at[-1] + field_bytes(pool))
         self.frame = at[-1]
-        warp = 0 if self.deformation is None else warp_words(self.deformation)
-        self.yields = self.frame + frame_words(1) + warp
-        self.memory = Memory.empty(self.yields + warp)
+        bend = 0 if self.deformation is None else deformation_bytes(self.deformation)
+        self.yields = self.frame + frame_bytes(1) + bend
+        self.memory = Memory.empty(self.yields + bend)
         for place, pool in zip(at, pools, strict=False):
             write_field(self.memory, place, pool)
         vibration_at = at[1] if len(pools) > 1 else 0
         write_frame(self.memory, self.frame, [FramePart.voxels(at[0])], np.inf, vibration_at)
         if self.deformation is not None:
-            write_warp(self.memory, self.frame, frame_words(1), self.deformation, 0, self.yields)
+            write_deformation(self.memory, self.frame, frame_bytes(1), self.deformation, 0, self.yields)
         self.restart(self.spec)
 
     def restart(self, spec: RenderSpec) -> tuple[str, ...]:
         """Set other parameters and reset the state."""
         self.spec, self.dt = spec, 1 / spec.rate_hz
-        self.memory.f8[self.yields :] = 0.0
+        self.memory.bytes[self.yields :] = 0
         return write_parameters(self.memory, spec, self.device, self.friction, self.damping, self.axes)
 
     def tick(self, x: float, y: float, z: float, dt: float | None = None, is_there: bool = True) -> Vector:
         """One force, newtons."""
         frame, step = self.frame if is_there else 0, self.dt if dt is None else dt
-        numbers = (float(number) for number in (x, y, z, step))  # integers would be compiled separately
-        return np.array(tick(*self.memory.views, frame, frame, 0.0, *numbers))
+        return np.array(native.tick(self.memory.bytes, frame, frame, 0.0, x, y, z, step))
 
     def release(self, dt: float | None = None) -> Vector:
         """One force on the way to zero, newtons."""
-        return np.array(release(self.memory.f8, self.dt if dt is None else dt))
+        return np.array(native.release(self.memory.bytes, self.dt if dt is None else dt))
 
     def settled(self, x: float, y: float, z: float, ticks: int = 60) -> Vector:
         """The force at the position of a resting hand."""
@@ -120,13 +121,9 @@ class Bench:
             force = self.tick(x, y, z)
         return force
 
-    def state(self, place: int, count: int = 3) -> Vector:
-        """A copy of words of the state."""
-        return self.memory.f8[place : place + count].copy()
-
-    def word(self, place: int) -> float:
-        """One word of the state."""
-        return float(self.memory.f8[place])
+    def value(self, path: str) -> Any:
+        """A copy of a value of the receiver, such as "state.force.output"."""
+        return value_of(self.memory, path)
 
     def along(self, path: Vector) -> Iterator[tuple[Vector, Vector]]:
         """A path, metres, float64 [n, 3]: each position, and the force that is put out there."""
@@ -136,4 +133,4 @@ class Bench:
 
 def limits(bench: Bench) -> tuple[float, float]:
     """Peak, newtons, and slew, newtons a second."""
-    return bench.word(W.PEAK), bench.word(W.SLEW)
+    return bench.value("settings.force_limits.peak"), bench.value("settings.force_limits.slew_per_s")

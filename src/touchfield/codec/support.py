@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Int32s, Int64s
-from touchfield.codec.native import argument_errors, decoding_errors, native
+from touchfield.compute.native import argument_errors, decoding_errors, native
 from touchfield.errors import InvalidArgument
 from touchfield.medium.grid import BRICK, Grid
 

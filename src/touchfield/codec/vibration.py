@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from touchfield.arrays import Float32s, Int32s
-from touchfield.codec.native import argument_errors, decoding_errors, native
+from touchfield.compute.native import argument_errors, decoding_errors, native
 from touchfield.medium.budget import memory_budget_bytes
 from touchfield.medium.grid import Grid
 from touchfield.medium.medium import VibrationFrame

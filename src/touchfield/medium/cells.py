@@ -1,8 +1,8 @@
-"""Stores the fields of moving bodies in the layout that the compiled force queries read.
+"""Stores fields in *cells*, the layout that the force queries in C read, and evaluates a scene of bodies.
 
 Each brick of 8^3 samples is stored as a block of 9^3 samples: its own and the first samples of the next
 bricks along each axis. The eight samples around any point are then in one block. Blocks are found through a
-hash table. The code calls these blocks *cells*.
+hash table. ``c/touch_cells.h`` writes and reads them, ``c/touch_placed.h`` adds up bodies at their poses.
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
+from touchfield.compute.native import native
 from touchfield.compute.threads import for_chunks
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium.budget import memory_budget_bytes, require_memory, zero_forces
-from touchfield.medium.field import ForceField, bricks_of, slots_of
-from touchfield.medium.grid import BRICK, CORNERS
+from touchfield.medium.field import ForceField, bricks_of
+from touchfield.medium.grid import BRICK
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,24 +38,31 @@ _MEETINGS_PER_BYTE: Final = 32
 
 _JOINED: Final = ("lattices", "bricks", "cells", "supported")
 _ANY: Final = 1 << 50
-_COLUMNS: Final = 33
-_POINTS_AT_ONCE: Final = 2048
-_BRICKS_AT_ONCE: Final = 8
+_FIRST_PAIRS: Final = 1 << 14
+_TOO_MANY_PAIRS: Final = -1  # of `native.find_reached`
+_PLACEMENT_COLUMNS: Final = 33  # numbers of a `touch_placement` in c/touch_placed.h
+_POINTS_PER_THREAD: Final = 2048
+_BRICKS_PER_THREAD: Final = 64
+_LATTICE_BRICKS_PER_THREAD: Final = 8
+"""Smallest ranges worth a thread."""
 _BYTES_PER_CELLS: Final = (BRICK + 1) ** 3 * 3 * 4
 
 
 @dataclass(frozen=True)
 class CellPool:
-    """The concatenated fields of some objects, in the layout of `kernels.placed`."""
+    """The fields of some objects as cells, joined; arrays as in `touch_cells` of ``c/touch_receiver.h``."""
 
     # float64 [objects, 6]; spacing, and corner of the object's box of bricks in its body frame, metres
     lattices: Float64s
-    boxes: Int64s  # int64 [objects, 5]
+    # int64 [objects, 5]; bricks of the box along x, y and z; start of its hash table in `tables`; 64 minus
+    # the number of bits of an index in it
+    boxes: Int64s
     starts: Int64s  # int64 [objects + 1]
     bricks: Int32s  # int32 [n, 3]; brick coordinates of the cells, counted from the corner of the box
     cells: Float32s  # float32 [n * 9 * 9 * 9 * 3]
     supported: NDArray[np.uint64]  # uint64 [n, 8]
     tables: Int64s  # int64 [m, 2]
+    data: NDArray[np.uint8] | None = None  # the `touch_cells` of one object, in which the arrays lie
 
     @classmethod
     def of(cls, field: ForceField, paired: ForceField | None = None) -> CellPool:
@@ -63,50 +71,25 @@ class CellPool:
         If `paired` is given, the pool also has cells for the bricks of that field, so that the pools of both
         fields have their cells in the same order.
         """
-        from touchfield.medium.kernels import placed as kernels
-
-        spacing = np.asarray(field.grid.spacing_m)
-        parts = [part for part in (field, paired) if part is not None and len(part.bricks)]
-        if not parts:
-            lattice = np.concatenate([spacing, field.grid.origin_m])[None]
-            none = np.zeros((0, 3), np.int32), np.zeros(0, np.float32), np.zeros((0, 8), np.uint64)
-            return cls(
-                lattice, np.zeros((1, 5), np.int64), np.zeros(2, np.int64), *none, np.zeros((0, 2), np.int64)
-            )
-        candidates = [part.bricks for part in parts]
-        for part in parts:  # the first samples of a brick are also stored in the cells of the previous brick
-            for corner in CORNERS[1:]:
-                first_samples = tuple(0 if c else slice(None) for c in corner)
-                has_mask = part.mask[(slice(None), *first_samples)].reshape(len(part.bricks), -1).any(axis=1)
-                candidates.append(part.bricks[has_mask] - corner)
-        all_bricks = np.concatenate(candidates).astype(np.int64)
-        low = all_bricks.min(axis=0)
-        box = all_bricks.max(axis=0) - low + 1
-        keys = np.unique(_keys(all_bricks - low, box))
-        bricks = np.stack(np.unravel_index(keys, tuple(box)), axis=1)
-        field_keys = _keys(field.bricks - low, box)
-        sources = np.empty((len(bricks), 8), np.int64)
-        for c, corner in enumerate(CORNERS):
-            neighbours = bricks + corner
-            sources[:, c] = np.where(
-                (neighbours < box).all(axis=1), slots_of(field_keys, _keys(neighbours, box)), -1
-            )
+        spacing, origin = tuple(map(float, field.grid.spacing_m)), tuple(map(float, field.grid.origin_m))
+        of_field = field.bricks, field.forces_n
+        of_paired = (None, None) if paired is None else (paired.bricks, paired.forces_n)
+        found, corner, box, size_bytes = native.find_cells(*of_field, *of_paired)
+        bricks = np.frombuffer(found, np.int32).reshape(-1, 3)
         require_memory("haptic objects", f"{len(bricks)} bricks", len(bricks) * _BYTES_PER_CELLS)
-        cells = np.zeros((len(bricks), *[BRICK + 1] * 3, 3), np.float32)
-        supported = np.zeros((len(bricks), BRICK), np.uint64)
-        for_chunks(kernels.cells_of, len(bricks), sources, field.forces_n, cells, supported, chunk=64)
-        shift = 64 - max(2, (4 * len(keys) - 1).bit_length())
-        table = np.full((1 << (64 - shift), 2), -1, np.int64)
-        kernels.hash_table(keys, shift, table)
-        corner_m = field.grid.to_m(low * BRICK)
+        data = np.empty(size_bytes, np.uint8)
+        header = native.start_cells(data, corner, box, bricks, spacing, origin)
+        corner_m, shift, table, supported, samples = header
+        for_chunks(native.fill_cells, len(bricks), data, corner, bricks, *of_field, chunk=_BRICKS_PER_THREAD)
         return cls(
-            np.concatenate([spacing, corner_m])[None],
+            np.array([[*spacing, *corner_m]]),
             np.array([[*box, 0, shift]]),
             np.array([0, len(bricks)]),
-            bricks.astype(np.int32),
-            cells.reshape(-1),
-            supported,
-            table,
+            bricks,
+            data[samples : samples + _BYTES_PER_CELLS * len(bricks)].view(np.float32),
+            data[supported:samples].view(np.uint64).reshape(-1, BRICK),
+            data[table:supported].view(np.int64).reshape(-1, 2),
+            data,
         )
 
     @classmethod
@@ -137,61 +120,80 @@ class PlacedFields:
 
     def sample_n(self, frame: int, positions_m: ArrayLike) -> Float32s:
         """See `HapticScene.sample_n`."""
-        from touchfield.medium.kernels import placed as kernels
-
         points = np.ascontiguousarray(positions_m, np.float64)
         if points.ndim == 0 or points.shape[-1] != 3:
             raise InvalidArgument("positions_m", f"shape {points.shape}", "points [..., 3] in metres")
-        pool, placed = self._at(frame)
+        objects = self._objects(self._at(frame))
         out = np.empty(points.shape, np.float32)
-        flat, forces, floor = points.reshape(-1, 3), out.reshape(-1, 3), self._limit_n * _FLOOR_FRACTION
-        if not flat.flags.writeable:
-            flat = flat.copy()  # numba treats read-only arrays as another type
-        tables = (pool.boxes, placed, pool.tables, pool.cells, pool.supported, floor, self._limit_n)
-        for_chunks(kernels.at_points, len(flat), flat, *tables, forces, chunk=_POINTS_AT_ONCE)
+        count = points.size // 3
+        for_chunks(native.placed_at_points, count, points, objects, out, chunk=_POINTS_PER_THREAD)
         return out
 
     def voxels(self, frame: int, grid: Grid, file_bytes: int | None = None) -> ForceField:
         """Return one frame on a lattice; see `HapticScene.voxelise`.
 
         Each sample equals `sample_n` at its position.
-
         """
-        from touchfield.medium.kernels import placed as kernels
+        placed = self._at(frame)
+        objects = self._objects(placed)
+        lattice = tuple(map(float, grid.origin_m)), tuple(map(float, grid.spacing_m)), tuple(grid.shape)
+        pairs, stamps = self._reached(frame, grid, lattice, placed[0], objects, file_bytes)
+        reached = np.unique(pairs[:, 0])
+        stamps[reached] = np.arange(len(reached))
+        slots = stamps[pairs[:, 0]]
+        object_indices = pairs[np.argsort(slots, kind="stable"), 1]
+        starts = np.cumsum(np.append(0, np.bincount(slots, minlength=len(reached))))
+        bricks = bricks_of(grid, reached)
+        forces, has_force = zero_forces(len(bricks)), np.zeros(len(bricks), np.bool_)
+        arguments = (bricks, starts, object_indices, lattice, objects, forces, has_force)
+        for_chunks(native.fill_lattice, len(bricks), *arguments, chunk=_LATTICE_BRICKS_PER_THREAD)
+        return ForceField(grid, bricks[has_force], forces[has_force])
 
-        pool, placed = self._at(frame)
-        lattice, shape = np.array([*grid.origin_m, *grid.spacing_m]), np.array(grid.shape)
+    def _reached(
+        self,
+        frame: int,
+        grid: Grid,
+        lattice: tuple[Any, ...],
+        pool: CellPool,
+        objects: tuple[Any, ...],
+        file_bytes: int | None,
+    ) -> tuple[Int64s, Int32s]:
+        """Return the pairs of a brick of the lattice and an object that may reach it, int64 [m, 2].
+
+        Objects are ascending. Also returns an array with a number for each brick of the lattice, to be
+        overwritten. Raises `CorruptFile` if there are more pairs than a file of `file_bytes` may have.
+        """
         brick_count, allowed = math.prod(grid.brick_shape), memory_budget_bytes() // 4
         if brick_count > allowed:
             raise InvalidArgument(
                 "grid shape", f"{grid.shape}, {brick_count} bricks", f"at most {allowed} bricks"
             )
-        stamps = np.zeros(brick_count, np.int32)
         max_pairs = _MEETINGS_FREE + _MEETINGS_PER_BYTE * file_bytes if file_bytes is not None else _ANY
-        tables = pool.boxes, placed, pool.starts, pool.bricks, stamps, max_pairs
-        count, pairs = kernels.meetings(lattice, shape, *tables)
-        if count < 0:
-            found = f"objects that reach more than {max_pairs} bricks of the {grid.shape} samples"
-            raise CorruptFile(
-                f"objects, frame {frame}", found, f"at most that in a file of {file_bytes} bytes"
-            )
-        reached = np.unique(pairs[:count, 0])
-        stamps[reached] = np.arange(len(reached))
-        slots = stamps[pairs[:count, 0]]
-        object_indices = pairs[np.argsort(slots, kind="stable"), 1]
-        starts = np.cumsum(np.append(0, np.bincount(slots, minlength=len(reached))))
-        bricks = bricks_of(grid, reached)
-        forces, filled = zero_forces(len(bricks)), np.zeros(len(bricks), np.bool_)
-        objects: tuple[Any, ...] = (pool.boxes, placed, pool.tables, pool.cells, pool.supported)
-        limits = (self._limit_n * _FLOOR_FRACTION, self._limit_n)
-        work = (bricks, starts, object_indices, lattice, shape, *objects, limits, forces, filled)
-        for_chunks(kernels.fill, len(bricks), *work, chunk=_BRICKS_AT_ONCE)
-        return ForceField(grid, bricks[filled], forces[filled])
+        capacity = _FIRST_PAIRS
+        while True:
+            stamps, pairs = np.zeros(brick_count, np.int32), np.empty((capacity, 2), np.int64)
+            arguments = pool.starts, pool.bricks, stamps, max_pairs, pairs
+            count = native.find_reached(lattice, objects, *arguments)
+            if count == _TOO_MANY_PAIRS:
+                found = f"objects that reach more than {max_pairs} bricks of the {grid.shape} samples"
+                raise CorruptFile(
+                    f"objects, frame {frame}", found, f"at most that in a file of {file_bytes} bytes"
+                )
+            if count >= 0:
+                return pairs[:count], stamps
+            capacity *= 4
+
+    def _objects(self, placed: tuple[CellPool, Float64s]) -> tuple[Any, ...]:
+        """Return the objects of a frame as the functions in C take them."""
+        pool, placements = placed
+        arrays = pool.boxes, placements, pool.tables, pool.cells, pool.supported
+        return (*arrays, self._limit_n * _FLOOR_FRACTION, self._limit_n)
 
     def _at(self, frame: int) -> tuple[CellPool, Float64s]:
-        """Return the tables of one frame for the kernels; the latest is cached."""
-        from touchfield.medium.kernels import placed as kernels
+        """Return the fields of one frame and their placements, float64 [objects, 33].
 
+        The latest frame is cached.
+        """
         latest, scene = self._latest, self._scene
         if latest is not None and latest[0] == frame:
             return latest[1:]
@@ -200,13 +202,13 @@ class PlacedFields:
         pool = self._pool_of(frame)
         tracks = [scene_object.track for scene_object in scene.objects]
         poses = np.array([[*track.quaternions[frame], *track.positions_m[frame]] for track in tracks])
-        motions, placed = np.zeros((len(tracks), 6)), np.empty((len(tracks), _COLUMNS))
+        motions, placements = np.zeros((len(tracks), 6)), np.empty((len(tracks), _PLACEMENT_COLUMNS))
         if scene.surface_damping_n_s_per_m:
-            with np.errstate(over="ignore"):  # the kernels handle forces that overflow
+            with np.errstate(over="ignore"):  # forces that overflow are handled where they are clipped
                 motions[:] = scene.surface_damping_n_s_per_m * self._motions[frame]
-        kernels.fill_placements(poses, pool.lattices, motions, placed)
-        self._latest = frame, pool, placed
-        return pool, placed
+        native.place_objects(poses, pool.lattices, motions, placements)
+        self._latest = frame, pool, placements
+        return pool, placements
 
     @cached_property
     def _motions(self) -> Float64s:
@@ -231,8 +233,3 @@ class PlacedFields:
         if len(self._rigid) == len(pools):
             self._pool, self._rigid = joined, {}
         return joined
-
-
-def _keys(bricks: NDArray[np.integer[Any]], box: Int64s) -> Int64s:
-    """Return raster indices of bricks within a box, x slowest, int64 [n]."""
-    return np.asarray((bricks[:, 0] * box[1] + bricks[:, 1]) * box[2] + bricks[:, 2])

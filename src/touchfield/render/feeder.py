@@ -20,14 +20,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from touchfield.compute.native import native
 from touchfield.errors import TouchfieldError
 from touchfield.medium import HapticScene
-from touchfield.render.block import Layout, Memory, Ring, check_fits, too_little, words as W
+from touchfield.render.block import Layout, Memory, Ring, aligned, check_fits, layout, too_little
 from touchfield.render.block.frames import (
     VIBRATION,
     FieldName,
     FrameParts,
-    field_words,
+    field_bytes,
     require_medium,
     write_fields,
 )
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
 
 
 FIRST_GENERATION: Final = 1  # of the frames before any seek
-_FRAME: Final = (1 << W.FRAME_BITS) - 1
+_FRAME: Final = (1 << layout.FRAME_BITS) - 1
 _TIME_MARGIN: Final = 1.5  # time that must be left to start a frame, over its expected time
 _DURATIONS: Final = 16  # latest frames in the mean decoding time
 _MAX_SEARCH: Final = 4096
@@ -93,23 +94,23 @@ class Pace:
         return frame - (latest if start <= latest < frame else start - 1)
 
 
-def arena_word_count(source: FrameSource, memory_bytes: int) -> int:
-    """Return the number of words of the arena.
+def arena_bytes(source: FrameSource, memory_bytes: int) -> int:
+    """Return the size of the arena, bytes.
 
     It is what the bound allows, and at most what all frames need.
 
     Raises an error if the bound is too small for the shared fields.
     """
-    allowed = memory_bytes // W.WORD
-    check_fits(source.shared_word_count, allowed, "the fields of the rigid objects")
-    return min(allowed, source.shared_word_count + (source.frame_count + 2) * source.max_word_count)
+    check_fits(source.shared_bytes, memory_bytes, "the fields of the rigid objects")
+    return min(memory_bytes, source.shared_bytes + (source.frame_count + 2) * aligned(source.max_bytes))
 
 
 class Feeder:
     """Writes frames ahead of the servo.
 
-    It works by calls of `step` in the caller's thread, or in its own thread after `start`. ``reserve(words)``
-    makes that many words of the block writable. With `is_timed`, frames that come too late are dropped.
+    It works by calls of `step` in the caller's thread, or in its own thread after `start`.
+    ``reserve(size_bytes)`` makes that many bytes of the block writable. With `is_timed`, frames that come too
+    late are dropped.
     ``on_stiffness(k)`` is called with the largest slope of each frame, N/m. `error` is the error that ended
     the feed, `decode_s` holds the decoding times of the latest frames, and `dropped_frames` the number of
     frames that came too late.
@@ -119,7 +120,7 @@ class Feeder:
         self,
         source: FrameSource,
         memory: Memory,
-        layout: Layout,
+        block_layout: Layout,
         first_frame: int = 0,
         is_loop: bool = False,
         reserve: Callable[[int], None] | None = None,
@@ -132,15 +133,15 @@ class Feeder:
         self.dropped_frames = 0
         self._source, self._memory = source, memory
         self._is_loop = is_loop and source.frame_count > 1  # a single frame is written once
-        self._slots, self._reserve, self._is_timed = layout.slots, reserve, is_timed
-        ring_start = layout.arena + source.shared_word_count
+        self._slots, self._reserve, self._is_timed = block_layout.slots, reserve, is_timed
+        ring_start = block_layout.arena + source.shared_bytes
         if reserve is not None:
             reserve(ring_start)
-        source.write_shared(memory, layout.arena)
-        self._ring = Ring(ring_start, layout.words - ring_start)
+        source.write_shared(memory, block_layout.arena)
+        self._ring = Ring(ring_start, block_layout.size_bytes - ring_start)
         self._target = (FIRST_GENERATION, first_frame)
         self._generation, self._next = self._target
-        memory.i8[W.NEEDS] = (FIRST_GENERATION << W.FRAME_BITS) | first_frame
+        memory.receiver["clock"]["needs"] = (FIRST_GENERATION << layout.FRAME_BITS) | first_frame
         self._ready: PreparedFrame | None = None
         self._is_published, self._offset = False, 0
         self._wake, self._is_closing = threading.Event(), False
@@ -164,7 +165,7 @@ class Feeder:
             return self._step()
         except Exception as error:  # any error: the servo releases the force, the player reports it
             self.error = error
-            self._memory.i8[W.FEED_FAILED] = 1
+            self._memory.receiver["orders"]["has_feed_failed"] = 1
             return False
 
     def _step(self) -> bool:
@@ -175,8 +176,8 @@ class Feeder:
             self._source.forget()
             self._is_published, self._offset = False, 0
         source, count = self._source, self._source.frame_count
-        needs = int(self._memory.i8[W.NEEDS])
-        servo_generation, needed = needs >> W.FRAME_BITS, needs & _FRAME
+        needs = int(self._memory.receiver["clock"]["needs"])
+        servo_generation, needed = needs >> layout.FRAME_BITS, needs & _FRAME
         is_accepted = servo_generation == generation
         if is_accepted and needed > self._next:  # the servo has passed these frames: do not decode them
             self.dropped_frames += needed - self._next if self._is_published else 0
@@ -202,49 +203,45 @@ class Feeder:
 
         Returns False if no frame is left.
         """
-        from touchfield.render.kernels.tick import publish
-
-        i8, f8 = self._memory.i8, self._memory.f8
-        is_running = i8[W.FEED] in (W.RUNNING, W.STALLED) and i8[W.MODE_NOW] == W.PLAYING
+        clock = self._memory.receiver["clock"]
+        is_running = clock["feed"] in (layout.RUNNING, layout.STALLED) and clock["mode"] == layout.PLAYING
         if not (self._is_timed and is_running):
             return True
         limit = needed + self._slots - 1
         if not self._is_loop:
             limit = min(limit, self._source.frame_count)
-        media_s, speed = float(f8[W.MEDIA_S]), float(f8[W.SPEED_NOW])
+        media_s, speed = float(clock["media_s"]), float(clock["speed"])
         frame = self._pace.first_reachable(self._next, limit, media_s, speed)
         if frame > self._next:
             if self._offset and self._ring.hold(frame - 1):
                 for dropped in range(self._next, frame):
-                    publish(i8, self._generation, dropped, self._offset)
+                    native.publish(self._memory.bytes, self._generation, dropped, self._offset)
             self.dropped_frames += frame - self._next
             self._next = frame
         return self._is_loop or frame < self._source.frame_count
 
     def _write(self, ready: PreparedFrame, needed: int) -> bool:
-        from touchfield.render.kernels.tick import publish
-
-        check_fits(ready.word_count, self._ring.words, f"frame {self._next % self._source.frame_count}")
+        check_fits(ready.size_bytes, self._ring.size_bytes, f"frame {self._next % self._source.frame_count}")
         self._ring.free_before(needed)
-        start = self._ring.take(self._next, ready.word_count)
+        start = self._ring.take(self._next, ready.size_bytes)
         if start is None:
             if self._next <= needed + 1:  # the servo waits for this frame and therefore releases none
-                size = f"{W.WORD * ready.word_count / 2**20:.2f} MiB"
-                raise too_little(self._ring.words, f"room for two frames, of which one takes {size}")
+                size = f"{ready.size_bytes / 2**20:.2f} MiB"
+                raise too_little(self._ring.size_bytes, f"room for two frames, of which one takes {size}")
             return False
         if self._reserve is not None:
-            self._reserve(start + ready.word_count)
+            self._reserve(start + ready.size_bytes)
         self._offset = offset = ready.write(self._memory, start)
         if self._on_stiffness is not None:
             self._on_stiffness(ready.stiffest_n_per_m)
-        publish(self._memory.i8, self._generation, self._next, offset)
+        native.publish(self._memory.bytes, self._generation, self._next, offset)
         self._next, self._ready, self._is_published = self._next + 1, None, True
         return True
 
     @property
     def note(self) -> str:
         """Note for the user if frames were dropped."""
-        speed, decode_hz = float(self._memory.f8[W.SPEED_NOW]), 1 / max(self._pace.frame_s, 1e-6)
+        speed, decode_hz = float(self._memory.receiver["clock"]["speed"]), 1 / max(self._pace.frame_s, 1e-6)
         needed_hz = self._source.rate_hz * speed
         if decode_hz >= needed_hz:
             reason = "Frames were late, because they had to be fetched or other work delayed their decoding"
@@ -256,7 +253,7 @@ class Feeder:
     @property
     def is_preloaded(self) -> bool:
         """True if the first two frames are written, or all frames if there are fewer."""
-        target = (int(self._memory.i8[W.NEEDS]) & _FRAME) + 2
+        target = (int(self._memory.receiver["clock"]["needs"]) & _FRAME) + 2
         return self._next >= (target if self._is_loop else min(target, self._source.frame_count))
 
     def fill_lookahead(self, frames: int) -> None:
@@ -264,7 +261,7 @@ class Feeder:
 
         Stops earlier if no more can be written now.
         """
-        while self._next < (int(self._memory.i8[W.NEEDS]) & _FRAME) + frames and self.step():
+        while self._next < (int(self._memory.receiver["clock"]["needs"]) & _FRAME) + frames and self.step():
             pass
 
     def start(self) -> None:
@@ -289,16 +286,16 @@ class Feeder:
             self._thread.join(timeout_s)
 
 
-_WORDS_PER_BRICK: Final = 1200
-"""Upper limit of the words of a brick in the block: cells, support, part of the hash table."""
-_WORDS_PER_FIELD: Final = 1024
+_BYTES_PER_BRICK: Final = 9600
+"""Upper limit of the bytes of a brick in the block: cells, support, part of the hash table."""
+_BYTES_PER_FIELD: Final = 8192
 
 
 @dataclass(frozen=True)
 class PreparedFrame:
     """A decoded frame: its size, its largest slope, and a function that writes it."""
 
-    word_count: int
+    size_bytes: int
     stiffest_n_per_m: float
     write: Callable[[Memory, int], int]  # returns the offset of the frame, which follows its own fields
 
@@ -308,8 +305,8 @@ class FrameSource(FrameParts):
 
     The blend is that of `segment_blend`. `starts` are the frames that can be decoded without an earlier one,
     ascending from 0; a frame in between needs all frames from the start before it. It is empty if every frame
-    stands alone. `shared_word_count` is the size of what all frames share, `stiffest_n_per_m` the largest
-    slope of those fields, and `max_word_count` the limit for the rest of a frame.
+    stands alone. `shared_bytes` is the size of what all frames share, `stiffest_n_per_m` the largest
+    slope of those fields, and `max_bytes` the limit for the rest of a frame.
     """
 
     def __init__(
@@ -329,13 +326,13 @@ class FrameSource(FrameParts):
         names = self.names(0)
         self._rigid = {name: self.cells(name) for name in names if self.is_shared(name)}
         self._offsets: dict[FieldName, int] = {}
-        self.shared_word_count = sum(map(field_words, self._rigid.values()))
+        self.shared_bytes = sum(map(field_bytes, self._rigid.values()))
         self.stiffest_n_per_m = self._stretch * stiffest_n_per_m(self._rigid.values())
         if isinstance(medium, HapticScene):
             changing = [body.medium.grid for body in medium.objects if not body.is_rigid]
         else:
             changing = [medium.grid] * len(names)
-        self.max_word_count = sum(map(_max_field_words, changing)) + self.words
+        self.max_bytes = sum(map(_max_field_bytes, changing)) + self.size_bytes
 
     def wall(self) -> Wall | None:
         """Return the wall of the first frame, else of the middle one; for bodies, the stiffest.
@@ -383,8 +380,8 @@ class FrameSource(FrameParts):
             self.write(memory, at, frame, offsets)
             return at
 
-        word_count = sum(map(field_words, pools.values())) + self.words
-        return PreparedFrame(word_count, self._stretch * stiffest_n_per_m(pools.values()), write)
+        size_bytes = sum(map(field_bytes, pools.values())) + self.size_bytes
+        return PreparedFrame(size_bytes, self._stretch * stiffest_n_per_m(pools.values()), write)
 
 
 def _segment_starts(medium: HapticMedium | HapticScene) -> tuple[int, ...]:
@@ -399,6 +396,6 @@ def _segment_starts(medium: HapticMedium | HapticScene) -> tuple[int, ...]:
     return getattr(medium.make_frame, "starts", ())
 
 
-def _max_field_words(grid: Grid) -> int:
-    """Return the upper limit of a field's size in words; its cells start one brick before its first."""
-    return _WORDS_PER_FIELD + _WORDS_PER_BRICK * math.prod(n + 1 for n in grid.brick_shape)
+def _max_field_bytes(grid: Grid) -> int:
+    """Return the upper limit of a field's size in bytes; its cells start one brick before its first."""
+    return _BYTES_PER_FIELD + _BYTES_PER_BRICK * math.prod(n + 1 for n in grid.brick_shape)

@@ -31,7 +31,7 @@ from touchfield.errors import InvalidArgument, SourceError, as_source_error, req
 from touchfield.files import json_of, read_bytes
 from touchfield.medium.field import numbers_of
 from touchfield.perception.vibrotactile import BANDS_HZ
-from touchfield.render.block import words as W
+from touchfield.render.block import layout
 
 if TYPE_CHECKING:
     from touchfield.render.block import Memory
@@ -44,7 +44,7 @@ MAX_LEVELS: Final = 32  # maximum number of speeds, and of forces, of one materi
 _MAX_BYTES: Final = 1 << 22
 _MAX_STORED_LENGTH: Final = 4096
 _EVERYWHERE: Final = ((-math.inf,) * 3, (math.inf,) * 3)
-_SINES_PER_BAND: Final = W.MATERIAL_SINES // len(BANDS_HZ)
+_SINES_PER_BAND: Final = layout.SINE_COUNT // len(BANDS_HZ)
 
 
 @dataclass(frozen=True)
@@ -223,58 +223,61 @@ def stored_json(materials: Iterable[Material]) -> str:
     return text
 
 
-def material_word_count(materials: Sequence[Material]) -> int:
-    """Return the number of words that materials take in the block."""
+def material_bytes(materials: Sequence[Material]) -> int:
+    """Return the size of materials in the memory of a receiver, bytes."""
     if not materials:
         return 0
-    rows = sum(W.MATERIAL_WORDS + len(m.speeds_m_s) + len(m.forces_n) + m.levels_n.size for m in materials)
-    return W.MATERIAL_ROWS + rows
+    numbers = sum(len(m.speeds_m_s) + len(m.forces_n) + m.levels_n.size for m in materials)
+    tables = layout.MATERIAL_SINES.itemsize + layout.MATERIAL.itemsize * len(materials)
+    return tables + np.dtype(np.float64).itemsize * numbers
 
 
 def write_materials(
     memory: Memory,
-    start: int,
+    offset: int,
     materials: Sequence[Material],
     objects: Sequence[str] = (),
     has_friction: bool = True,
 ) -> tuple[str, ...]:
-    """Write materials at word `start`, with their sines at rest; return notes for the user.
+    """Write materials at an offset, with their sines at rest; return notes for the user.
 
-    `objects` are the names of the parts of each frame. If `has_friction` is false, mu is that of the field
+    `objects` are the names of the bodies of each frame. If `has_friction` is false, mu is that of the field
     everywhere. Raises `InvalidArgument` if a material belongs to an object that does not exist.
     """
-    i8, f8 = memory.i8, memory.f8
-    i8[W.MATERIAL], i8[W.MATERIAL_COUNT] = start, len(materials)
+    settings = memory.receiver["settings"]
+    settings["material_offset"], settings["material_count"] = offset, len(materials)
     if not materials:
         return ()
-    n = np.arange(W.MATERIAL_SINES)
+    n = np.arange(layout.SINE_COUNT)
     centres = np.repeat(BANDS_HZ, _SINES_PER_BAND)
-    f8[start + n] = 2 * np.pi * centres * 10 ** (0.1 * ((n % _SINES_PER_BAND + 0.5) / _SINES_PER_BAND - 0.5))
-    f8[start + W.MATERIAL_SINES + n] = 2 * np.pi * (n * 0.6180339887498949 % 1)  # distinct phases
-    row = start + W.MATERIAL_ROWS
-    offset = row + W.MATERIAL_WORDS * len(materials)
-    for material in materials:
+    sines = memory.view(layout.MATERIAL_SINES, offset)
+    octave_thirds = (n % _SINES_PER_BAND + 0.5) / _SINES_PER_BAND - 0.5
+    sines["frequency_rad_s"] = 2 * np.pi * centres * 10 ** (0.1 * octave_thirds)
+    sines["phase_rad"] = 2 * np.pi * (n * 0.6180339887498949 % 1)  # distinct phases
+    offset += layout.MATERIAL_SINES.itemsize
+    rows = memory.array(layout.MATERIAL, offset, len(materials))
+    offset += rows.nbytes
+    for row, material in zip(rows, materials, strict=True):
         if material.object is not None and material.object not in objects:
             expected = (
                 f"one of {', '.join(objects)}" if objects else "none: this medium is a field, not objects"
             )
             raise InvalidArgument(f"material {material.name!r} object", repr(material.object), expected)
         mu = material.friction if has_friction and material.friction is not None else math.nan
-        f8[row + W.MATERIAL_FRICTION], f8[row + W.MATERIAL_SLIP] = mu, material.slip_length_m
-        f8[row + W.MATERIAL_STATIC] = material.static_friction or 0.0
-        i8[row + W.MATERIAL_OBJECT] = -1 if material.object is None else list(objects).index(material.object)
-        f8[row + W.MATERIAL_BOX : row + W.MATERIAL_BOX + 6] = np.ravel(material.box_m or _EVERYWHERE)
-        for field, values in (
-            (W.MATERIAL_SPEEDS, material.speeds_m_s),
-            (W.MATERIAL_FORCES, material.forces_n),
-        ):
-            i8[row + field], i8[row + field + 1] = len(values), offset
-            f8[offset : offset + len(values)] = values
-            offset += len(values)
-        i8[row + W.MATERIAL_LEVELS], levels = offset, material.levels_n.ravel()
-        f8[offset : offset + len(levels)] = levels
-        offset, row = offset + len(levels), row + W.MATERIAL_WORDS
-    return _notes(materials, float(f8[W.RATE_HZ]), float(f8[W.SLEW] / f8[W.FORCE_SCALE]))
+        row["friction"], row["slip_m"] = mu, material.slip_length_m
+        row["static_friction"] = material.static_friction or 0.0
+        row["body"] = -1 if material.object is None else list(objects).index(material.object)
+        row["low_m"], row["high_m"] = material.box_m or _EVERYWHERE
+        for name, values in (("speed", material.speeds_m_s), ("force", material.forces_n)):
+            row[f"{name}_count"], row[f"{name}_offset"] = len(values), offset
+            memory.array(np.float64, offset, len(values))[:] = values
+            offset += np.dtype(np.float64).itemsize * len(values)
+        levels = material.levels_n.ravel()
+        row["level_offset"] = offset
+        memory.array(np.float64, offset, len(levels))[:] = levels
+        offset += levels.nbytes
+    limit_n_per_s = settings["force_limits"]["slew_per_s"] / settings["force_scale"]
+    return _notes(materials, float(settings["rate_hz"]), float(limit_n_per_s))
 
 
 def _notes(materials: Sequence[Material], rate_hz: float, slew_n_per_s: float) -> tuple[str, ...]:
@@ -284,7 +287,7 @@ def _notes(materials: Sequence[Material], rate_hz: float, slew_n_per_s: float) -
     rendered = 2 * 10**0.05 * bands < rate_hz
     for material in (material for material in materials if material.texture_rms_n):
         slews_n_per_s = np.sqrt(((2 * np.pi * bands * material.levels_n) ** 2)[..., rendered].sum(axis=-1))
-        max_slew_n_per_s = W.MATERIAL_CREST * slews_n_per_s.max()
+        max_slew_n_per_s = layout.MATERIAL_CREST * slews_n_per_s.max()
         if max_slew_n_per_s > slew_n_per_s:
             loss_db = 20 * math.log10(max_slew_n_per_s / slew_n_per_s)
             notes.append(

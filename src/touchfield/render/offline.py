@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from touchfield.errors import InvalidArgument, require_between
-from touchfield.render.block import DEFAULT_BYTES, Memory, TickLog, statistics_of, words as W
+from touchfield.render.block import DEFAULT_BYTES, Memory, TickLog, layout, statistics_of
 from touchfield.render.player import Session, is_over
 from touchfield.render.servo import Opener, VirtualClock, serve
 from touchfield.render.spec import RenderSpec
@@ -66,16 +66,16 @@ def run_offline(
     device = opener()
     if device.is_paced or device.is_driven:
         raise InvalidArgument("device", "one that sets its own rate", "a simulated one")
-    memory = Memory.empty(session.layout.words)
-    session.set_up(memory, mode=W.PLAYING)
+    memory = Memory.empty(session.layout.size_bytes)
+    session.set_up(memory, mode=layout.PLAYING)
     feeder = session.feeder(memory, is_timed=False)
     max_ticks = None if seconds is None else round(seconds * spec.rate_hz)
     log = TickLog(memory, 1 << 62)
-    i8, drain_every = memory.i8, session.layout.log_rows // 2
+    counts, drain_every = memory.receiver["counts"], session.layout.log_rows // 2
     lookahead = 2 + int(speed * session.source.rate_hz / spec.rate_hz + 1)
 
     def before_tick() -> bool:
-        ticks = int(i8[W.TICKS])
+        ticks = int(counts["ticks"])
         if ticks % drain_every == 0:
             log.drain()
         feeder.fill_lookahead(lookahead)

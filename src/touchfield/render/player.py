@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.compute.native import native
 from touchfield.errors import InvalidArgument, is_finite, require_positive, require_up_to
 from touchfield.render.block import (
     DEFAULT_BYTES,
@@ -31,14 +32,14 @@ from touchfield.render.block import (
     Memory,
     TickLog,
     free_bytes,
+    layout,
     statistics_of,
-    words as W,
 )
-from touchfield.render.feeder import FIRST_GENERATION, Feeder, FrameSource, arena_word_count
-from touchfield.render.material import material_word_count, stored_materials, write_materials
+from touchfield.render.feeder import FIRST_GENERATION, Feeder, FrameSource, arena_bytes
+from touchfield.render.material import material_bytes, stored_materials, write_materials
 from touchfield.render.servo import Opener, ServoProcess, zero_by_reconnecting
 from touchfield.render.spec import RenderSpec, Stability, Wall, stability_of, write_parameters
-from touchfield.render.tool import tool_word_count, write_tool
+from touchfield.render.tool import tool_bytes, write_tool
 
 if TYPE_CHECKING:
     from touchfield.devices import Device
@@ -99,7 +100,7 @@ class Player:
         """Open the device, or raise `DeviceError`; the first frames are decoded meanwhile."""
         if self._block is not None or self._is_closing.is_set():
             raise InvalidArgument("player", "one that was entered before", "a new one")
-        self._block = Block.create(self._session.layout.words)
+        self._block = Block.create(self._session.layout.size_bytes)
         try:
             memory = self._block.memory
             self._block.reserve(self._session.layout.arena)
@@ -109,7 +110,7 @@ class Player:
             self._servo = ServoProcess(self._block, self._opener, self._is_realtime)
             self._feeder.start()
             self._servo.wait_ready()
-            memory.i8[W.HEARTBEAT_NS] = time.perf_counter_ns()
+            memory.receiver["orders"]["heartbeat_ns"] = time.perf_counter_ns()
             self._watcher = threading.Thread(target=self._watch, name="touchfield-player", daemon=True)
             self._watcher.start()
             deadline = time.monotonic() + _PRELOAD_S  # so that `play` usually starts immediately
@@ -129,11 +130,11 @@ class Player:
 
     def play(self) -> None:
         """Start the media clock."""
-        self._send_orders(mode=W.PLAYING)
+        self._send_orders(mode=layout.PLAYING)
 
     def pause(self) -> None:
         """Stop the media clock; the field stays as it is."""
-        self._send_orders(mode=W.PAUSED)
+        self._send_orders(mode=layout.PAUSED)
 
     def set_speed(self, speed: float) -> None:
         """Set the speed, seconds of the medium for one second; above 0, up to 100."""
@@ -173,7 +174,7 @@ class Player:
     def media_s(self) -> float:
         """Current media time, seconds."""
         with self._lock:
-            return float(self._block.memory.f8[W.MEDIA_S]) if self._block is not None else 0.0
+            return float(self._block.memory.receiver["clock"]["media_s"]) if self._block is not None else 0.0
 
     @property
     def position_m(self) -> tuple[float, float, float]:
@@ -181,7 +182,7 @@ class Player:
         with self._lock:
             if self._block is None:
                 return 0.0, 0.0, 0.0
-            x, y, z = self._block.memory.f8[W.POSITION : W.POSITION + 3].tolist()
+            x, y, z = self._block.memory.receiver["state"]["position_m"].tolist()
             return x, y, z
 
     @property
@@ -250,11 +251,12 @@ class Player:
         with self._lock:
             if self._block is None or self._servo is None or self._log is None or self._feeder is None:
                 return
-            self._block.memory.i8[W.HEARTBEAT_NS] = time.perf_counter_ns()
+            receiver = self._block.memory.receiver
+            receiver["orders"]["heartbeat_ns"] = time.perf_counter_ns()
             self._log.drain()
             self._servo.receive()
-            i8 = self._block.memory.i8
-            self._servo.check_progress(int(i8[W.TICKS]), bool(i8[W.RELEASED]))
+            is_released = bool(receiver["clock"]["is_released"])
+            self._servo.check_progress(int(receiver["counts"]["ticks"]), is_released)
             if self._servo.is_unreleased and self._rescue is None:
                 self._rescue = threading.Thread(target=self._force_zero, name="touchfield-zero", daemon=True)
                 self._rescue.start()
@@ -282,7 +284,8 @@ class Player:
             if self._watcher is not None:
                 self._watcher.join(_JOIN_S)
             if self._servo is not None:
-                self._servo.join(1e-9 * float(block.memory.i8[W.RAMP_LIMIT_NS]) + _JOIN_S)
+                ramp_limit_ns = block.memory.receiver["layout"]["ramp_limit_ns"]
+                self._servo.join(1e-9 * float(ramp_limit_ns) + _JOIN_S)
             self._update()
             if self._rescue is not None:
                 self._rescue.join()
@@ -312,7 +315,7 @@ class Orders:
     generation: int
     start_s: float
     speed: float = 1.0
-    mode: int = W.IDLE
+    mode: int = layout.IDLE
     is_stopping: bool = False
 
     def __post_init__(self) -> None:
@@ -348,16 +351,16 @@ class Session:
         self._materials = stored_materials(medium.provenance) if spec.materials is None else spec.materials
         self._objects = tuple(body.name for body in getattr(medium, "objects", ()))
         deformation = spec.deformation
-        self._yield_word_count = 0
+        self._yield_bytes = 0
         if deformation is not None and deformation.compliance_m_per_n:
-            self._yield_word_count = deformation.displacement_m[0].size
+            self._yield_bytes = deformation.displacement_m[0].nbytes
         self.layout = Layout(
-            arena_word_count(self.source, memory_bytes),
+            arena_bytes(self.source, memory_bytes),
             slots,
             LOG_ROWS,
-            tool_word_count(spec.tool),
-            material_word_count(self._materials),
-            self._yield_word_count,
+            tool_bytes(spec.tool),
+            material_bytes(self._materials),
+            self._yield_bytes,
         )
         self._notes: tuple[str, ...] = ()
         self._wall = self._wall_of_spec()
@@ -398,11 +401,9 @@ class Session:
 
     def frame_at(self, time_s: float) -> int:
         """Return the unrolled frame at a media time."""
-        from touchfield.render.kernels.tick import unrolled_frame
+        return native.unrolled_frame(time_s, self.source.rate_hz)
 
-        return int(unrolled_frame(time_s, self.source.rate_hz))
-
-    def set_up(self, memory: Memory, mode: int = W.IDLE) -> None:
+    def set_up(self, memory: Memory, mode: int = layout.IDLE) -> None:
         """Write everything that the servo needs before its first tick."""
         source, spec = self.source, self._spec
         self.layout.write(memory, source.frame_count, source.rate_hz, self.is_loop, spec.rate_hz)
@@ -412,23 +413,29 @@ class Session:
         write_tool(memory, self.layout.tool, spec.tool)
         has_friction = spec.friction is None
         self._notes += write_materials(
-            memory, self.layout.material, self._materials, self._objects, has_friction
+            memory, self.layout.materials, self._materials, self._objects, has_friction
         )
-        f8 = memory.f8
-        if self._yield_word_count:
-            f8[self.layout.yields : self.layout.yields + self._yield_word_count] = 0.0
+        if self._yield_bytes:
+            memory.bytes[self.layout.yields : self.layout.yields + self._yield_bytes] = 0
             source.yield_at = self.layout.yields
+        settings = memory.receiver["settings"]
         if self._wall is not None:
-            f8[W.WALL], f8[W.WALL_LEVEL] = self._wall.stiffness_n_per_m, self._wall.level_n
-            f8[W.WALL_SPACING : W.WALL_SPACING + 3] = self._wall.spacing_m
+            settings["wall_n_per_m"], settings["wall_level_n"] = (
+                self._wall.stiffness_n_per_m,
+                self._wall.level_n,
+            )
+            settings["wall_spacing_m"] = self._wall.spacing_m
             self._notes = (
                 *self._notes,
                 f"a proxy holds the hand at walls of {self._wall.stiffness_n_per_m:.0f} N/m",
             )
-        limits = ((W.PEAK, W.SLEW), (W.TORQUE_PEAK, W.TORQUE_SLEW))
-        ramps_s = [ramp_limit_s(float(f8[a]), float(f8[b]), spec.ramp_s) for a, b in limits if f8[a] > 0]
-        memory.i8[W.RAMP_LIMIT_NS] = round(1e9 * max(ramps_s))
-        f8[W.MEDIA_S] = self.orders.start_s
+        ramps_s = [
+            ramp_limit_s(float(limits["peak"]), float(limits["slew_per_s"]), spec.ramp_s)
+            for limits in (settings["force_limits"], settings["torque_limits"])
+            if limits["peak"] > 0
+        ]
+        memory.receiver["layout"]["ramp_limit_ns"] = round(1e9 * max(ramps_s))
+        memory.receiver["clock"]["media_s"] = self.orders.start_s
         self._stiffest_n_per_m, self._stability = -math.inf, None
         self._adapt(memory, source.stiffest_n_per_m if self._wall is None else self._wall.stiffness_n_per_m)
         self.order(memory, mode=mode)
@@ -443,8 +450,8 @@ class Session:
             return
         self._stiffest_n_per_m = stiffness_n_per_m
         stability = stability_of(self._device, self._spec, self.source.damping_n_s_per_m, stiffness_n_per_m)
-        memory.f8[W.BRAKE] = stability.brake_n_s_per_m
-        memory.f8[W.COUPLING] = stability.coupling_n_per_m
+        memory.receiver["settings"]["brake_n_s_per_m"] = stability.brake_n_s_per_m
+        memory.receiver["settings"]["coupling_n_per_m"] = stability.coupling_n_per_m
         if self._spec.damping_n_s_per_m is None or self._spec.coupling_n_per_m is None:
             self._stability = stability
 
@@ -452,11 +459,9 @@ class Session:
         """Change some fields of `Orders` and send them; a seek starts a new generation."""
         if seek_s is not None:
             changes |= {"generation": self.orders.generation + 1, "start_s": self.media_time_s(seek_s)}
-        from touchfield.render.kernels.tick import give_order
-
         self.orders = orders = replace(self.orders, **changes)
         order = orders.generation, orders.start_s, float(orders.speed), orders.mode, int(orders.is_stopping)
-        give_order(memory.i8, memory.f8, *order)
+        native.give_order(memory.bytes, *order)
         return orders
 
     def feeder(
@@ -481,10 +486,10 @@ def is_over(memory: Memory) -> bool:
 
     This is the case if the medium has ended, or its feed has failed and all frames that it wrote were shown.
     """
-    i8 = memory.i8
-    if i8[W.SEQUENCE_SEEN] != i8[W.SEQUENCE]:  # the servo writes this field last, after the rest of the order
+    clock, orders = memory.receiver["clock"], memory.receiver["orders"]
+    if clock["sequence_seen"] != orders["sequence"]:  # the servo writes it last, after the rest of the order
         return False
-    feed = int(i8[W.FEED])
-    is_starved = feed in (W.STALLED, W.WAITING) or i8[W.MODE_NOW] != W.PLAYING
-    is_finished = feed == W.ENDED or (i8[W.FEED_FAILED] and is_starved)
-    return bool(is_finished and i8[W.RESTING])
+    feed = int(clock["feed"])
+    is_starved = feed in (layout.STALLED, layout.WAITING) or clock["mode"] != layout.PLAYING
+    is_finished = feed == layout.ENDED or (orders["has_feed_failed"] and is_starved)
+    return bool(is_finished and clock["is_resting"])

@@ -87,10 +87,10 @@ class PointDevice(ABC):
         """Advance a simulated device by a time; real devices ignore it."""
         return
 
-    def drive(self, address: int, word_count: int) -> None:
-        """Let the driver call the compiled callback on the memory block at `address`.
+    def drive(self, address: int, size_bytes: int) -> None:
+        """Let the driver call the renderer on the receiver in the memory at `address`.
 
-        Returns at once. From then on the driver calls `kernels.tick.cycle` at its own rate, until `close`.
+        Returns at once. From then on the driver calls `touch_receiver_tick` at its own rate, until `close`.
         """
         raise NotImplementedError
 

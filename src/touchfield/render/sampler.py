@@ -19,12 +19,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float32s, Float64s, Int64s
+from touchfield.compute.native import native
 from touchfield.compute.threads import for_chunks
 from touchfield.errors import InvalidArgument, require_not_negative
 from touchfield.medium.field import numbers_of
 from touchfield.medium.medium import HapticScene
-from touchfield.render.block import Memory, words as W
-from touchfield.render.block.frames import FieldName, FrameParts, field_words, write_fields
+from touchfield.render.block import Memory, layout
+from touchfield.render.block.frames import FieldName, FrameParts, field_bytes, write_fields
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container
@@ -37,7 +38,8 @@ if TYPE_CHECKING:
 _CHUNK_POINTS: Final = 8192
 _UNBOUNDED: Final = sys.float_info.max
 _EMPTY_INTERVAL: Final = (1.0, -1.0, 0.0)
-_FIRST_OFFSET: Final = 8  # offset 0 means "none", so that the first words stay unused
+_FIRST_OFFSET: Final = 64  # offset 0 means "none", so that the first bytes stay unused
+_AT_FRAME: Final = 1e-9  # TOUCH_AT_FRAME of c/touch_query.h: times this near to a frame are that frame's
 
 
 class FieldSampler:
@@ -63,11 +65,9 @@ class FieldSampler:
         self._has_voxels = not isinstance(medium, HapticScene) and deformation is None
         self._rate_hz = self._parts.rate_hz
         self._latest: Pair | None = None
-        self._at = 0, 0
-        self._u8: Any = None
-        # the interval, in frames, for which `at` is prepared, and its first frame
+        # memory and frames for which `at` is prepared; the interval, in frames, and its first frame
+        self._buffer, self._first, self._second = memoryview(b""), 0, 0
         self._low, self._high, self._base = _EMPTY_INTERVAL
-        self._point: Any = None
 
     def force_n(self, time_s: ArrayLike, points_m: ArrayLike) -> Float32s:
         """Return the force, newtons, float32 [..., 3], at points float [..., 3], metres.
@@ -75,12 +75,10 @@ class FieldSampler:
         The force at a point that is not finite is zero. `time_s`, seconds, is one time for all points or one
         for each point.
         """
-        from touchfield.render.kernels import points as kernels
-
         times = numbers_of("time_s", time_s)
         if not times.ndim and self._has_voxels:
             return self._voxel_forces_n(float(times), _points(points_m, np.float32))
-        return self._evaluate(kernels.forces_at_points, times, points_m, 3, np.float32)
+        return self._evaluate(native.forces_at, times, points_m, 3, np.float32)
 
     def gradient_n_per_m(self, time_s: ArrayLike, points_m: ArrayLike) -> Float64s:
         """Return dF_i/dx_j, N/m, float64 [..., 3, 3]: derivative of the interpolated force.
@@ -88,9 +86,7 @@ class FieldSampler:
         It is zero where there can be no force. On a plane of the lattice it is the derivative towards greater
         indices.
         """
-        from touchfield.render.kernels import points as kernels
-
-        rows: Float64s = self._evaluate(kernels.gradients_at_points, time_s, points_m, 9, np.float64)
+        rows: Float64s = self._evaluate(native.gradients_at, time_s, points_m, 9, np.float64)
         return rows.reshape(*rows.shape[:-1], 3, 3)
 
     def vibration(self, time_s: ArrayLike, points_m: ArrayLike) -> tuple[Float32s, Float32s]:
@@ -98,9 +94,7 @@ class FieldSampler:
 
         Both are zero where there is no vibration.
         """
-        from touchfield.render.kernels import points as kernels
-
-        both: Float32s = self._evaluate(kernels.vibrations_at_points, time_s, points_m, 2, np.float32)
+        both: Float32s = self._evaluate(native.vibrations_at, time_s, points_m, 2, np.float32)
         return both[..., 0], both[..., 1]
 
     def at(self, time_s: float, x_m: float, y_m: float, z_m: float) -> tuple[float, float, float]:
@@ -113,8 +107,8 @@ class FieldSampler:
             position = time_s * self._rate_hz
             if not self._low <= position <= self._high:
                 self._prepare(time_s)
-            first, second = self._at
-            force_n = self._point(self._u8, first, second, position - self._base, x_m, y_m, z_m)
+            blend = position - self._base
+            force_n = native.force_at(self._buffer, self._first, self._second, blend, x_m, y_m, z_m)
         except (TypeError, ValueError):
             arguments = time_s, x_m, y_m, z_m
             if all(type(argument) is float for argument in arguments):  # not an error of their types
@@ -124,18 +118,12 @@ class FieldSampler:
 
     def _prepare(self, time_s: float) -> None:
         """Prepare `at` for the frames around an instant."""
-        from touchfield.render.kernels.points import force_at_once
-
         a, _, _ = self._instant(time_s)
         b = min(a + 1, self._parts.frame_count - 1)
         self._low, self._high, self._base = _EMPTY_INTERVAL
         memory, first, second = self._pairs.take(a, b)[:3]
         self._pairs.prepare(b, b + 1)
-        if not force_at_once.signatures:
-            force_at_once(memory.u8, first, second, 0.0, 0.0, 0.0, 0.0)
-            # integers are converted to float then, instead of compiling another version
-            force_at_once.disable_compile()
-        self._u8, self._at, self._point = memory.u8, (first, second), force_at_once
+        self._buffer, self._first, self._second = memory.bytes.data, first, second
         self._base = float(a)
         self._low = float(a) if a > 0 else -_UNBOUNDED
         self._high = float(b) if b < self._parts.frame_count - 1 else _UNBOUNDED
@@ -156,9 +144,9 @@ class FieldSampler:
         if not np.isfinite(positions).all():
             raise InvalidArgument("time_s", "a time that is not finite", "finite numbers of seconds")
         positions = np.clip(positions, 0.0, self._parts.frame_count - 1.0)
-        frames = (positions + W.AT_A_FRAME).astype(np.int64)
+        frames = (positions + _AT_FRAME).astype(np.int64)
         blends = positions - frames
-        blends[blends <= W.AT_A_FRAME] = 0.0
+        blends[blends <= _AT_FRAME] = 0.0
         return frames, blends
 
     def _pair(self, a: int, b: int) -> Pair:
@@ -169,21 +157,19 @@ class FieldSampler:
 
     def _voxel_forces_n(self, time_s: float, points: NDArray[Any]) -> Float32s:
         """Return the forces of one field, or of two blended ones, at many points of one instant."""
-        from touchfield.render.kernels import points as kernels
-
         a, b, blend = self._instant(time_s)
         pair = self._pair(a, b)
         out = np.empty(points.shape, np.float32)
         flat, forces = points.reshape(-1, 3), out.reshape(-1, 3)
         for n, (field, weight) in enumerate(pair.weighted_fields(blend)):
-            arguments = (flat, *pair.memory.views, field, weight, n == 0, forces)
-            for_chunks(kernels.field_at_points, len(flat), *arguments, chunk=_CHUNK_POINTS)
+            arguments = (pair.memory.bytes, field, weight, n == 0, flat, forces)
+            for_chunks(native.cell_forces, len(flat), *arguments, chunk=_CHUNK_POINTS)
         return out
 
     def _evaluate(
-        self, kernel: Callable[..., Any], time_s: ArrayLike, points_m: ArrayLike, columns: int, dtype: Any
+        self, function: Callable[..., None], time_s: ArrayLike, points_m: ArrayLike, columns: int, dtype: Any
     ) -> NDArray[Any]:
-        """Run a kernel at all points, grouped by the pair of frames that they need."""
+        """Call a batch function at all points, grouped by the pair of frames that they need."""
         points = _points(points_m)
         flat = points.reshape(-1, 3)
         out = np.empty((len(flat), columns), dtype)
@@ -195,20 +181,19 @@ class FieldSampler:
         for group in groups:
             a, group_blends, result = int(firsts[group][0]), blends[group], out[group]
             memory, *frames = self._pair(a, a + bool(group_blends.any()))[:3]
-            arguments = (flat[group], group_blends, *memory.views, *frames, result)
-            for_chunks(kernel, len(result), *arguments, chunk=_CHUNK_POINTS // 4)
+            arguments = (memory.bytes, *frames, flat[group], group_blends, result)
+            for_chunks(function, len(result), *arguments, chunk=_CHUNK_POINTS // 4)
             out[group] = result
         return out.reshape(*points.shape[:-1], columns)
 
 
 def _points(points_m: ArrayLike, *accepted: type[np.float32]) -> NDArray[Any]:
-    """Return points for the kernels: float64 or one of `accepted`, contiguous, writeable."""
+    """Return points, contiguous: float64 or one of `accepted`."""
     dtype = np.float32 if getattr(points_m, "dtype", None) in accepted else np.float64
     points = np.ascontiguousarray(numbers_of("points_m", points_m, dtype))
     if points.ndim == 0 or points.shape[-1] != 3:
         raise InvalidArgument("points_m", f"shape {points.shape}", "points [..., 3] in metres")
-    # the compiler treats a read-only array as another type
-    return points if points.flags.writeable else points.copy()
+    return points
 
 
 class Pair(NamedTuple):
@@ -223,10 +208,11 @@ class Pair(NamedTuple):
     def weighted_fields(self, blend: float) -> list[tuple[int, float]]:
         """Return offset and weight of the field of each frame, for frames of voxels."""
         weighted_frames = ((self.first, 1.0 - blend), (self.second, blend))[: 1 + (blend > 0.0)]
-        return [
-            (int(self.memory.views[0][frame + W.FRAME_WORDS + W.PART_FIELD]), weight)
-            for frame, weight in weighted_frames
-        ]
+        return [(self._field_of(frame), weight) for frame, weight in weighted_frames]
+
+    def _field_of(self, frame: int) -> int:
+        """Return the offset of the field of a frame's only body."""
+        return int(self.memory.view(layout.BODY_POSE, frame + layout.FRAME_HEADER.itemsize)["cells_offset"])
 
 
 class Pairs:
@@ -239,9 +225,9 @@ class Pairs:
 
     def __init__(self, parts: FrameParts, memory_bytes: int) -> None:
         require_not_negative(memory_bytes=memory_bytes)
-        self._parts, self._max_words = parts, int(memory_bytes) // W.WORD
+        self._parts, self._max_bytes = parts, int(memory_bytes)
         self._cells: dict[FieldName, CellPool] = {}  # least recently used first
-        self._cached_words = 0  # size of all of them
+        self._cached_bytes = 0  # size of all of them
         self._pending: Future[Pair] | None = None
         self._pending_frames = -1, -1
 
@@ -267,14 +253,14 @@ class Pairs:
 
     def _build(self, a: int, b: int, reusable: Pair | None = None) -> Pair:
         names = dict.fromkeys(name for frame in (a, b) for name in self._parts.names(frame))
-        first, second = _FIRST_OFFSET, _FIRST_OFFSET + self._parts.words * (a != b)
+        first, second = _FIRST_OFFSET, _FIRST_OFFSET + self._parts.size_bytes * (a != b)
         if reusable is not None and names.keys() <= reusable.fields.keys():
             memory, fields = reusable.memory, reusable.fields
         else:
             pools = {name: self._cached_cells(name) for name in names}
             self._evict(names)
-            start, fields = _FIRST_OFFSET + 2 * self._parts.words, dict[FieldName, int]()
-            memory = Memory.empty(start + sum(map(field_words, pools.values())))
+            start, fields = _FIRST_OFFSET + 2 * self._parts.size_bytes, dict[FieldName, int]()
+            memory = Memory.empty(start + sum(map(field_bytes, pools.values())))
             write_fields(memory, start, pools, fields)
         for offset, frame in {first: a, second: b}.items():
             self._parts.write(memory, offset, frame, fields)
@@ -284,21 +270,21 @@ class Pairs:
         pool = self._cells.pop(name, None)
         if pool is None:
             pool = self._parts.cells(name)
-            self._cached_words += field_words(pool)
+            self._cached_bytes += field_bytes(pool)
         self._cells[name] = pool
         return pool
 
     def _evict(self, needed: Container[FieldName]) -> None:
         """Drop the least recently used fields until the rest fits into the memory."""
-        while self._cached_words > self._max_words:
+        while self._cached_bytes > self._max_bytes:
             oldest = next(iter(self._cells))
             if oldest in needed:
-                found = f"{self._cached_words * W.WORD / 2**20:.1f} MiB for the fields of one instant"
-                allowed = f"at most {self._max_words * W.WORD / 2**20:.1f} MiB"
+                found = f"{self._cached_bytes / 2**20:.1f} MiB for the fields of one instant"
+                allowed = f"at most {self._max_bytes / 2**20:.1f} MiB"
                 raise InvalidArgument(
                     "memory_bytes", found, allowed, "Allow more memory, or take a coarser grid."
                 )
-            self._cached_words -= field_words(self._cells.pop(oldest))
+            self._cached_bytes -= field_bytes(self._cells.pop(oldest))
 
 
 @cache
@@ -342,13 +328,19 @@ class DeviceSampler:
         a, b, blend = self._sampler._instant(time_s)
         pair = self._sampler._pair(a, b)
         if self._latest is not pair:
-            self._views, self._latest = on_device(tuple(pair.memory.views)), pair
+            self._views, self._latest = on_device(_number_views(pair.memory)), pair
         count, points = points_m.shape[0], on_device(points_m)
         out = empty((count, 3), np.float32)
         if self._sampler._has_voxels:
             for n, (field, weight) in enumerate(pair.weighted_fields(blend)):
-                for_each(field_at_points, count, points, *self._views, field, weight, n == 0, out)
+                for_each(field_at_points, count, points, *self._views, field // 8, weight, n == 0, out)
         else:
             blends = on_device(np.array([blend]))
-            for_each(forces_at_points, count, points, blends, *self._views, pair.first, pair.second, out)
+            frames = pair.first // 8, pair.second // 8
+            for_each(forces_at_points, count, points, blends, *self._views, *frames, out)
         return out
+
+
+def _number_views(memory: Memory) -> tuple[NDArray[Any], ...]:
+    """Return memory as int64, uint64, float64 and float32, as kernels for a GPU read it."""
+    return tuple(memory.bytes.view(dtype) for dtype in (np.int64, np.uint64, np.float64, np.float32))

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from touchfield.compute.native import native
 from touchfield.compute.threads import for_chunks
 from touchfield.medium import BRICK, ForceField, HapticMedium, HapticScene
 from touchfield.medium.field import brick_keys, bricks_of
@@ -112,11 +113,9 @@ def _with_blend(medium: HapticMedium) -> tuple[HapticMedium, tuple[SegmentBlend,
 
 def _blend_fields(previous: ForceField, current: ForceField, weight: float, segments: Segments) -> ForceField:
     """Blend `previous` into `current` by a weight, where both can come from one source force."""
-    from touchfield.render.kernels.points import blend_bricks
-
     keys_of_fields = [brick_keys(field.grid, field.bricks) for field in (previous, current)]
     keys = np.union1d(*keys_of_fields)
-    slots = np.full((2, len(keys)), -1)
+    slots = np.full((2, len(keys)), -1, np.int64)
     for field_slots, field_keys in zip(slots, keys_of_fields):
         field_slots[np.searchsorted(keys, field_keys)] = np.arange(len(field_keys))
     bricks = bricks_of(current.grid, keys)
@@ -124,9 +123,9 @@ def _blend_fields(previous: ForceField, current: ForceField, weight: float, segm
         np.empty((len(keys), BRICK, BRICK, BRICK, 3), np.float32),
         np.empty(len(keys), np.bool_),
     )
-    rows = [field.forces_n.reshape(-1, 3 * BRICK**3) for field in (previous, current)]
-    arguments = (slots, *rows, weight, segments.k, segments.f0_n, forces.reshape(len(keys), -1), is_supported)
-    for_chunks(blend_bricks, len(keys), *arguments, chunk=_CHUNK_BRICKS)
+    rule = weight, segments.k, segments.f0_n
+    arguments = slots, previous.forces_n, current.forces_n, *rule, forces, is_supported
+    for_chunks(native.blend_bricks, len(keys), *arguments, chunk=_CHUNK_BRICKS)
     if not is_supported.all():
         bricks, forces = bricks[is_supported], forces[is_supported]
     return ForceField(current.grid, bricks, forces)

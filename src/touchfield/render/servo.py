@@ -18,14 +18,16 @@ import struct
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from pickle import PickleError
 from typing import Any, Final
 
+from touchfield.compute.native import native
 from touchfield.errors import DeviceError, InvalidArgument, TouchfieldError
-from touchfield.render.block import Block, Memory, words as W
+from touchfield.render.block import Block, Memory, layout
 from touchfield.render.point_device import Point, PointDevice
 
 Opener = Callable[[], PointDevice]
@@ -73,7 +75,8 @@ class DeviceLink:
     """
 
     def __init__(self, memory: Memory, device: PointDevice) -> None:
-        self._f8, self._i8, self._device = memory.f8, memory.i8, device
+        self._grip, self._device = memory.receiver["grip"], device
+        self._torque_nm = memory.receiver["state"]["torque"]["output"]
 
         def has(name: str) -> bool:
             return getattr(type(device), name) is not getattr(PointDevice, name)
@@ -85,16 +88,16 @@ class DeviceLink:
     def read(self) -> None:
         """Store orientation, buttons and gripper of the device in the block."""
         if self._has_orientation:
-            self._f8[W.ORIENTATION : W.ORIENTATION + 4] = self._device.orientation()
+            self._grip["orientation"] = self._device.orientation()
         if self._has_buttons:
-            self._i8[W.BUTTONS] = self._device.buttons()
+            self._grip["buttons"] = self._device.buttons()
         if self._has_gripper:
-            self._f8[W.GRIPPER_M] = self._device.gripper_m()
+            self._grip["gripper_m"] = self._device.gripper_m()
 
     def put(self, force_n: Point) -> None:
         """Apply a force, and the torque of the latest tick."""
         if self._has_torque:
-            self._device.put_wrench(*force_n, *self._f8[W.TORQUE : W.TORQUE + 3].tolist())
+            self._device.put_wrench(*force_n, *self._torque_nm.tolist())
         else:
             self._device.put_force_n(*force_n)
 
@@ -104,12 +107,11 @@ def serve(memory: Memory, device: PointDevice, clock: Clock, must_stop: Callable
 
     `must_stop` is called before each tick. An error of the device is raised once the force is zero.
     """
-    from touchfield.render.kernels.tick import cycle
-
-    i8, views, dt_s = memory.i8, memory.views, 1.0 / float(memory.f8[W.RATE_HZ])
+    receiver = memory.receiver
+    clock_state, orders, dt_s = receiver["clock"], receiver["orders"], 1.0 / receiver["settings"]["rate_hz"]
     is_paced, link, latest_m = device.is_paced, DeviceLink(memory, device), (0.0, 0.0, 0.0)
-    i8[W.IS_SIMULATED] = type(device).advance is not PointDevice.advance
-    i8[W.IS_PACED] = is_paced or device.is_driven
+    receiver["layout"]["is_simulated"] = type(device).advance is not PointDevice.advance
+    receiver["layout"]["is_paced"] = is_paced or device.is_driven
     try:
         device.open()
         if device.is_driven:
@@ -117,57 +119,64 @@ def serve(memory: Memory, device: PointDevice, clock: Clock, must_stop: Callable
             return
         sleep_until, position_m = clock.sleep_until, device.position_m
         try:
-            while not i8[W.RELEASED]:
-                now_ns = 0 if is_paced else sleep_until(int(i8[W.DEADLINE_NS]))
+            while not clock_state["is_released"]:
+                now_ns = 0 if is_paced else sleep_until(int(clock_state["deadline_ns"]))
                 if must_stop():
-                    i8[W.STOP_HERE] = 1
+                    clock_state["is_stopping"] = 1
                 latest_m = position_m()
                 link.read()
-                link.put(cycle(*views, *latest_m, clock.now_ns() if is_paced else now_ns))
-                device.advance(0.0 if i8[W.MODE] == W.IDLE else dt_s)
+                link.put(native.cycle(memory.bytes, *latest_m, clock.now_ns() if is_paced else now_ns))
+                device.advance(0.0 if orders["mode"] == layout.IDLE else dt_s)
         except BaseException:
-            _ramp_to_zero(memory, device, link, clock, cycle, latest_m)
+            _ramp_to_zero(memory, device, link, clock, latest_m)
             raise
     finally:
         device.close()
 
 
 def _ramp_to_zero(
-    memory: Memory, device: PointDevice, link: DeviceLink, clock: Clock, cycle: Any, position_m: Point
+    memory: Memory, device: PointDevice, link: DeviceLink, clock: Clock, position_m: Point
 ) -> None:
     """Bring force and torque to zero, ignoring errors of the device."""
-    i8, f8, dt_s = memory.i8, memory.f8, 1.0 / float(memory.f8[W.RATE_HZ])
-    i8[W.STOP_HERE] = 1
-    deadline_ns = clock.now_ns() + int(i8[W.RAMP_LIMIT_NS])
-    while not i8[W.RELEASED]:
-        now_ns = clock.sleep_until(int(i8[W.DEADLINE_NS]))
+    receiver = memory.receiver
+    clock_state, dt_s = receiver["clock"], 1.0 / receiver["settings"]["rate_hz"]
+    clock_state["is_stopping"] = 1
+    deadline_ns = clock.now_ns() + int(receiver["layout"]["ramp_limit_ns"])
+    while not clock_state["is_released"]:
+        now_ns = clock.sleep_until(int(clock_state["deadline_ns"]))
         if now_ns > deadline_ns:  # the device is slow: set zero, no sooner than the slew limit allows
-            limits = ((W.FORCE, W.SLEW), (W.TORQUE, W.TORQUE_SLEW))
-            sizes = [(math.hypot(*f8[at : at + 3]), float(f8[slew])) for at, slew in limits]
-            ramp_s = max(size / slew if size else 0.0 for size, slew in sizes)
-            clock.sleep_until(now_ns + math.ceil(1e9 * ramp_s))
-            f8[W.TORQUE : W.TORQUE + 3] = 0.0
+            clock.sleep_until(now_ns + math.ceil(1e9 * max(map(partial(_slew_s, receiver), _LIMITED))))
+            receiver["state"]["torque"]["output"] = 0.0
             with contextlib.suppress(Exception):
                 link.put((0.0, 0.0, 0.0))
             return
-        force = cycle(*memory.views, *position_m, now_ns)
+        force = native.cycle(memory.bytes, *position_m, now_ns)
         with contextlib.suppress(Exception):
             link.put(force)
             device.advance(dt_s)
 
 
+_LIMITED: Final = ("force", "torque")
+
+
+def _slew_s(receiver: Any, name: str) -> float:
+    """Return the time that the slew limit needs for the present force or torque, seconds."""
+    size = math.hypot(*receiver["state"][name]["output"])
+    return size / float(receiver["settings"][f"{name}_limits"]["slew_per_s"]) if size else 0.0
+
+
 def _supervise(memory: Memory, device: PointDevice, must_stop: Callable[[], bool]) -> None:
     """Leave the ticks to the vendor's driver, and wait for the end."""
-    i8 = memory.i8
-    device.drive(int(i8.ctypes.data), memory.words)
+    clock, counts = memory.receiver["clock"], memory.receiver["counts"]
+    device.drive(int(memory.bytes.ctypes.data), memory.size_bytes)
     latest_ticks, latest_tick_s = -1, time.monotonic()
     try:
-        while not i8[W.RELEASED]:
+        while not clock["is_released"]:
             if must_stop():
-                i8[W.STOP_HERE] = 1
+                clock["is_stopping"] = 1
             time.sleep(_WATCH_S)
             device.watch()
-            now_s, ticks = time.monotonic(), int(i8[W.TICKS])
+            now_s, ticks = time.monotonic(), int(counts["ticks"])
             if ticks != latest_ticks:
                 latest_ticks, latest_tick_s = ticks, now_s
             elif now_s - latest_tick_s > _MAX_SILENCE_S:
@@ -178,10 +187,10 @@ def _supervise(memory: Memory, device: PointDevice, must_stop: Callable[[], bool
                     "Plug it in again.",
                 )
     finally:
-        i8[W.STOP_HERE] = 1
-        deadline_s = time.monotonic() + 1e-9 * float(i8[W.RAMP_LIMIT_NS])
+        clock["is_stopping"] = 1
+        deadline_s = time.monotonic() + 1e-9 * float(memory.receiver["layout"]["ramp_limit_ns"])
         while (
-            not i8[W.RELEASED]
+            not clock["is_released"]
             and latest_tick_s + _MAX_SILENCE_S > time.monotonic()
             and time.monotonic() < deadline_s
         ):
@@ -189,7 +198,7 @@ def _supervise(memory: Memory, device: PointDevice, must_stop: Callable[[], bool
 
 
 _START_S: Final = 180.0
-"""Time limit for loading interpreter and code; on a new machine the code is compiled first."""
+"""Time limit for loading interpreter and code."""
 
 _SILENT_S: Final = 0.03
 """Time without a tick after which the device of a waiting process counts as hung."""
@@ -220,10 +229,9 @@ def _run_servo(path: str, is_realtime: bool, pipe: Connection) -> None:
     block = Block.attach(Path(path))
     pipe.send(("attached", None))
     memory = block.memory
-    i8 = memory.i8
 
     def stop(*_: Any) -> None:
-        i8[W.STOP_HERE] = 1
+        memory.receiver["clock"]["is_stopping"] = 1
 
     for signal_number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(signal_number, stop)
@@ -255,15 +263,14 @@ def _run_servo(path: str, is_realtime: bool, pipe: Connection) -> None:
 
 
 def warm_up(memory: Memory) -> None:
-    """Load or compile the code by running ticks on a copy of the block without frames."""
-    from touchfield.render.kernels.tick import cycle
-
-    scratch = Memory.empty(max(int(memory.i8[W.ARENA]), W.FREE))
-    scratch.i8[:] = memory.i8[: scratch.words]
+    """Load the code by running ticks on a copy of the block without frames."""
+    arena = int(memory.receiver["layout"]["arena_offset"])
+    scratch = Memory.empty(max(arena, layout.RECEIVER.itemsize))
+    scratch.bytes[:] = memory.bytes[: scratch.size_bytes]
     for n in range(32):
-        cycle(*scratch.views, 0.0, 0.0, 0.0, 1 + n * int(scratch.i8[W.TICK_NS]))
-    scratch.i8[W.STOP_HERE] = 1
-    cycle(*scratch.views, 0.0, 0.0, 0.0, 1 << 40)
+        native.cycle(scratch.bytes, 0.0, 0.0, 0.0, 1 + n * int(scratch.receiver["layout"]["tick_ns"]))
+    scratch.receiver["clock"]["is_stopping"] = 1
+    native.cycle(scratch.bytes, 0.0, 0.0, 0.0, 1 << 40)
 
 
 def make_realtime(is_realtime: bool = True) -> dict[str, str]:
@@ -380,7 +387,7 @@ class ServoProcess:
         self.error: TouchfieldError | None = None
         self.is_ready = self.is_done = self.is_unreleased = self._is_joined = False
         self._ticks, self._ticked_s = -1, time.monotonic()
-        self._silent_s = max(_SILENT_S, 3 / float(block.memory.f8[W.RATE_HZ]))
+        self._silent_s = max(_SILENT_S, 3 / float(block.memory.receiver["settings"]["rate_hz"]))
         self._process = context.Process(
             target=_run_servo,
             args=(str(block.path), is_realtime, child_pipe),

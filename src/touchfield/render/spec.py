@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from touchfield.arrays import Float64s, lengths_of
+from touchfield.arrays import lengths_of
+from touchfield.compute.native import native
 from touchfield.errors import (
     DeviceError,
     InvalidArgument,
@@ -25,7 +26,7 @@ from touchfield.errors import (
 )
 from touchfield.files import json_of
 from touchfield.options import option
-from touchfield.render.block import words as W
+from touchfield.render.block import layout
 from touchfield.render.point_device import UP_CHOICES, axes_matrix, axes_notes
 from touchfield.render.tool import Tool
 
@@ -152,39 +153,38 @@ def write_parameters(
     """
     if device.is_array:
         raise DeviceError(device.name, "a type 2 device", "a type 1 device: a point that the hand moves")
-    f8 = memory.f8
-    memory.i8[[W.MATERIAL, W.MATERIAL_COUNT]] = 0
-    f8[W.STATE : W.STATE + W.STATE_WORDS] = 0.0
-    f8[W.WRENCH : W.WRENCH + W.WRENCH_WORDS] = 0.0
-    _write_limits(f8, spec, device)
-    for index, value in (
-        (W.RATE_HZ, spec.rate_hz),
-        (W.FRICTION, _coefficient("friction of the medium", spec.friction, medium_friction)),
-        (W.DAMPING, _coefficient("damping of the medium", spec.damping_n_s_per_m, medium_damping)),
-        (W.SLIP_SPEED, spec.slip_speed_m_s),
-        (W.PASSIVITY, float(spec.passivity)),
-        (W.SCALE, spec.scale),
-        (W.FORCE_SCALE, spec.force_scale),
-        (W.THERMAL_S, spec.thermal_s),
-        (W.RAMP_S, spec.ramp_s),
-        (W.CUTOFF, 2 * math.pi * spec.velocity_cutoff_hz),
-        (W.COUPLING, spec.coupling_n_per_m or 0.0),
-        (W.BRAKE, 0.0),
-        (W.DELAY, min(delay_s(device) * spec.rate_hz, W.MOST_DELAY)),
-        (W.ORIENTATION, 1.0),
-    ):
-        f8[index] = value
-    f8[W.FRICTION_NOW] = f8[W.FRICTION]
+    receiver = memory.receiver
+    for name in ("settings", "state", "grip"):
+        receiver[name] = np.zeros((), receiver.dtype[name])
+    settings, state = receiver["settings"], receiver["state"]
+    _write_limits(receiver, spec, device)
     axes = axes_matrix(device.axes, field_axes, spec.up)
-    f8[W.WALL : W.WALL_SPACING + 3] = 0.0
-    f8[W.CLUTCH : W.CLUTCH + 3] = spec.clutch_m
-    f8[W.GRAVITY : W.GRAVITY + 3] = spec.gravity_n
-    f8[W.AXES : W.AXES + 9] = axes.ravel()
-    f8[W.HANDEDNESS] = np.sign(np.linalg.det(axes))
+    for name, value in (
+        ("rate_hz", spec.rate_hz),
+        ("friction", _coefficient("friction of the medium", spec.friction, medium_friction)),
+        ("damping_n_s_per_m", _coefficient("damping of the medium", spec.damping_n_s_per_m, medium_damping)),
+        ("slip_speed_m_s", spec.slip_speed_m_s),
+        ("coupling_n_per_m", spec.coupling_n_per_m or 0.0),
+        ("is_passive", spec.passivity),
+        ("scale", spec.scale),
+        ("clutch_m", spec.clutch_m),
+        ("force_scale", spec.force_scale),
+        ("gravity_n", spec.gravity_n),
+        ("axes", axes),
+        ("handedness", np.sign(np.linalg.det(axes))),
+        ("thermal_s", spec.thermal_s),
+        ("ramp_s", spec.ramp_s),
+        ("velocity_cutoff_rad_s", 2 * math.pi * spec.velocity_cutoff_hz),
+        ("delay_ticks", min(delay_s(device) * spec.rate_hz, layout.MAX_DELAY)),
+    ):
+        settings[name] = value
+    receiver["grip"]["orientation"][0] = 1.0
+    state["friction"] = settings["friction"]
     notes = [] if device.axes == field_axes else list(axes_notes(device.axes, field_axes, spec.up))
     if spec.tool is not None and device.torque_max_nm is None:
         notes.append(f"{device.name} states no torque: only the tool's force is rendered")
-    weight, limit_n = float(np.linalg.norm(spec.gravity_n)), float(f8[W.CONTINUOUS] or f8[W.PEAK])
+    limits = settings["force_limits"]
+    weight, limit_n = float(np.linalg.norm(spec.gravity_n)), float(limits["continuous"] or limits["peak"])
     if weight >= limit_n:
         notes.append(
             f"the constant force of {weight:g} N leaves nothing of the limit of {limit_n:g} N to the field"
@@ -192,15 +192,14 @@ def write_parameters(
     return tuple(notes)
 
 
-def _write_limits(f8: Float64s, spec: RenderSpec, device: Device) -> None:
+def _write_limits(receiver: Any, spec: RenderSpec, device: Device) -> None:
     """Write the limits of the force and, if the device states one, of the torque."""
     if not _MIN_LIMIT_N <= device.force_max_n <= _MAX_LIMIT_N:
         peak_n = f"{device.force_max_n:g} N"
         raise DeviceError(f"{device.name}: force_max_n", peak_n, f"{_MIN_LIMIT_N:g} to {_MAX_LIMIT_N:g} N")
-    force = device.force_max_n, device.force_continuous_n, (W.PEAK, W.CONTINUOUS, W.SLEW, W.LIMIT)
-    torque_indices = W.TORQUE_PEAK, W.TORQUE_CONTINUOUS, W.TORQUE_SLEW, W.TORQUE_LIMIT
-    torque = device.torque_max_nm, device.torque_continuous_nm, torque_indices
-    for (stated, stated_long, at), unit, name in ((force, "n", "N"), (torque, "nm", "N m")):
+    force = "force", device.force_max_n, device.force_continuous_n, "n", "N"
+    torque = "torque", device.torque_max_nm, device.torque_continuous_nm, "nm", "N m"
+    for part, stated, stated_long, unit, name in (force, torque):
         keys = f"peak_{unit}", f"continuous_{unit}", f"slew_{unit}_per_s"
         peak, continuous, slew = (getattr(spec, key) for key in keys)
         if stated is None:
@@ -211,12 +210,10 @@ def _write_limits(f8: Float64s, spec: RenderSpec, device: Device) -> None:
         peak = _limit(keys[0], peak, stated, f"{name}, the limit of {device.name}")
         long = math.inf if stated_long is None else stated_long
         long = _limit(keys[1], continuous, long, f"continuously, the limit of {device.name}")
-        f8[list(at)] = (
-            peak,
-            long if long < peak else 0.0,
-            peak / PEAK_RISE_S if slew is None else slew,
-            peak,
-        )
+        limits = receiver["settings"][f"{part}_limits"]
+        limits["peak"] = receiver["state"][part]["limit"] = peak
+        limits["continuous"] = long if long < peak else 0.0
+        limits["slew_per_s"] = peak / PEAK_RISE_S if slew is None else slew
 
 
 def _limit(name: str, requested: float | None, stated: float, explanation: str) -> float:
@@ -247,14 +244,14 @@ _MIN_STIFFNESS_FRACTION: Final = 0.92
 """Minimum rendered fraction of a stiffness that Colgate's rule allows for the bare device."""
 
 
-# For slow movements, a force that is sampled, held and delayed by d equals -K x(t - T/2 - d): a spring with a
-# negative damper of K (T/2 + d), which the device must compensate (Colgate and Schenkel 1997). In contact the
-# renderer brakes with B = 2 K (T/2 + d) - b along the force, never with more than that force
-# (`kernels.effects.braked`). The damper lags by L: against a mass m (the device and a light hand), B is
-# limited to m / 2L and K to 0.4 m / L^2. One step q of the encoder changes the force by q (K + B / T s), with
-# s the weight of a new sample in the velocity filter; this is limited to 35 mN and twice the friction
-# (Diolaiti 2006). A stiffer field is rendered through a coupling; but a stiffness that Colgate's rule allows
-# for the bare device is rendered to within 8 %.
+# For slow movements, a force that is sampled, held and delayed by d equals -K x(t - T/2 - d): a spring with
+# a negative damper of K (T/2 + d), which the device must compensate (Colgate and Schenkel 1997). In contact
+# the renderer brakes with B = 2 K (T/2 + d) - b along the force, never with more than that force
+# (`touch_damped` of ``c/touch_effects.h``). The damper lags by L: against a mass m (the device and a light
+# hand), B is limited to m / 2L and K to 0.4 m / L^2. One step q of the encoder changes the force by q (K +
+# B / T s), with s the weight of a new sample in the velocity filter; this is limited to 35 mN and twice the
+# friction (Diolaiti 2006). A stiffer field is rendered through a coupling; but a stiffness that Colgate's
+# rule allows for the bare device is rendered to within 8 %.
 
 
 @dataclass(frozen=True)
@@ -332,6 +329,8 @@ def _max_stiffness(device: Device, spec: RenderSpec, k: float, lag: float) -> fl
 
 # -- stiffness and walls of a field
 
+_SLOPE_BINS: Final = 400  # of the histogram of c/touch_slopes.h
+_SLOPE_BINS_PER_DOUBLING: Final = 20.0
 _STEEP_FRACTION: Final = 1e-3
 """Fraction of the resisting cells that may be stiffer: edges, corners, noise."""
 
@@ -341,18 +340,14 @@ def stiffest_n_per_m(pools: Iterable[CellPool]) -> float:
 
     One in a thousand of the resisting cells of a field may exceed it.
     """
-    from touchfield.render.kernels.points import BINS, count_slopes, slope_of_bin
-
     stiffest = 0.0
     for pool in pools:
-        counts = np.zeros(BINS, np.int64)
-        count_slopes(pool.cells, pool.supported, 1.0 / pool.lattices[0, :3], counts)
+        counts = np.zeros(_SLOPE_BINS, np.int64)
+        native.count_slopes(pool.cells, pool.supported, tuple(1.0 / pool.lattices[0, :3]), counts)
         counts_above = np.cumsum(counts[::-1])[::-1]
         if counts.any():
-            stiffest = max(
-                stiffest,
-                slope_of_bin(int(np.flatnonzero(counts_above > _STEEP_FRACTION * counts_above[0])[-1])),
-            )
+            steepest = int(np.flatnonzero(counts_above > _STEEP_FRACTION * counts_above[0])[-1])
+            stiffest = max(stiffest, 2.0 ** ((steepest + 1) / _SLOPE_BINS_PER_DOUBLING))
     return stiffest
 
 

@@ -1,5 +1,5 @@
 """A tool is a sphere or a mesh that touches the field in place of a single point. This file samples its
-surface as points with normals, and writes them into the memory that player and servo share.
+surface as points with normals, and writes them into the memory of a receiver.
 
 The force on a tool is the sum over its points of s max(0, -n . F / |F|) F, with F the field's force at the
 point and n the outward normal of the tool there. Each piece of the tool's surface is thus weighted by the
@@ -23,20 +23,13 @@ from numpy.typing import NDArray
 from touchfield.arrays import Float64s, Int64s, lengths_of
 from touchfield.errors import InvalidArgument, require_between, require_up_to
 from touchfield.medium.field import frozen
-from touchfield.render.block import words as W
 
 if TYPE_CHECKING:
     from touchfield.render.block import Memory
 
 MAX_POINTS: Final = 100_000
 SPHERE_POINTS: Final = 1000
-FLOATS_PER_POINT: Final = (
-    6  # float32 for each point: position and normal in the tool's axes; `SCRATCH_FLOATS` follow
-)
-AT_ONCE: Final = 512  # points summed at a time
-SCRATCH_FLOATS: Final = (
-    9 * AT_ONCE
-)  # float32 for their positions in a field, the force there, and the sum over fields
+_FLOATS_PER_POINT: Final = 6  # position and normal in the tool's axes, float32, by component
 _MAX_DISTANCE_M: Final = 10.0
 _GOLDEN: Final = (1 + 5**0.5) / 2
 
@@ -134,20 +127,19 @@ def _morton_order(points: Float64s) -> Int64s:
     return np.argsort(code, kind="stable")
 
 
-def tool_word_count(tool: Tool | None) -> int:
-    """Return the number of words that a tool takes in the block."""
-    return 0 if tool is None else -(-(FLOATS_PER_POINT * len(tool) + SCRATCH_FLOATS) // 2)
+def tool_bytes(tool: Tool | None) -> int:
+    """Return the number of bytes that a tool takes in the memory of a receiver."""
+    return 0 if tool is None else 4 * _FLOATS_PER_POINT * len(tool)
 
 
-def write_tool(memory: Memory, start: int, tool: Tool | None) -> None:
-    """Write a tool at word `start`; None is a point, which takes no words."""
-    i8, _, f8, f4 = memory.views
-    i8[W.TOOL], i8[W.TOOL_POINTS] = start, 0 if tool is None else len(tool)
-    f8[W.TOOL_SHARE] = f8[W.TOOL_REACH] = 0.0
+def write_tool(memory: Memory, offset: int, tool: Tool | None) -> None:
+    """Write a tool at an offset; None is a point, which takes no bytes."""
+    settings = memory.receiver["settings"]
+    settings["tool_offset"], settings["tool_point_count"] = offset, 0 if tool is None else len(tool)
+    settings["tool_weight"] = settings["tool_reach_m"] = 0.0
     if tool is None:
         return
-    count = 3 * len(tool)
-    f4[2 * start : 2 * start + count] = tool.points_m.T.ravel()
-    f4[2 * start + count : 2 * start + 2 * count] = tool.normals.T.ravel()
-    f8[W.TOOL_SHARE] = 4.0 / len(tool)
-    f8[W.TOOL_REACH] = 1.000001 * float(lengths_of(tool.points_m).max())
+    numbers = memory.array(np.float32, offset, _FLOATS_PER_POINT * len(tool))
+    numbers[:] = np.concatenate([tool.points_m.T, tool.normals.T]).ravel()
+    settings["tool_weight"] = 4.0 / len(tool)
+    settings["tool_reach_m"] = 1.000001 * float(lengths_of(tool.points_m).max())

@@ -63,7 +63,7 @@ typedef struct { /* a base layer */
     const uint8_t *bytes;
     uint64_t size, bricks;
     const uint64_t *key;
-    const touch_vector *v;
+    const touch_int_vector *v;
 } model_layer;
 
 int model_columns(const touch_grid *grid, const touch_source *frame, double unit_n, double k, double f0, touch_arena arena,

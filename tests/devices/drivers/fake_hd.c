@@ -146,3 +146,24 @@ void hdStopScheduler(void)
     if (running) pthread_join(thread, NULL);
     running = 0;
 }
+
+/* -- a renderer that takes the place of touch_receiver_tick: it stores its inputs in the memory of the receiver -------- */
+
+enum { TICKS, RELEASE, FAIL, SIZE, POSITION, TIMES = 100 }; /* numbers of eight bytes */
+typedef struct { double x, y, z; } Vector;
+
+Vector fake_tick(void *receiver, Vector position, long long now_ns)
+{
+    long long *numbers = receiver;
+    double *doubles = receiver, size = doubles[SIZE];
+    Vector force = {0, 0, 0};
+    int fails_now = numbers[FAIL] && numbers[TICKS] == numbers[FAIL];
+    numbers[TIMES + numbers[TICKS]++ % 256] = now_ns;
+    memcpy(doubles + POSITION, &position, sizeof position);
+    size += numbers[RELEASE] ? -0.1 : 0.1;
+    size = size < 0 ? 0 : size > 2 ? 2 : size;
+    doubles[SIZE] = size;
+    force.x = fails_now ? size / 0.0 : size;
+    force.y = -size;
+    return force;
+}

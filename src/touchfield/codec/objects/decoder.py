@@ -17,10 +17,10 @@ from typing import Any, Final
 import numpy as np
 
 from touchfield.arrays import Int64s
-from touchfield.codec.native import decoding_errors, native
 from touchfield.codec.objects.layout import MAX_FRAMES, NAME, CodedObject, Parameters, SegmentParts
 from touchfield.codec.registry import FieldDecoder, field_decoder
 from touchfield.codec.segment import BitAccount
+from touchfield.compute.native import decoding_errors, native
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium import ForceField, PoseTrack
 

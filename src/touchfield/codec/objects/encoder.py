@@ -23,7 +23,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from touchfield.arrays import Int64s
-from touchfield.codec.native import argument_errors, native
 from touchfield.codec.objects import layout
 from touchfield.codec.objects.decoder import (
     MAX_SEGMENT_POSES,
@@ -50,6 +49,7 @@ from touchfield.codec.registry import (
     field_encoder,
 )
 from touchfield.codec.segment import CodedSegment, MaxError, segment_length
+from touchfield.compute.native import argument_errors, native
 from touchfield.errors import InvalidArgument
 from touchfield.medium import HapticObject, HapticScene, PoseTrack
 

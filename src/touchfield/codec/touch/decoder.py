@@ -8,7 +8,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from touchfield.codec.native import decoding_errors, native
 from touchfield.codec.segment import FrameCost, MaxError
 from touchfield.codec.touch.body import (
     MAX_FRAMES,
@@ -18,6 +17,7 @@ from touchfield.codec.touch.body import (
     read_parameters,
     write_parameters,
 )
+from touchfield.compute.native import decoding_errors, native
 from touchfield.medium import ForceField, Grid
 
 NAME: Final = "touch"

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from touchfield.arrays import Float32s, Int64s
-from touchfield.codec.native import argument_errors, native
 from touchfield.codec.segment import CodedSegment, FrameStats, MaxError
 from touchfield.codec.touch.base_layer_fit import fit_spline
 from touchfield.codec.touch.body import BodyReader, write_parameters
 from touchfield.codec.touch.decoder import NAME
 from touchfield.codec.touch.error_bound import masked_error_n
 from touchfield.codec.touch.spec import MODES, TouchSpec
+from touchfield.compute.native import argument_errors, native
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid
 

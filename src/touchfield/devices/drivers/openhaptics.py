@@ -1,9 +1,9 @@
 """Driver of the force-feedback arms Touch, Touch X, Phantom Omni and Phantom Premium, through the vendor's
 library OpenHaptics.
 
-The vendor's driver calls a callback in a thread of its own. The callback is compiled
-(`kernels.compiled_callback`) and does not take the interpreter's lock: it begins a frame, reads the position
-(millimetres), runs one cycle of the renderer, sets the force and ends the frame.
+The vendor's driver calls a callback in a thread of its own. The callback is C (``c/touch_openhaptics.h``) and
+does not take the interpreter's lock: it begins a frame, reads the position (millimetres), runs one tick of
+the renderer, sets the force and ends the frame.
 
 Before `close` the servo has ordered the release. `close` waits until the force is zero, sets zero for one
 more frame, and then removes callback, scheduler and device.
@@ -13,13 +13,24 @@ from __future__ import annotations
 
 import time
 from contextlib import suppress
-from ctypes import Structure, c_char_p, c_int, c_uint32, c_ulong, c_ushort, c_void_p
+from ctypes import (
+    Structure,
+    addressof,
+    c_char_p,
+    c_double,
+    c_int,
+    c_int64,
+    c_uint32,
+    c_ulong,
+    c_ushort,
+    c_void_p,
+    cast,
+    sizeof,
+)
 from functools import partial
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
-import numpy as np
-
+from touchfield.compute.native import native
 from touchfield.devices.drivers.links import DriverLibrary
 from touchfield.devices.drivers.registry import DeviceKind, Opener
 from touchfield.errors import DeviceError, InvalidArgument
@@ -59,7 +70,21 @@ _FUNCTIONS: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
     "hdStopScheduler": (None, ()),
 }
 _CALLBACK_FUNCTIONS: Final = ("hdBeginFrame", "hdEndFrame", "hdGetDoublev", "hdSetDoublev", "hdGetError")
-"""Functions that the compiled callback calls."""
+"""Functions that the callback calls, in the order of `touch_driver`."""
+
+
+class _Driver(Structure):
+    """`touch_driver` of ``c/touch_openhaptics.h``: the callback's functions, orders and results."""
+
+    _fields_ = (
+        ("receiver", c_void_p),
+        ("tick", c_void_p),
+        *((name, c_void_p) for name in _CALLBACK_FUNCTIONS),
+        *((name, c_int64) for name in ("device", "must_stop", "end", "calls", "error")),
+        ("position_mm", c_double * 3),
+        ("force_n", c_double * 3),
+    )
+
 
 _FORCE_OUTPUT: Final = 0x4000
 _INVALID_HANDLE: Final = 0xFFFFFFFF
@@ -71,8 +96,8 @@ _SILENCE_S: Final = 0.5
 _LAST_FRAME_S: Final = 0.5
 _WHERE: Final = "OpenHaptics device"
 
-_LEAKED: Final[list[Any]] = []
-"""Callbacks that a driver may still call, because it did not stop when ordered to."""
+_LEAKED: Final[list[_Driver]] = []
+"""Memory of callbacks that a driver may still call, because it did not stop when ordered to."""
 
 
 class OpenHaptics(PointDevice):
@@ -82,32 +107,27 @@ class OpenHaptics(PointDevice):
     ----------
     name : str or None
         For example "Left Device"; None is the default device.
-    cycle : compiled function or None
-        Function for the callback; None is `touchfield.render.kernels.tick.cycle`.
+    tick_address : int or None
+        Address of the function that the callback calls for a force; None is `touch_receiver_tick`.
     """
 
     is_driven: ClassVar[bool] = True
 
-    def __init__(self, name: str | None = None, cycle: Any = None) -> None:
-        self._name, self._cycle = name, cycle
+    def __init__(self, name: str | None = None, tick_address: int | None = None) -> None:
+        self._name, self._tick_address = name, tick_address
         self._library: Any = None
         self._device: int | None = None
         self._operation: int | None = None
-        self._callback: Any = None
-        self._box = np.zeros(1, np.int64)
+        self._driver = _Driver()
         self._progress = (0, 0.0)  # number of calls, and the time of the last change
 
     def open(self) -> None:
-        """Load the driver, compile the callback, find the device and switch forces on.
+        """Load the driver, find the device and switch forces on.
 
         The callback is not called yet.
         """
         self.close()
         library = self._library = DRIVER.load(_FUNCTIONS)
-        cycle = self._cycle or import_module("touchfield.render.kernels.tick").cycle
-        kernel = import_module("touchfield.devices.drivers.kernels")
-        functions = (getattr(library, name) for name in _CALLBACK_FUNCTIONS)
-        self._callback = kernel.compiled_callback(cycle, *map(kernel.address_of, functions))
         device = library.hdInitDevice(None if self._name is None else self._name.encode())
         error = self._error("find the device", "Is it plugged in, and set up with the maker's own tool?")
         if error is None and device == _INVALID_HANDLE:
@@ -120,16 +140,16 @@ class OpenHaptics(PointDevice):
         library.hdEnable(_FORCE_OUTPUT)
         self._raise_error("switch forces on")
 
-    def drive(self, address: int, word_count: int) -> None:
-        """Let the driver call the compiled cycle over the block at `address`; returns at once."""
-        from touchfield.devices.drivers import kernels as kernel
-
+    def drive(self, address: int, size_bytes: int) -> None:
+        """Let the driver call the renderer on the receiver at `address`; returns at once."""
         if self._device is None or self._operation is not None:
             raise DeviceError(_WHERE, "a device that is not open, or driven already", "an open one")
-        box = self._box = np.zeros(kernel.BOX, np.int64)
-        box[[kernel.ADDRESS, kernel.WORD_COUNT, kernel.HANDLE]] = address, word_count, self._device
+        callback, tick, driver_bytes = native.openhaptics_callback()
+        assert driver_bytes == sizeof(_Driver)
+        functions = (cast(getattr(self._library, name), c_void_p) for name in _CALLBACK_FUNCTIONS)
+        self._driver = _Driver(address, self._tick_address or tick, *functions, self._device)
         self._operation = self._library.hdScheduleAsynchronous(
-            self._callback.address, box.ctypes.data, _HIGHEST_PRIORITY
+            callback, addressof(self._driver), _HIGHEST_PRIORITY
         )
         self._raise_error("schedule the callback")
         self._library.hdStartScheduler()
@@ -138,11 +158,9 @@ class OpenHaptics(PointDevice):
 
     def watch(self) -> None:
         """Check that the driver calls the callback and has no fault."""
-        from touchfield.devices.drivers import kernels as kernel
-
         if self._operation is None:
             raise DeviceError(_WHERE, "a device that is not driven", "a driven one")
-        calls, done, code = self._box[[kernel.CALLS, kernel.DONE, kernel.ERROR]].tolist()
+        calls, end, code = self._driver.calls, self._driver.end, self._driver.error
         now = time.monotonic()
         if calls != self._progress[0]:
             self._progress = (calls, now)
@@ -150,8 +168,8 @@ class OpenHaptics(PointDevice):
             raise DeviceError(
                 _WHERE, f"a fault while it ran ({self._reason(code)})", hint="Is it still plugged in?"
             )
-        if done:
-            raise DeviceError(_WHERE, "a renderer that failed", "forces", "See what it printed.")
+        if end:
+            raise DeviceError(_WHERE, "a renderer that failed", "finite forces")
         if now - self._progress[1] > _SILENCE_S:
             found = f"a driver that has not called for {_SILENCE_S:g} s, after {calls} calls"
             raise DeviceError(_WHERE, found, "a call each millisecond", "Is it still plugged in?")
@@ -175,18 +193,16 @@ class OpenHaptics(PointDevice):
             library.hdStopScheduler()
             if operation is not None and not done:
                 library.hdUnschedule(operation)
-                _LEAKED.append((self._callback, self._box))
+                _LEAKED.append(self._driver)
         with suppress(Exception):
             library.hdDisableDevice(device)
 
     def _end_callback(self) -> bool:
         """End the callback after a last force of zero; True if it will not be called."""
-        from touchfield.devices.drivers import kernels as kernel
-
-        box, force = self._box, self._box.view(np.float64)[kernel.FORCE : kernel.FORCE + 3]
-        _wait(lambda: not force.any() or bool(box[kernel.DONE]), _RELEASE_S)
-        box[kernel.STOP] = 1
-        return _wait(lambda: bool(box[kernel.DONE]), _LAST_FRAME_S)
+        driver = self._driver
+        _wait(lambda: not any(driver.force_n) or bool(driver.end), _RELEASE_S)
+        driver.must_stop = 1
+        return _wait(lambda: bool(driver.end), _LAST_FRAME_S)
 
     def _raise_error(self, action: str) -> None:
         error = self._error(action)

@@ -16,10 +16,11 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final, Literal, cast
+from typing import TYPE_CHECKING, Final, Literal, cast
 
 import numpy as np
 
+from touchfield.compute.native import native
 from touchfield.devices.drivers.registry import Check, DeviceKind, Opener
 from touchfield.errors import DeviceError, InvalidArgument, require_one_of
 from touchfield.render.point_device import PointDevice, Quaternion
@@ -62,24 +63,18 @@ class SimHand(PointDevice):
         require_one_of("hand", kind, _KINDS)
         self.kind = kind
         self._constants: tuple[float, ...] = _SPRING if kind == "spring" else ()
-        # copies, because the compiler treats a read-only array as another type
-        self._times = np.zeros(1) if trajectory is None else np.array(trajectory.times_s)
-        self._positions = np.zeros((1, 3)) if trajectory is None else np.array(trajectory.positions_m)
-        quaternions = None if trajectory is None else trajectory.quaternions
-        self._quaternions = None if quaternions is None else np.array(quaternions)
+        self._times = np.zeros(1) if trajectory is None else trajectory.times_s
+        self._positions = np.zeros((1, 3)) if trajectory is None else trajectory.positions_m
+        self._quaternions = None if trajectory is None else trajectory.quaternions
         self._quaternion = np.array([1.0, 0.0, 0.0, 0.0])
         self._state = np.zeros(10)
-        self._move: Callable[..., Any] | None = None
+        self._move: Callable[..., None] | None = None
 
     def open(self) -> None:
         """Put the hand at rest at the trajectory's position at 0 s."""
-        from touchfield.devices.drivers import kernels as hand
-
         self._state[:] = 0.0
-        hand.follow(self._times, self._positions, self._state, 0.0)
-        self._move = hand.follow if self.kind == "follow" else hand.spring
-        self.orientation()
-        self.advance(0.0)  # compile it now, not in the first tick
+        native.follow(self._times, self._positions, self._state, 0.0)
+        self._move = native.follow if self.kind == "follow" else native.spring
 
     def position_m(self) -> tuple[float, float, float]:
         """Return the position of the hand, metres."""
@@ -92,10 +87,8 @@ class SimHand(PointDevice):
     def orientation(self) -> Quaternion:
         """Orientation of the trajectory."""
         if self._quaternions is not None:
-            from touchfield.devices.drivers import kernels as hand
-
-            hand.interpolate_orientation(
-                self._times, self._quaternions, float(self._state[0]), self._quaternion
+            native.interpolate_orientation(
+                self._times, self._quaternions, self._quaternion, float(self._state[0])
             )
         w, x, y, z = self._quaternion.tolist()
         return w, x, y, z

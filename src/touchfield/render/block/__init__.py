@@ -1,11 +1,10 @@
-"""The *block* is the memory that the player's process and the servo's process share. This file creates and
-opens it, defines where each part lies, and reads the log that the servo writes into it.
+"""The memory of a receiver: player and servo share it, the player writes frames and orders, the servo its state
+and log. This file creates and opens it, and defines where its parts lie.
 
-A file of its own name rather than `multiprocessing.shared_memory`: the name is taken away as soon as both
-have opened it, so that nothing is left behind whichever process is killed; room is reserved before it is
-written, so that a full ``/dev/shm`` is an error and not a crash; a view that somebody still holds keeps the
-memory alive. A row of the log is written by every tick and never waits: where nobody drains, the oldest are
-lost, and the loss is counted.
+`layout` has the structs in it, generated from ``c/touch_receiver.h``. Offsets and sizes are in bytes; offset 0
+means "none". A shared block is a file with a name of its own, which is deleted as soon as both processes have
+opened it, so that nothing remains if one of them is killed. Space is reserved before it is written, so that a
+full ``/dev/shm`` is an error and not a crash.
 """
 
 from __future__ import annotations
@@ -16,7 +15,8 @@ import mmap
 import os
 import tempfile
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Sequence
+from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
 from typing import Any, Final
@@ -24,58 +24,86 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.arrays import Float32s, Float64s, Int64s
-from touchfield.errors import InvalidArgument
-from touchfield.render.block import words as W
+from touchfield.arrays import Int64s
+from touchfield.compute.native import native
+from touchfield.errors import InvalidArgument, TouchfieldError
+from touchfield.render.block import layout
 
 PREFIX: Final = "touchfield-servo-"
-_STEP_BYTES: Final = 1 << 22  # Room is reserved in steps of this size
-DEFAULT_BYTES: Final = 1 << 28  # what frames that are decoded ahead may take
+DEFAULT_BYTES: Final = 1 << 28  # for frames that are decoded ahead
 LOG_ROWS: Final = 8192
-SLOTS: Final = 256  # Frames in the directory, a power of two: those that are there at one time
+SLOTS: Final = 256  # frames in the directory at one time, a power of two
+_ALIGNMENT: Final = 64  # bytes of a cache line
+_STEP_BYTES: Final = 1 << 22  # space is reserved in steps of this size
 
 
-@dataclass(frozen=True)
-class Memory:
-    """One block as four views of the same bytes, in the order in which every kernel takes them."""
+def check_layout(rows: Sequence[tuple[str, int]]) -> None:
+    """Raise `TouchfieldError` unless the compiled module has the structs of `layout`.
 
-    i8: Int64s
-    u8: NDArray[np.uint64]
-    f8: Float64s
-    f4: Float32s
-
-    @classmethod
-    def of(cls, buffer: Any) -> Memory:
-        """The views of a writeable buffer whose length is a multiple of eight bytes."""
-        octets = np.frombuffer(buffer, np.uint8)
-        return cls(
-            octets.view(np.int64), octets.view(np.uint64), octets.view(np.float64), octets.view(np.float32)
+    `rows` are its version, sizes and offsets in bytes, ``native.receiver_layout()``.
+    """
+    expected = {"version": layout.RECEIVER_VERSION}
+    for name, dtype in layout.STRUCTS.items():
+        expected[name] = dtype.itemsize
+        expected |= {f"{name}.{field}": offset for field, (_, offset, *_) in (dtype.fields or {}).items()}
+    differing = set(rows) ^ set(expected.items())
+    if differing:
+        raise TouchfieldError(
+            "touchfield._native, the compiled part of touchfield",
+            f"other structs of a receiver ({min(differing)[0]})",
+            "those of c/touch_receiver.h",
+            "Install touchfield again, or compile the module again (make module).",
         )
 
+
+check_layout(native.receiver_layout())
+
+
+def aligned(size_bytes: int) -> int:
+    """Round a size up, so that the next part starts at a cache line."""
+    return -(-int(size_bytes) // _ALIGNMENT) * _ALIGNMENT
+
+
+class Memory:
+    """Bytes of a receiver, `bytes` uint8 [n], and views of the structs in them.
+
+    A view is writable: ``memory.receiver["state"]["force"]["output"][:] = 0``.
+    """
+
+    def __init__(self, buffer: Any) -> None:
+        self.bytes: NDArray[np.uint8] = np.frombuffer(buffer, np.uint8)
+
     @classmethod
-    def empty(cls, words: int) -> Memory:
-        """A block of zeros within this process, of which the system gives only what is used."""
-        return cls.of(np.zeros(W.WORD * words, np.uint8))
+    def empty(cls, size_bytes: int) -> Memory:
+        """Memory of zeros in this process; the system provides only what is written."""
+        return cls(np.zeros(size_bytes, np.uint8))
 
     @property
-    def views(self) -> tuple[Any, Any, Any, Any]:
-        """i8, u8, f8, f4: what the kernels take."""
-        return self.i8, self.u8, self.f8, self.f4
+    def size_bytes(self) -> int:
+        return len(self.bytes)
 
-    @property
-    def words(self) -> int:
-        """Their number."""
-        return len(self.i8)
+    @cached_property
+    def receiver(self) -> Any:
+        """The `touch_receiver` at offset 0: settings, orders, state and counts."""
+        return self.view(layout.RECEIVER, 0)
+
+    def view(self, dtype: np.dtype[Any], offset: int) -> Any:
+        """Return a struct at an offset."""
+        return self.array(dtype, offset, 1)[0]
+
+    def array(self, dtype: np.dtype[Any] | type[Any], offset: int, count: int) -> NDArray[Any]:
+        """Return `count` items at an offset."""
+        return np.frombuffer(self.bytes.data, dtype, count, offset)
 
 
 def shared_folder() -> Path:
-    """Where shared blocks lie: in memory where the system has such a folder."""
+    """Return the folder of shared blocks, in memory if the system has such a folder."""
     folder = Path("/dev/shm")
     return folder if os.access(folder, os.W_OK) else Path(tempfile.gettempdir())
 
 
 def free_bytes() -> int:
-    """Room for shared blocks; a large number where the system does not tell."""
+    """Return the free space for shared blocks; a large number if it is unknown."""
     if not hasattr(os, "statvfs"):
         return 1 << 40
     system = os.statvfs(shared_folder())
@@ -83,238 +111,241 @@ def free_bytes() -> int:
 
 
 class Block:
-    """A block of memory by its file."""
+    """A block of memory that processes share, by its file."""
 
-    def __init__(self, path: Path, descriptor: int, size: int) -> None:
-        self.path, self._size = path, size
-        self._descriptor, self._reserved = descriptor, 0
-        self.memory = Memory.of(mmap.mmap(descriptor, size))
+    def __init__(self, path: Path, descriptor: int, size_bytes: int) -> None:
+        self.path, self._size_bytes = path, size_bytes
+        self._descriptor, self._reserved_bytes = descriptor, 0
+        self.memory = Memory(mmap.mmap(descriptor, size_bytes))
 
     @classmethod
-    def create(cls, words: int) -> Block:
-        """A new block of zeros; its room is reserved by `reserve`, and `InvalidArgument` if there is none for
-        it.
+    def create(cls, size_bytes: int) -> Block:
+        """Create a block of zeros, whose space `reserve` reserves.
+
+        Raises `InvalidArgument` if there is not enough space.
         """
         descriptor, name = tempfile.mkstemp(prefix=PREFIX, dir=shared_folder())
         try:
-            os.truncate(descriptor, W.WORD * words)
-            return cls(Path(name), descriptor, W.WORD * words)
+            os.truncate(descriptor, size_bytes)
+            return cls(Path(name), descriptor, size_bytes)
         except OSError as error:
             os.close(descriptor)
             with contextlib.suppress(OSError):
                 os.unlink(name)
-            raise _no_room(W.WORD * words) from error
+            raise _no_space(size_bytes) from error
 
     @classmethod
     def attach(cls, path: Path) -> Block:
-        """The block that another process made."""
+        """Open the block that another process created."""
         descriptor = os.open(path, os.O_RDWR)
         return cls(path, descriptor, os.fstat(descriptor).st_size)
 
-    def reserve(self, words: int) -> None:
-        """See to it that the first `words` words can be written; `InvalidArgument` if there is no room for
-        them.
+    def reserve(self, size_bytes: int) -> None:
+        """Make the first `size_bytes` bytes writable.
+
+        Raises `InvalidArgument` if there is not enough space.
         """
-        wanted = min(self._size, -(-W.WORD * words // _STEP_BYTES) * _STEP_BYTES)
-        if wanted <= self._reserved or not hasattr(os, "posix_fallocate"):
+        wanted = min(self._size_bytes, -(-size_bytes // _STEP_BYTES) * _STEP_BYTES)
+        if wanted <= self._reserved_bytes or not hasattr(os, "posix_fallocate"):
             return
         try:
-            os.posix_fallocate(self._descriptor, self._reserved, wanted - self._reserved)
+            os.posix_fallocate(self._descriptor, self._reserved_bytes, wanted - self._reserved_bytes)
         except OSError as error:
             if error.errno in (errno.ENOSPC, errno.ENOMEM, errno.EFBIG):
-                raise _no_room(wanted) from error
+                raise _no_space(wanted) from error
             # a file system that cannot reserve: it is written as it is
-        self._reserved = wanted
+        self._reserved_bytes = wanted
 
     def unlink(self) -> None:
-        """Take the name away; those who have opened it keep it."""
+        """Delete the file's name; processes that have opened it still use it."""
         with contextlib.suppress(OSError):
             os.unlink(self.path)
 
     def close(self) -> None:
-        """Let it go; the memory is given back with the last view of it. May be called twice."""
+        """Close the file; the memory is freed with the last view of it. May be called twice."""
         if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1
             del self.memory
 
 
-def _no_room(needed: int) -> InvalidArgument:
+def _no_space(needed_bytes: int) -> InvalidArgument:
     return InvalidArgument(
         "shared memory",
         f"{free_bytes() / 2**20:.0f} MiB free in {shared_folder()}",
-        f"{needed / 2**20:.0f} MiB",
+        f"{needed_bytes / 2**20:.0f} MiB",
         "Ask for less memory, or make that folder larger.",
     )
 
 
 class Layout:
-    """Places of the parts of one block: behind `words.FREE` directory, log, tool, materials, yields, arena.
+    """Offsets of the parts of a block: the receiver, then directory, log, tool, materials, yields and arena.
 
-    The arena begins with what all frames share (fields of rigid bodies); the rest of it is a `Ring` of
-    frames.
+    The arena starts with what all frames share (fields of rigid bodies); the rest of it is a `Ring` of frames.
+    All sizes and offsets are in bytes.
     """
 
     def __init__(
         self,
-        arena_words: int,
+        arena_bytes: int,
         slots: int = SLOTS,
         log_rows: int = LOG_ROWS,
-        tool_words: int = 0,
-        material_words: int = 0,
-        yield_words: int = 0,
+        tool_bytes: int = 0,
+        material_bytes: int = 0,
+        yield_bytes: int = 0,
     ) -> None:
         self.slots, self.log_rows = slots, log_rows
-        sizes = (
-            W.DIRECTORY_WORDS * slots,
-            W.ROW_WORDS * log_rows,
-            tool_words,
-            material_words,
-            yield_words,
-            arena_words,
+        directory_bytes, log_bytes = (
+            slots * layout.DIRECTORY_ENTRY.itemsize,
+            log_rows * layout.LOG_ROW.itemsize,
         )
-        ends = accumulate(sizes, initial=W.FREE)
-        _, self.log, self.tool, self.material, self.yields, self.arena, self.words = ends
+        sizes = (
+            *(layout.RECEIVER.itemsize, directory_bytes, log_bytes),
+            *(tool_bytes, material_bytes, yield_bytes, arena_bytes),
+        )
+        _, self.directory, self.log, self.tool, self.materials, self.yields, self.arena, self.size_bytes = (
+            accumulate(map(aligned, sizes), initial=0)
+        )
 
     def write(
         self, memory: Memory, frame_count: int, frame_rate_hz: float, is_loop: bool, rate_hz: float
     ) -> None:
-        """Fill the words of CONTROL that are set once, and empty the directory; `rate_hz` is that of the
-        ticks.
-        """
-        i8, f8 = memory.i8, memory.f8
-        i8[W.FREE : self.log : W.DIRECTORY_WORDS] = -1
-        sizes = W.FREE, self.slots, self.log, self.log_rows, self.arena, frame_count
-        i8[[W.DIRECTORY, W.SLOTS, W.LOG, W.LOG_ROWS, W.ARENA, W.FRAME_COUNT]] = sizes
-        i8[[W.TICK_NS, W.IS_LOOP, W.RESTING]] = round(1e9 / rate_hz), is_loop, 1
-        i8[[W.SEQUENCE_SEEN, W.USED]] = -1
-        f8[W.FRAME_RATE_HZ], f8[W.RATE_HZ] = frame_rate_hz, rate_hz
+        """Write what does not change during playback, and empty the directory; `rate_hz` is that of the ticks."""
+        receiver = memory.receiver
+        for name, value in (
+            ("version", layout.RECEIVER_VERSION),
+            ("size_bytes", memory.size_bytes),
+            ("directory_offset", self.directory),
+            ("directory_slots", self.slots),
+            ("log_offset", self.log),
+            ("log_rows", self.log_rows),
+            ("arena_offset", self.arena),
+            ("frame_count", frame_count),
+            ("frame_rate_hz", frame_rate_hz),
+            ("is_loop", is_loop),
+            ("tick_ns", round(1e9 / rate_hz)),
+        ):
+            receiver["layout"][name] = value
+        memory.array(layout.DIRECTORY_ENTRY, self.directory, self.slots)["tag"] = -1
+        receiver["settings"]["rate_hz"] = rate_hz
+        clock = receiver["clock"]
+        clock["is_resting"], clock["sequence_seen"], clock["used"] = 1, -1, -1
 
 
 class Ring:
-    """Room for frames of any size, each in one piece, taken and given back in order."""
+    """Space for frames of any size, each in one piece, which is taken and freed in order. Sizes in bytes."""
 
-    def __init__(self, begin: int, words: int) -> None:
-        self._begin, self._end, self.words = begin, begin + words, words
-        self._frames: deque[tuple[int, int]] = deque()  # frame, first word
-        self._head = begin
+    def __init__(self, start: int, size_bytes: int) -> None:
+        self._start, self._stop, self.size_bytes = start, start + size_bytes, size_bytes
+        self._frames: deque[tuple[int, int]] = deque()  # frame, offset
+        self._head = start
 
     def clear(self) -> None:
-        """Give all back."""
+        """Free everything."""
         self._frames.clear()
-        self._head = self._begin
+        self._head = self._start
 
     def free_before(self, frame: int) -> None:
-        """Give back what lies before a frame."""
+        """Free the space of all frames before `frame`."""
         while self._frames and self._frames[0][0] < frame:
             self._frames.popleft()
         if not self._frames:
-            self._head = self._begin
+            self._head = self._start
 
     def hold(self, frame: int) -> bool:
-        """Keep what was taken last until a later frame is past; False where it was given back."""
+        """Do not free the latest space before a later frame is past; False if it is already free."""
         if not self._frames:
             return False
         self._frames[-1] = max(frame, self._frames[-1][0]), self._frames[-1][1]
         return True
 
-    def take(self, frame: int, words: int) -> int | None:
-        """Room for a frame; None where there is none now."""
-        oldest = self._frames[0][1] if self._frames else self._end
+    def take(self, frame: int, size_bytes: int) -> int | None:
+        """Return the offset of space for a frame; None if there is not enough now."""
+        size_bytes = aligned(size_bytes)
+        oldest = self._frames[0][1] if self._frames else self._stop
         is_wrapped = bool(self._frames) and self._head <= oldest
-        if self._head + words <= (oldest if is_wrapped else self._end):
-            at = self._head
-        elif not is_wrapped and self._frames and self._begin + words <= oldest:
-            at = self._begin
+        if self._head + size_bytes <= (oldest if is_wrapped else self._stop):
+            offset = self._head
+        elif not is_wrapped and self._frames and self._start + size_bytes <= oldest:
+            offset = self._start
         else:
             return None
-        self._frames.append((frame, at))
-        self._head = at + words
-        return at
+        self._frames.append((frame, offset))
+        self._head = offset + size_bytes
+        return offset
 
 
-def check_fits(words: int, room: int, what: str) -> None:
-    """`InvalidArgument` unless something fits into so many words."""
-    if words > room:
-        raise too_little(room, f"{W.WORD * words / 2**20:.2f} MiB for {what}")
+def check_fits(size_bytes: int, capacity_bytes: int, what: str) -> None:
+    """Raise `InvalidArgument` unless something fits into so many bytes."""
+    if size_bytes > capacity_bytes:
+        raise too_little(capacity_bytes, f"{size_bytes / 2**20:.2f} MiB for {what}")
 
 
-def too_little(room: int, needed: str) -> InvalidArgument:
-    """The error of a room for frames, words, that is less than needed."""
-    found = f"{W.WORD * room / 2**20:.2f} MiB of room for frames"
-    mend = "Ask for more memory, or take a medium on a coarser lattice."
-    return InvalidArgument("memory_bytes", found, needed, mend)
+def too_little(capacity_bytes: int, needed: str) -> InvalidArgument:
+    """Return the error of a capacity for frames that is less than needed."""
+    found = f"{capacity_bytes / 2**20:.2f} MiB of room for frames"
+    hint = "Ask for more memory, or take a medium on a coarser lattice."
+    return InvalidArgument("memory_bytes", found, needed, hint)
 
 
-COLUMNS: Final = np.dtype(
-    [
-        *((name, np.float64) for name in ("time_s", "media_s")),
-        *(
-            (n, np.float64, (3,))
-            for n in ("position_m", "velocity_m_s", "field_force_n", "friction_n", "force_n")
-        ),
-        ("flags", np.int64),
-        ("orientation", np.float64, (4,)),
-        ("field_torque_nm", np.float64, (3,)),
-        ("torque_nm", np.float64, (3,)),
-        ("buttons", np.int64),
-        ("gripper_m", np.float64),
-    ]
-)
-"""A row: time since the first tick; media time; position, velocity, field force and friction in the field's
-axes; the force that the device got in its own; and `FLAGS`. Then how the grip is turned (w, x, y, z, the
-device's axes), the torque of the field on the tool in the field's axes, the torque that the device got in its
-own, buttons (bit n is button n), and how far the gripper is open."""
+COLUMNS: Final = layout.LOG_ROW
+"""A row of the log. Times are in seconds since the first tick and of the medium; positions, velocity, forces of
+the field and friction are in the axes of the field; the force and torque that the device got, and the
+orientation of its grip, are in those of the device."""
 
 FLAGS: Final = {
-    "running": 1,
-    "waiting": 2,
-    "stalled": 4,
-    "ended": 8,
-    "stopping": 16,
-    "silent": 32,
-    "paused": 64,
+    "running": layout.FLAG_RUNNING,
+    "waiting": layout.FLAG_WAITING,
+    "stalled": layout.FLAG_STALLED,
+    "ended": layout.FLAG_ENDED,
+    "stopping": layout.FLAG_STOPPING,
+    "silent": layout.FLAG_SILENT,
+    "paused": layout.FLAG_PAUSED,
 }
-"""Bits of `flags`: the media clock runs; waits for first frames; underrun; over; on the way to zero after a
-stop; no sign of life from the player; paused."""
+"""Bits of `flags`: the media clock runs; waits for the first frames; underrun; at the end; on the way to zero
+after a stop; no sign of life from the player; paused."""
 
 
 class TickLog:
-    """Rows taken out of the ring, the latest `rows` of them kept; `lost` are those overwritten or given up."""
+    """Rows of the log, read from its ring; at most the latest `max_rows` are stored.
 
-    def __init__(self, memory: Memory, rows: int) -> None:
+    The servo never waits for a reader: rows that are not read in time are overwritten. `lost` counts these and
+    the rows dropped here.
+    """
+
+    def __init__(self, memory: Memory, max_rows: int) -> None:
         self._memory: Memory | None = memory
-        self._most = rows
-        self._taken, self._kept = 0, 0
+        self._max_rows = max_rows
+        self._read, self._row_count = 0, 0
         self._blocks: deque[NDArray[Any]] = deque()
         self.lost = 0
 
     def drain(self) -> None:
-        """Take what was written since."""
-        if self._memory is None or not self._most:
+        """Read the rows written since the last call."""
+        if self._memory is None or not self._max_rows:
             return
-        i8 = self._memory.i8
-        ring, at = int(i8[W.LOG_ROWS]), int(i8[W.LOG])
-        written = int(i8[W.LOG_WRITTEN])
-        begin = max(self._taken, written - ring)
-        if begin >= written:
+        receiver = self._memory.receiver
+        row_count = int(receiver["layout"]["log_rows"])
+        written = int(receiver["clock"]["log_written"])
+        start = max(self._read, written - row_count)
+        if start >= written:
             return
-        words = i8[at : at + ring * W.ROW_WORDS].reshape(ring, W.ROW_WORDS)
-        rows = words[np.arange(begin, written) % ring]
-        # what the servo has written meanwhile, and is writing now, may have gone over the oldest of them
-        safe = max(begin, int(i8[W.LOG_WRITTEN]) + 1 - ring)
-        rows = rows[min(safe, written) - begin :]
-        self.lost += written - self._taken - len(rows)
-        self._taken = written
-        self._blocks.append(np.ascontiguousarray(rows).view(COLUMNS).reshape(-1))
-        self._kept += len(rows)
-        while self._kept > self._most and len(self._blocks) > 1:
-            gone = self._blocks.popleft()
-            self._kept -= len(gone)
-            self.lost += len(gone)
+        ring = self._memory.array(layout.LOG_ROW, int(receiver["layout"]["log_offset"]), row_count)
+        rows = ring[np.arange(start, written) % row_count]
+        # the servo may have overwritten the oldest of them meanwhile, and may be writing over the next one
+        safe = max(start, int(receiver["clock"]["log_written"]) + 1 - row_count)
+        rows = rows[min(safe, written) - start :]
+        self.lost += written - self._read - len(rows)
+        self._read = written
+        self._blocks.append(rows)
+        self._row_count += len(rows)
+        while self._row_count > self._max_rows and len(self._blocks) > 1:
+            oldest = self._blocks.popleft()
+            self._row_count -= len(oldest)
+            self.lost += len(oldest)
 
     def rows(self) -> NDArray[Any]:
-        """All rows that are kept, in order, as one structured array of `COLUMNS`."""
+        """Return all stored rows in order, a structured array of `COLUMNS`."""
         if not self._blocks:
             return np.zeros(0, COLUMNS)
         joined = np.concatenate(list(self._blocks))
@@ -322,48 +353,50 @@ class TickLog:
         return joined.copy()
 
     def let_go(self) -> None:
-        """Take what there is, and hold on to the block no longer."""
+        """Read the last rows, and release the memory."""
         self.drain()
         self._memory = None
 
 
 _COUNTS: Final = {
-    "late_ticks": W.LATE,
-    "missed_ticks": W.MISSED,
-    "underruns": W.UNDERRUNS,
-    "stalled_ticks": W.STALLED_TICKS,
-    "waits": W.WAITS,
-    "waiting_ticks": W.WAITING_TICKS,
-    "frames_used": W.FRAMES_USED,
+    "late_ticks": "late",
+    "missed_ticks": "missed",
+    "underruns": "underruns",
+    "stalled_ticks": "stalled_ticks",
+    "waits": "waits",
+    "waiting_ticks": "waiting_ticks",
+    "frames_used": "frames_used",
 }
+"""Fields of the receiver's counts, by their keys in `statistics_of`."""
 
 
 def statistics_of(memory: Memory) -> dict[str, Any]:
-    """The counts so far as a dictionary with stable keys; times in seconds, those of jitter in microseconds."""
-    i8 = memory.i8
-    ticks = int(i8[W.TICKS])
-    seconds = 1e-9 * float(i8[W.LAST_NS] - i8[W.FIRST_NS])
-    counts: dict[str, Any] = {
+    """Return the counts so far as a dictionary with stable keys; times in seconds, jitter in microseconds."""
+    counts = memory.receiver["counts"]
+    ticks, seconds = int(counts["ticks"]), 1e-9 * float(counts["last_ns"] - counts["first_ns"])
+    statistics: dict[str, Any] = {
         "ticks": ticks,
         "seconds": seconds,
-        "rate_hz": float(memory.f8[W.RATE_HZ]),
+        "rate_hz": float(memory.receiver["settings"]["rate_hz"]),
         "mean_rate_hz": (ticks - 1) / seconds if seconds > 0 else 0.0,
-        **{name: int(i8[place]) for name, place in _COUNTS.items()},
-        "stalled_share": float(i8[W.STALLED_TICKS] / max(i8[W.PLAYED_TICKS], 1)),
+        **{key: int(counts[name]) for key, name in _COUNTS.items()},
+        "stalled_share": float(counts["stalled_ticks"] / max(counts["played_ticks"], 1)),
     }
-    histograms = ("jitter", W.PERIODS, W.WORST_PERIOD_NS), ("lateness", W.LATENESSES, W.WORST_LATENESS_NS)
-    for name, at, worst in histograms:
-        bins = i8[at : at + W.TIME_BINS + 1].copy()
-        for percent, share in (("p50", 0.5), ("p99", 0.99), ("p99_9", 0.999)):
-            counts[f"{name}_{percent}_us"] = _quantile_us(bins, share, 1e-3 * float(i8[worst]))
-        counts[f"{name}_worst_us"] = 1e-3 * float(i8[worst])
-    return counts
+    for key, name, worst in (
+        ("jitter", "periods", "worst_period_ns"),
+        ("lateness", "latenesses", "worst_lateness_ns"),
+    ):
+        bins, worst_us = counts[name].copy(), 1e-3 * float(counts[worst])
+        for percent, fraction in (("p50", 0.5), ("p99", 0.99), ("p99_9", 0.999)):
+            statistics[f"{key}_{percent}_us"] = _quantile_us(bins, fraction, worst_us)
+        statistics[f"{key}_worst_us"] = worst_us
+    return statistics
 
 
-def _quantile_us(counts: Int64s, share: float, worst_us: float) -> float:
-    """The upper edge of the bin in which the quantile lies; the worst where that is the open one."""
+def _quantile_us(counts: Int64s, fraction: float, worst_us: float) -> float:
+    """Return the upper edge of the bin that has the quantile; the worst time for the last, open bin."""
     total = int(counts.sum())
     if not total:
         return 0.0
-    at = int(np.searchsorted(np.cumsum(counts), share * total))
-    return min(float(at + 1), worst_us) if at < W.TIME_BINS else worst_us
+    index = int(np.searchsorted(np.cumsum(counts), fraction * total))
+    return min(float(index + 1), worst_us) if index < layout.TIME_BINS else worst_us

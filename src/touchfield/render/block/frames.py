@@ -1,17 +1,15 @@
-"""Writes force fields and frames into the block, the memory that player and servo share, in the layout that
-the servo's compiled code reads.
+"""Writes fields and frames into the memory of a receiver, as ``c/touch_receiver.h`` describes them.
 
-A **field** is a header and, behind it, what `medium.cells` made of it: the hash table, the bits of the cells
-that hold a force, the samples. Its own places count from its first word, so that a field can be moved as it
-is. A **frame** is a header and a row for each part: place of its field, its pose, what its own motion adds to
-the force.
+A **field** is a `touch_cells` with what lies behind it, as `medium.cells` makes it; its offsets count from its
+first byte, so that a field can be moved as it is. A **frame** is a header, the pose of each body, and perhaps a
+deformation. Sizes and offsets are in bytes.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -19,7 +17,7 @@ from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.cells import CellPool
 from touchfield.medium.medium import HapticMedium, HapticScene
-from touchfield.render.block import Memory, words as W
+from touchfield.render.block import Memory, aligned, layout
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -28,206 +26,212 @@ if TYPE_CHECKING:
     from touchfield.medium.field import ForceField
 
 FieldName = tuple[int, int]
-"""(object, frame); of a rigid object the frame is -1, and one field serves all frames. Voxels are object 0.
-
-"""
+"""(object, frame); of a rigid object the frame is -1, and one field serves all frames. Voxels are object 0."""
 
 VIBRATION: Final = -1  # the object that is the vibration of voxels
-_EVERY: Final = -1
+_ALL_FRAMES: Final = -1
 
-_FLOOR_SHARE: Final = 1e-9
-"""As in `medium.placed`: an object's own force below this share of F_max is the rounding of a place on the
-edge.
-"""
+_FLOOR_FRACTION: Final = 1e-9
+"""As in `medium.cells`: an object's force below this fraction of F_max is a rounding error at its edge."""
 
 
 @dataclass(frozen=True)
 class FramePart:
-    """One object of a frame; the same field in two frames is one body that moves."""
+    """A body of a frame; body n of a frame and body n of the next are the same body."""
 
-    field_at: int  # where its field lies in the block
+    field_at: int  # offset of its field
     quaternion: Sequence[float] = (1.0, 0.0, 0.0, 0.0)  # unit, w first, scene from body
     position_m: Sequence[float] = (0.0, 0.0, 0.0)
-    velocity: Sequence[float] = (0.0,) * 6  # and angular velocity, both times the surface damping: N and N/m
-    is_identity: bool = False  # not turned, in this frame and wherever it is shown next to it, as voxels are
+    # velocity and angular velocity, both times the surface damping: N and N/m
+    velocity: Sequence[float] = (0.0,) * 6
+    # neither rotated nor moved, in this frame and wherever it is shown next to it, as voxels are
+    is_identity: bool = False
 
     @classmethod
     def voxels(cls, field_at: int) -> FramePart:
-        """The part of a medium of voxels: one, where it is."""
+        """Return the only body of a medium of voxels, which is where it is."""
         return cls(field_at, is_identity=True)
 
 
-def field_words(pool: CellPool) -> int:
-    """Words that `write_field` takes for a pool of one field."""
-    return W.FIELD_WORDS + pool.tables.size + pool.supported.size + -(-pool.cells.size // 2)
+def _cells_of(pool: CellPool) -> Any:
+    """Return the bytes of a pool of one field."""
+    if pool.data is None:
+        raise ValueError("a pool of several fields")
+    return pool.data
 
 
-def write_field(memory: Memory, at: int, pool: CellPool) -> None:
-    """Write a pool of one field (``CellPool.of(field)``) at word `at`."""
-    i8, u8, f8, f4 = memory.views
-    table = W.FIELD_WORDS
-    held = table + pool.tables.size
-    cells = held + pool.supported.size
-    box, (spacing, corner) = pool.boxes[0, :3], pool.lattices[0].reshape(2, 3)
-    far = np.maximum(np.abs(corner), np.abs(corner + 8 * box * spacing))
-    i8[at : at + W.FIELD_WORDS] = 0
-    i8[at + W.FIELD_BOX : at + W.FIELD_BOX + 3] = box
-    i8[at + W.FIELD_SHIFT] = pool.boxes[0, 4]
-    i8[at + W.FIELD_TABLE], i8[at + W.FIELD_HELD], i8[at + W.FIELD_CELLS] = table, held, cells
-    f8[at + W.FIELD_INVERSE : at + W.FIELD_INVERSE + 3] = 1.0 / spacing
-    f8[at + W.FIELD_CORNER : at + W.FIELD_CORNER + 3] = corner
-    f8[at + W.FIELD_REACH] = 1.000001 * float(far @ far) if len(pool.bricks) else -1.0
-    i8[at + table : at + held] = pool.tables.reshape(-1)
-    u8[at + held : at + cells] = pool.supported.reshape(-1)
-    f4[2 * (at + cells) : 2 * (at + cells) + pool.cells.size] = pool.cells
+def field_bytes(pool: CellPool) -> int:
+    """Return the size of a pool of one field, ``CellPool.of(field)``."""
+    return len(_cells_of(pool))
+
+
+def write_field(memory: Memory, offset: int, pool: CellPool) -> None:
+    """Write a pool of one field at an offset."""
+    data = _cells_of(pool)
+    memory.bytes[offset : offset + len(data)] = data
 
 
 def write_fields(
-    memory: Memory, at: int, pools: Mapping[FieldName, CellPool], places: dict[FieldName, int]
+    memory: Memory, offset: int, pools: Mapping[FieldName, CellPool], offsets: dict[FieldName, int]
 ) -> int:
-    """Write fields one behind the other and note their places; the word behind them."""
+    """Write fields one behind the other, and their offsets into `offsets`; return the offset behind them."""
     for name, pool in pools.items():
-        write_field(memory, at, pool)
-        places[name] = at
-        at += field_words(pool)
-    return at
+        write_field(memory, offset, pool)
+        offsets[name] = offset
+        offset += field_bytes(pool)
+    return offset
 
 
-def frame_words(parts: int) -> int:
-    """Words that `write_frame` takes for so many parts."""
-    return W.FRAME_WORDS + parts * W.PART_WORDS
+def frame_bytes(bodies: int) -> int:
+    """Return the size of a frame of so many bodies, without a deformation."""
+    return aligned(layout.FRAME_HEADER.itemsize + bodies * layout.BODY_POSE.itemsize)
 
 
 def write_frame(
-    memory: Memory, at: int, parts: Sequence[FramePart], force_max_n: float, vibration_at: int = 0
+    memory: Memory, offset: int, parts: Sequence[FramePart], force_max_n: float, vibration_at: int = 0
 ) -> None:
-    """Write a frame at word `at`; part n of a frame and part n of the next are the same object.
+    """Write a frame at an offset.
 
-    The sum of forces is cut to `force_max_n`; `vibration_at` is the word of the field of a vibration, 0 for
-    none.
+    The sum of forces is clipped to `force_max_n`; `vibration_at` is the offset of the field of a vibration, 0
+    for none.
     """
-    i8, _, f8, _ = memory.views
-    i8[at + W.FRAME_PARTS], i8[at + W.FRAME_VIBRATION], i8[at + W.FRAME_WARP] = len(parts), vibration_at, 0
-    f8[at + W.FRAME_LIMIT] = force_max_n
-    f8[at + W.FRAME_FLOOR] = (force_max_n * _FLOOR_SHARE) ** 2 if math.isfinite(force_max_n) else 0.0
-    for n, part in enumerate(parts):
-        row = at + W.FRAME_WORDS + n * W.PART_WORDS
-        i8[row + W.PART_FIELD], i8[row + W.PART_IS_IDENTITY] = part.field_at, part.is_identity
-        f8[row + W.PART_QUATERNION : row + W.PART_QUATERNION + 4] = part.quaternion
-        f8[row + W.PART_POSITION : row + W.PART_POSITION + 3] = part.position_m
-        f8[row + W.PART_MOTION : row + W.PART_MOTION + 6] = part.velocity
-        f8[row + W.PART_MATRIX : row + W.PART_MATRIX + 9] = _matrix(*map(float, part.quaternion))
+    header = memory.view(layout.FRAME_HEADER, offset)
+    header["body_count"], header["vibration_offset"] = len(parts), vibration_at
+    header["deformation_offset"], header["force_max_n"] = 0, force_max_n
+    floor_n = force_max_n * _FLOOR_FRACTION if math.isfinite(force_max_n) else 0.0
+    header["force_floor2_n2"] = floor_n**2
+    poses = memory.array(layout.BODY_POSE, offset + layout.FRAME_HEADER.itemsize, len(parts))
+    for pose, part in zip(poses, parts, strict=True):
+        pose["cells_offset"], pose["is_identity"] = part.field_at, part.is_identity
+        pose["quaternion"], pose["position_m"] = part.quaternion, part.position_m
+        pose["surface_damping_n"] = part.velocity[:3]
+        pose["surface_damping_n_per_m"] = part.velocity[3:]
+        pose["rotation"] = _rotation(*map(float, part.quaternion))
 
 
-def warp_words(deformation: Deformation) -> int:
-    """Words that `write_warp` takes behind a frame."""
-    return W.WARP_WORDS + int(np.prod(deformation.displacement_m.shape[1:]))
+def deformation_bytes(deformation: Deformation) -> int:
+    """Return the size of the lattice of a deformation, which lies behind a frame."""
+    points = int(np.prod(deformation.displacement_m.shape[1:]))
+    return aligned(layout.DEFORMATION.itemsize + 8 * points)
 
 
-def write_warp(
-    memory: Memory, frame_at: int, offset: int, deformation: Deformation, frame: int, yield_at: int = 0
+def write_deformation(
+    memory: Memory, frame_at: int, size: int, deformation: Deformation, frame: int, yield_at: int = 0
 ) -> None:
-    """Write the lattice of a deformation `offset` words behind a frame's first, and tell the frame of it."""
-    i8, _, f8, _ = memory.views
-    at = frame_at + offset
-    u = deformation.displacement_m[min(frame, len(deformation) - 1)]
-    i8[frame_at + W.FRAME_WARP] = offset
-    i8[at : at + 3] = u.shape[:3]
-    i8[at + W.WARP_YIELD] = yield_at
-    f8[at + W.WARP_CORNER : at + W.WARP_CORNER + 3] = deformation.corner_m
-    f8[at + W.WARP_INVERSE : at + W.WARP_INVERSE + 3] = 1.0 / np.array(deformation.spacing_m)
-    f8[at + W.WARP_COMPLIANCE], f8[at + W.WARP_RELAX] = deformation.compliance_m_per_n, deformation.relax_s
-    f8[at + W.WARP_MOST] = deformation.max_yield_m
-    f8[at + W.WARP_WORDS : at + W.WARP_WORDS + u.size] = u.ravel()
+    """Write frame `frame` of a deformation behind a frame of `size` bytes at `frame_at`.
+
+    `yield_at` is the offset of the displacements by which it yields, 0 for none.
+    """
+    displacements = deformation.displacement_m[min(frame, len(deformation) - 1)]
+    memory.view(layout.FRAME_HEADER, frame_at)["deformation_offset"] = size
+    offset = frame_at + size
+    lattice = memory.view(layout.DEFORMATION, offset)
+    lattice["point_count"], lattice["yield_offset"] = displacements.shape[:3], yield_at
+    lattice["corner_m"] = deformation.corner_m
+    lattice["cells_per_m"] = 1.0 / np.array(deformation.spacing_m)
+    lattice["compliance_m_per_n"] = deformation.compliance_m_per_n
+    lattice["relaxation_s"] = deformation.relax_s
+    lattice["max_yield_m"] = deformation.max_yield_m
+    values = memory.array(np.float64, offset + layout.DEFORMATION.itemsize, displacements.size)
+    values[:] = displacements.ravel()
 
 
-def _matrix(w: float, x: float, y: float, z: float) -> tuple[float, ...]:
-    """R of a unit quaternion, row by row, as `medium.pose_track.rotation_matrices`."""
+def _rotation(w: float, x: float, y: float, z: float) -> tuple[tuple[float, float, float], ...]:
+    """Return the rotation of a unit quaternion, as `medium.pose_track.rotation_matrices`."""
     return (
-        *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
 
 
 def require_medium(medium: object) -> None:
-    """`InvalidArgument` for what is neither a medium nor a scene."""
+    """Raise `InvalidArgument` for what is neither a medium nor a scene."""
     if not isinstance(medium, HapticMedium | HapticScene):
-        mend = "A stream has its own as `stream.medium`; HapticMedium.from_frames makes one of fields."
-        raise InvalidArgument("medium", f"a {type(medium).__name__}", "a HapticMedium or a HapticScene", mend)
+        hint = "A stream has its own as `stream.medium`; HapticMedium.from_frames makes one of fields."
+        raise InvalidArgument("medium", f"a {type(medium).__name__}", "a HapticMedium or a HapticScene", hint)
 
 
 class FrameParts:
-    """Frames of a medium or a scene as fields and poses; `words` is what a frame takes without its fields.
+    """Frames of a medium or a scene as fields and poses.
 
-    A `deformation` bends a medium of voxels, by tracks of its frames, or that make the frames of a medium of
-    one; `yield_at` is the word of the displacements that it yields by, or 0. InvalidArgument if it does not
-    fit.
+    `size_bytes` is the size of a frame without its fields. A `deformation` bends a medium of voxels, by tracks
+    of its frames, or by tracks that make the frames of a medium of one; `yield_at` is the offset of the
+    displacements by which it yields, or 0. Raises InvalidArgument if the deformation does not fit.
     """
 
     def __init__(self, medium: HapticMedium | HapticScene, deformation: Deformation | None = None) -> None:
         require_medium(medium)
         self.medium, self.deformation, self.yield_at = medium, deformation, 0
         self.frame_count, self.rate_hz = medium.frame_count, medium.rate_hz
-        self.words = frame_words(len(medium.objects) if isinstance(medium, HapticScene) else 1)
-        self._is_still = deformation is not None and medium.frame_count == 1
+        self.size_bytes = frame_bytes(len(medium.objects) if isinstance(medium, HapticScene) else 1)
+        self._is_static = deformation is not None and medium.frame_count == 1
         if deformation is not None:
-            if isinstance(medium, HapticScene):
-                mend = "Encode it with --representation voxel."
-                raise InvalidArgument("deformation", "a scene of objects", "a medium of voxels", mend)
-            if not (len(deformation) in (1, medium.frame_count) or self._is_still):
-                expected = f"1 or {medium.frame_count}, as the medium has"
-                raise InvalidArgument("deformation", f"tracks of {len(deformation)} frames", expected)
-            self.words += warp_words(deformation)
-            if self._is_still and len(deformation) > 1:
+            self._check_deformation(deformation)
+            self.size_bytes += deformation_bytes(deformation)
+            if self._is_static and len(deformation) > 1:
                 self.frame_count, self.rate_hz = len(deformation), deformation.rate_hz
         self._motions: list[Float64s] = []
         if isinstance(medium, HapticScene):
             damping = medium.surface_damping_n_s_per_m
-            for one in medium.objects:
-                both = np.zeros((medium.frame_count, 6))
+            for scene_object in medium.objects:
+                velocities = np.zeros((medium.frame_count, 6))
                 if damping:
-                    both = np.concatenate(one.track.velocities(medium.rate_hz), axis=1)
-                with np.errstate(over="ignore"):  # the kernels cut what is beyond all bounds
-                    self._motions.append(both * damping)
+                    velocities = np.concatenate(scene_object.track.velocities(medium.rate_hz), axis=1)
+                with np.errstate(over="ignore"):  # forces that overflow are handled where they are clipped
+                    self._motions.append(velocities * damping)
+
+    def _check_deformation(self, deformation: Deformation) -> None:
+        if isinstance(self.medium, HapticScene):
+            hint = "Encode it with --representation voxel."
+            raise InvalidArgument("deformation", "a scene of objects", "a medium of voxels", hint)
+        frame_count = self.medium.frame_count
+        if not (len(deformation) in (1, frame_count) or self._is_static):
+            found, expected = f"tracks of {len(deformation)} frames", f"1 or {frame_count}, as the medium has"
+            raise InvalidArgument("deformation", found, expected)
 
     def names(self, frame: int) -> list[FieldName]:
-        """The fields that a frame needs."""
-        frame = _EVERY if self._is_still else frame
+        """Return the fields that a frame needs."""
+        frame = _ALL_FRAMES if self._is_static else frame
         if isinstance(self.medium, HapticScene):
-            return [(n, _EVERY if one.is_rigid else frame) for n, one in enumerate(self.medium.objects)]
+            return [
+                (n, _ALL_FRAMES if scene_object.is_rigid else frame)
+                for n, scene_object in enumerate(self.medium.objects)
+            ]
         own = [(0, frame)]
         return own if self.medium.vibration is None else [*own, (VIBRATION, frame)]
 
     @staticmethod
     def is_shared(name: FieldName) -> bool:
         """True if one field serves all frames."""
-        return name[1] == _EVERY
+        return name[1] == _ALL_FRAMES
 
     def field(self, name: FieldName) -> ForceField:
-        """Make one of them."""
-        which, frame = name
+        """Return a field by its name."""
+        number, frame = name
         if isinstance(self.medium, HapticScene):
-            return self.medium.objects[which].field(max(frame, 0))
-        if which == VIBRATION and self.medium.vibration is not None:
+            return self.medium.objects[number].field(max(frame, 0))
+        if number == VIBRATION and self.medium.vibration is not None:
             return self.medium.vibration(max(frame, 0)).as_field()
         return self.medium[max(frame, 0)]
 
     def cells(self, name: FieldName) -> CellPool:
-        """Make one of them, as the kernels read it."""
+        """Return a field as cells."""
         return CellPool.of(self.field(name))
 
-    def write(self, memory: Memory, at: int, frame: int, places: Mapping[FieldName, int]) -> None:
-        """Write a frame whose fields lie at `places`."""
+    def write(self, memory: Memory, offset: int, frame: int, offsets: Mapping[FieldName, int]) -> None:
+        """Write a frame whose fields lie at `offsets`."""
         if not isinstance(self.medium, HapticScene):
             own, *others = self.names(frame)
-            vibration_at = places[others[0]] if others else 0
-            write_frame(memory, at, [FramePart.voxels(places[own])], math.inf, vibration_at)
+            vibration_at = offsets[others[0]] if others else 0
+            write_frame(memory, offset, [FramePart.voxels(offsets[own])], math.inf, vibration_at)
             if self.deformation is not None:
-                write_warp(memory, at, frame_words(1), self.deformation, frame, self.yield_at)
+                write_deformation(memory, offset, frame_bytes(1), self.deformation, frame, self.yield_at)
             return
         parts = [
-            FramePart(places[name], one.track.quaternions[frame], one.track.positions_m[frame], motion[frame])
-            for one, name, motion in zip(self.medium.objects, self.names(frame), self._motions, strict=True)
+            FramePart(
+                offsets[name], body.track.quaternions[frame], body.track.positions_m[frame], motion[frame]
+            )
+            for body, name, motion in zip(self.medium.objects, self.names(frame), self._motions, strict=True)
         ]
-        write_frame(memory, at, parts, self.medium.force_max_n)
+        write_frame(memory, offset, parts, self.medium.force_max_n)
