@@ -28,7 +28,7 @@ static inline void touch_forces_at(const touch_batch *b, int64_t start, int64_t 
     touch_instant t = touch_batch_instant(b, start);
     for (int64_t p = start; p < stop; p++) {
         if (b->blends > 1) t = touch_batch_instant(b, p);
-        touch_vector force = touch_force_at(&t, touch_batch_point(b, p));
+        touch_vector force = touch_inlined_force(&t, touch_batch_point(b, p));
         out[3 * p] = (float)force.x, out[3 * p + 1] = (float)force.y, out[3 * p + 2] = (float)force.z;
     }
 }
@@ -40,7 +40,7 @@ static inline void touch_gradients_at(const touch_batch *b, int64_t start, int64
         touch_vector point_m = touch_batch_point(b, p);
         touch_matrix gradient = {{{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}}};
         if (isfinite(point_m.x + point_m.y + point_m.z))
-            gradient = touch_gradient_at(&t, point_m, touch_force_at(&t, point_m));
+            gradient = touch_gradient_at(&t, point_m, touch_inlined_force(&t, point_m));
         memcpy(out + 9 * p, &gradient, sizeof gradient);
     }
 }

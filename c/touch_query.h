@@ -156,8 +156,10 @@ TOUCH_INLINE touch_vector touch_own_force(const touch_body_pair *b, double blend
 /* The force of a body at an arm from its origin, in the axes of the scene, without what its motion adds. */
 TOUCH_INLINE touch_vector touch_body_force(const touch_body_pair *b, double blend, touch_vector arm_m) {
     if (!touch_is_moved(b)) return touch_own_force(b, blend, arm_m);
-    touch_matrix r = touch_pair_rotation(b, blend);
-    return touch_rotate(&r, touch_own_force(b, blend, touch_rotate_back(&r, arm_m)));
+    const touch_matrix *r = &b->before->rotation; /* as it is, without a copy, where one frame is shown */
+    touch_matrix mixed;
+    if (blend != 0.0) mixed = touch_pair_rotation(b, blend), r = &mixed;
+    return touch_rotate(r, touch_own_force(b, blend, touch_rotate_back(r, arm_m)));
 }
 
 /* The sum over the bodies as the frames have them, without their deformation. */
@@ -278,8 +280,13 @@ static inline touch_vector touch_bent_force(const touch_instant *t, touch_vector
     return touch_vector_of(f.x + touch_dot(bend.dx, f), f.y + touch_dot(bend.dy, f), f.z + touch_dot(bend.dz, f));
 }
 
-static inline touch_vector touch_force_at(const touch_instant *t, touch_vector point_m) {
+/* touch_force_at as a part of a loop. */
+TOUCH_INLINE touch_vector touch_inlined_force(const touch_instant *t, touch_vector point_m) {
     return touch_deformation_of(t->before) ? touch_bent_force(t, point_m) : touch_stored_force(t, point_m);
+}
+
+static inline touch_vector touch_force_at(const touch_instant *t, touch_vector point_m) {
+    return touch_inlined_force(t, point_m);
 }
 
 TOUCH_INLINE double touch_square_sum(const double w[4]) {
@@ -320,14 +327,14 @@ TOUCH_INLINE double touch_step_ahead(double x_m) { return x_m + (1e-8 + 1e-12 * 
 /* On a plane of a lattice it is that of the cell towards greater indices. */
 static inline touch_matrix touch_gradient_at(const touch_instant *t, touch_vector point_m, touch_vector force_n) {
     touch_vector ahead_m = {touch_step_ahead(point_m.x), touch_step_ahead(point_m.y), touch_step_ahead(point_m.z)};
-    touch_vector dx = touch_subtract(touch_force_at(t, touch_vector_of(ahead_m.x, point_m.y, point_m.z)), force_n);
-    touch_vector dy = touch_subtract(touch_force_at(t, touch_vector_of(point_m.x, ahead_m.y, point_m.z)), force_n);
-    touch_vector dz = touch_subtract(touch_force_at(t, touch_vector_of(point_m.x, point_m.y, ahead_m.z)), force_n);
-    dx = touch_scale(1.0 / (ahead_m.x - point_m.x), dx);
-    dy = touch_scale(1.0 / (ahead_m.y - point_m.y), dy);
-    dz = touch_scale(1.0 / (ahead_m.z - point_m.z), dz);
-    touch_matrix gradient = {{{dx.x, dy.x, dz.x}, {dx.y, dy.y, dz.y}, {dx.z, dy.z, dz.z}}};
-    return gradient;
+    touch_vector point[3] = {point_m, point_m, point_m}, step_m = touch_subtract(ahead_m, point_m);
+    touch_matrix slopes;
+    point[0].x = ahead_m.x, point[1].y = ahead_m.y, point[2].z = ahead_m.z;
+    for (int axis = 0; axis < 3; axis++) slopes.row[axis] = touch_subtract(touch_inlined_force(t, point[axis]), force_n);
+    slopes.row[0] = touch_scale(1.0 / step_m.x, slopes.row[0]);
+    slopes.row[1] = touch_scale(1.0 / step_m.y, slopes.row[1]);
+    slopes.row[2] = touch_scale(1.0 / step_m.z, slopes.row[2]);
+    return touch_transposed(&slopes);
 }
 
 /* -- vibration -------------------------------------------------------------------------------------------------------- */
