@@ -71,7 +71,7 @@ class CellPool:
         If `paired` is given, the pool also has cells for the bricks of that field, so that the pools of both
         fields have their cells in the same order.
         """
-        spacing, origin = tuple(map(float, field.grid.spacing_m)), tuple(map(float, field.grid.origin_m))
+        spacing, origin = field.grid.spacing_m, field.grid.origin_m
         of_field = field.bricks, field.forces_n
         of_paired = (None, None) if paired is None else (paired.bricks, paired.forces_n)
         found, corner, box, size_bytes = native.find_cells(*of_field, *of_paired)
