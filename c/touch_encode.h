@@ -1091,7 +1091,20 @@ double touch_longest_n(const touch_source *frame) {
     return sqrt(longest);
 }
 
-/* Bricks ascend and lie within the grid; forces are finite, and three times as much is still a float32. */
+/* Whether a brick at the border has a force beyond the grid: also -0.0, which mode lossless would have to code. */
+static int touch_has_force_beyond(const touch_grid *grid, const int32_t brick[3], const float *forces_n) {
+    static const float none[3];
+    uint32_t inside[3]; /* samples within the grid */
+    for (int n = 0; n < 3; n++) inside[n] = grid->shape[n] - 8 * (uint32_t)brick[n];
+    if (inside[0] >= 8 && inside[1] >= 8 && inside[2] >= 8) return 0;
+    for (uint32_t i = 0; i < 512; i++) {
+        int is_inside = i >> 6 < inside[0] && (i >> 3 & 7) < inside[1] && (i & 7) < inside[2];
+        if (!is_inside && memcmp(forces_n + 3 * i, none, sizeof none) != 0) return 1;
+    }
+    return 0;
+}
+
+/* Bricks ascend and lie within the grid; forces lie within it, are finite, and three times as much is still a float32. */
 static int touch_check_source(const touch_grid *grid, const touch_source *frame, touch_cursor *error) {
     uint64_t last = 0;
     for (uint64_t i = 0; i < frame->bricks; i++) {
@@ -1103,6 +1116,9 @@ static int touch_check_source(const touch_grid *grid, const touch_source *frame,
         if (i && key <= last) return touch_fail(error, TOUCH_ARGUMENT, "bricks that do not ascend");
         last = key;
     }
+    for (uint64_t i = 0; i < frame->bricks; i++)
+        if (touch_has_force_beyond(grid, frame->brick + 3 * i, frame->forces_n + 1536 * i))
+            return touch_fail(error, TOUCH_ARGUMENT, "a force beyond the grid");
     if (!(touch_longest_n(frame) <= TOUCH_MAX_NEWTONS))
         return touch_fail(error, TOUCH_ARGUMENT, "a force that is not finite, or above 2^120 N");
     return 1;

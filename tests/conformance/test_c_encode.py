@@ -313,6 +313,27 @@ def test_bricks_that_do_not_ascend_within_the_grid_are_refused(native: NativeEnc
             native.segment(segment.grid, TouchSpec(), [bad])
 
 
+@pytest.mark.parametrize("force_n", [1.0, -0.0])
+@pytest.mark.parametrize("axis", range(3))
+def test_forces_beyond_the_grid_are_refused(native: NativeEncoder, axis: int, force_n: float) -> None:
+    """Also those of no length but with a bit set, which mode lossless would have to code."""
+    shape = tuple(13 if n == axis else 16 for n in range(3))
+    grid = Grid(shape, (0.001,) * 3, (0.0,) * 3)
+    field = ForceField.from_dense(grid, np.ones((*shape, 3), np.float32))
+    forces = field.forces_n.copy()
+    beyond = [3, 3, 3]
+    for inside, is_refused in ((4, False), (5, True)):
+        beyond[axis] = inside
+        forces[-1][tuple(beyond)] = force_n if is_refused else 1.0
+        changed = ForceField(grid, field.bricks, forces)
+        for spec in (TouchSpec(), lossless_segment(1).spec):
+            if is_refused:
+                with pytest.raises(ValueError, match="6: a force beyond the grid"):
+                    native.segment(grid, spec, [changed])
+            else:
+                assert native.segment(grid, spec, [changed])
+
+
 def test_supports_out_of_range_are_refused(native: NativeEncoder) -> None:
     grid, bricks = Grid((20, 16, 16), (0.001,) * 3, (0.0,) * 3), np.array([[0, 0, 1], [2, 1, 0]], np.int32)
     corner = np.zeros((2, 8, 8, 8), np.bool_)
