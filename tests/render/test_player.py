@@ -31,7 +31,7 @@ from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
 from touchfield.render.block import FLAGS, PREFIX, aligned, shared_folder
 from touchfield.render.feeder import FrameSource
 from touchfield.render.player import Player
-from touchfield.render.servo import zero_by_reconnecting
+from touchfield.render.standby import zero_by_reconnecting
 
 
 @pytest.fixture(autouse=True)
@@ -190,7 +190,7 @@ def test_a_failed_reconnection_is_reported() -> None:
 
 def test_a_hanging_device_does_not_block_close(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("touchfield.render.player._JOIN_S", 0.1)
-    monkeypatch.setattr("touchfield.render.servo._TERMINATE_S", 0.1)
+    monkeypatch.setattr("touchfield.render.servo_process._TERMINATE_S", 0.1)
     with Player(numbered_medium(1), OMNI, Hung) as player:
         player.play()
         with pytest.raises(DeviceError, match="no answer for"):

@@ -16,7 +16,7 @@ from touchfield.devices.drivers.forcedimension import ForceDimension, quaternion
 from touchfield.devices.drivers.registry import point_device
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.medium.pose_track import rotation_matrices
-from touchfield.render.servo import _write_zero
+from touchfield.render.standby import _write_zero
 
 VARIABLE = "TOUCHFIELD_FORCEDIMENSION_LIBRARY"
 
