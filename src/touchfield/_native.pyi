@@ -145,6 +145,20 @@ def receiver_layout() -> list[tuple[str, int]]:
 def openhaptics_callback() -> tuple[int, int, int]:
     """Addresses of `touch_openhaptics_callback` and `touch_receiver_tick`; the size of a `touch_driver`."""
 
+# -- fields in bricks
+
+def sample_field(index: Buffer, shape: Shape, keys: Buffer, forces: Buffer, out: Buffer) -> None:
+    """Interpolate at positions float64 [m, 3], in samples: newtons, float32 [m, 3], to `out`.
+
+    `keys` int64 [n] are those of the bricks, ascending, of `forces` float32 [n, 8, 8, 8, 3].
+    """
+
+def raster_slots(bricks: Buffer, mask: Buffer, out: Buffer) -> None:
+    """Write the indices of the set samples of `mask`, uint8 [n, 512], in raster order, to `out`, int64 [L].
+
+    `bricks` are int32 [n, 3], ascending.
+    """
+
 # -- the simulated hand: `times_s` float64 [n], ascending; `state` float64 [10]: time, position, velocity and
 # force
 
