@@ -1,8 +1,8 @@
 """The standby: a process that waits beside the servo, and sets the force to zero if the servo dies.
 
 It has loaded all code, so that it opens the device within milliseconds. A servo counts as dead if it ended
-without having closed the device: it was killed, it crashed, or the player killed it because the device did not
-answer. The standby never opens the device while the servo's process runs.
+without having closed the device: it was killed, it crashed, or the player killed it because the device did
+not answer. The standby never opens the device while the servo's process runs.
 """
 
 from __future__ import annotations
@@ -157,8 +157,8 @@ def _open_again(opener: Opener, device: PointDevice) -> PointDevice:
 class StandbyProcess:
     """The process of the standby as seen by the player's.
 
-    `opener` is pickled. `is_attached` is True once it has opened the block, `is_ready` once it waits. `answer`
-    is None until it has taken over: then an empty text, or why it failed.
+    `opener` is pickled. `is_attached` is True once it has opened the block, `is_ready` once it waits for the
+    servo's end. `answer` is None until it has taken over: then an empty text, or why it failed.
     """
 
     def __init__(
