@@ -22,11 +22,10 @@ from player_makers import (
     Noted,
     RestingDevice,
     Simulated,
-    no_leftovers,
     numbered_field,
     numbered_medium,
-    runs,
 )
+from processes import no_leftovers, runs
 
 from touchfield.errors import CorruptFile, DeviceError, InvalidArgument
 from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
