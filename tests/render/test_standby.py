@@ -20,7 +20,6 @@ from recorded_devices import BusyAtFirst, BusyForEver, Lasting, Record, Recorded
 from touchfield.errors import DeviceError
 from touchfield.render import standby
 from touchfield.render.player import Player
-from touchfield.render.point_device import PointDevice
 from touchfield.render.servo import CLOSED
 from touchfield.render.spec import RenderSpec
 from touchfield.render.standby import StandbyProcess, has_died, take_over
@@ -232,7 +231,7 @@ class Wrench(RestingDevice):
     def __init__(self) -> None:
         super().__init__()
         self.wrenches: list[tuple[float, ...]] = []
-        self.opened_ns = 0
+        self.died_ns = self.opened_ns = 0
 
     def open(self) -> None:
         super().open()
@@ -251,11 +250,13 @@ class Driven(Wrench):
     is_driven = True
 
 
-def taken_over(device: PointDevice, ticks: int = 1) -> str:
+def taken_over(device: Wrench, ticks: int = 1, is_released: bool = False) -> str:
     """The answer after a servo died with 0.4 N and 0.02 N m."""
     _, memory = laid_out(numbered_medium(1))
     receiver = memory.receiver
-    receiver["counts"]["ticks"], receiver["counts"]["last_ns"] = ticks, time.perf_counter_ns()
+    device.died_ns = time.perf_counter_ns()
+    receiver["counts"]["ticks"], receiver["counts"]["last_ns"] = ticks, device.died_ns
+    receiver["clock"]["is_released"] = is_released
     receiver["state"]["gain"] = 1.0
     if ticks:
         receiver["state"]["force"]["output"][2], receiver["state"]["torque"]["output"][0] = 0.4, 0.02
@@ -266,9 +267,12 @@ def taken_over(device: PointDevice, ticks: int = 1) -> str:
     return take_over(memory, Wrench, device)
 
 
-def test_force_and_torque_of_a_dead_servo_fall_together() -> None:
+@pytest.mark.parametrize(
+    "is_released", [False, True]
+)  # True: it died before its last force reached the device
+def test_force_and_torque_of_a_dead_servo_fall_together(is_released: bool) -> None:
     device = Wrench()
-    assert taken_over(device) == "" and device.closed == 1
+    assert taken_over(device, is_released=is_released) == "" and device.closed == 1
     wrenches = np.array(device.wrenches)
     assert wrenches[0, 2] > 0.3 and wrenches[0, 3] > 0.015 and not wrenches[-1].any()
     assert (np.diff(np.abs(wrenches), axis=0) <= 0).all()
@@ -279,9 +283,9 @@ def test_opening_waits_for_the_slew_limit_if_it_sets_zero() -> None:
     class Zeroed(Wrench):
         has_force_at_open = False
 
-    device, died_ns = Zeroed(), time.perf_counter_ns()
+    device = Zeroed()
     assert taken_over(device) == "" and device.wrenches == [(0.0,) * 6]
-    assert device.opened_ns - died_ns >= 20e6, "0.4 N at 20 N/s, and 0.02 N m at 1 N m/s"
+    assert device.opened_ns - device.died_ns >= 20e6, "0.4 N at 20 N/s, and 0.02 N m at 1 N m/s"
 
 
 def test_a_force_that_cannot_be_set_is_reported() -> None:
