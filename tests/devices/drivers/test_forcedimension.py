@@ -84,6 +84,15 @@ def test_new_connection_ends_the_torque_of_a_killed_process(fake) -> None:
     assert not torques(fake)[-1].any() and not fake.forces[-1].any()
 
 
+def test_loading_the_library_does_not_contact_the_device(fake, monkeypatch) -> None:
+    before = fake.log
+    ForceDimension().load()
+    assert fake.log == before
+    monkeypatch.setenv(VARIABLE, "/nowhere/libdhd.so")
+    with pytest.raises(DeviceError, match="nowhere"):
+        ForceDimension().load()
+
+
 def test_torque_that_cannot_be_zeroed_turns_the_motors_off(fake) -> None:
     fake.library.fake_wrist(1)
     device = ForceDimension()
