@@ -1,7 +1,7 @@
 """Measures the servo loop, which renders forces at 1 kHz or more: rate, jitter, lateness and missing frames,
 by scheduling and load.
 
-    python bench/bench_servo.py [--quick] [--seconds 150] [--others 45]
+    python bench/bench_servo.py [--quick] [--seconds 150] [--others 45] [--deaths 10]
 
 A turning body of 64^3 voxels at 30 frames per second is decoded ahead from a file (effort fast) and looped.
 The device is simulated: it reports positions on a circle through the body. Each row is a separate run with a
@@ -11,18 +11,21 @@ cores. `--seconds` is the duration of the first row, `--others` that of the othe
 The jitter is |dT - 1/rate|. The lateness is the delay from the absolute deadline of a tick to its start.
 "bare" is a loop in a separate process that only sleeps until its deadline, which shows the limit of the
 system. "stolen" is the fraction of processor time withheld from a virtual machine. "seeks" is the time from a
-seek to the first force when nothing is decoded ahead.
+seek to the first force when nothing is decoded ahead. "deaths" are the times from a signal that
+kills or stops the servo until its standby has set zero force on a device that still has the servo's.
 """
 
 from __future__ import annotations
 
 import math
 import os
+import signal
 import subprocess
 import sys
 import tempfile
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +36,7 @@ from machine import Bar, Figures, at_most, bench, figure
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.compute.threads import worker_count
 from touchfield.devices import device
+from touchfield.errors import DeviceError
 from touchfield.medium import HapticMedium, PoseTrack
 from touchfield.pipeline import encode
 from touchfield.pipeline.decoding import open_file
@@ -54,6 +58,13 @@ ROWS = (
     ("normal, idle", 1000.0, False, False),
     ("normal, loaded", 1000.0, False, True),
     ("SCHED_FIFO, idle, 5 kHz", 5000.0, True, False),
+)
+
+
+DEATHS = (
+    ("death", "SIGKILL", False),
+    ("death, loaded", "SIGKILL", True),
+    ("hang", "SIGSTOP", False),
 )
 
 
@@ -99,6 +110,19 @@ class Circle(PointDevice):
         pass
 
 
+class RecordedCircle(Circle):
+    """The same circle; it writes the time and size of each force into a file, and stays at its force."""
+
+    has_force_at_open = True
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self._file = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
+
+    def put_force_n(self, x: float, y: float, z: float) -> None:
+        os.write(self._file, b"%d %.17g\n" % (time.perf_counter_ns(), math.hypot(x, y, z)))
+
+
 class SimulatedCircle(Circle):
     """The same circle for an offline run, driven by its ticks."""
 
@@ -128,15 +152,20 @@ def cpu_s(pid: int | None) -> float:
         return math.nan
 
 
+def keep_busy(stack: ExitStack) -> None:
+    """Run as many busy processes as cores until the end of a context."""
+    for _ in range(worker_count()):
+        busy = stack.enter_context(subprocess.Popen([sys.executable, "-c", "while True: pass"]))
+        stack.callback(busy.kill)
+
+
 def run(
     medium: HapticMedium, seconds: float, rate_hz: float, is_realtime: bool, is_loaded: bool
 ) -> dict[str, Any]:
     """Return the statistics of one run, and the fraction of a core used by the servo."""
     with ExitStack() as stack:
         if is_loaded:
-            for _ in range(worker_count()):
-                busy = stack.enter_context(subprocess.Popen([sys.executable, "-c", "while True: pass"]))
-                stack.callback(busy.kill)
+            keep_busy(stack)
         spec = RenderSpec(rate_hz=rate_hz)
         player = stack.enter_context(
             Player(medium, PROFILE, Circle, spec, loop=True, log_rows=0, is_realtime=is_realtime)
@@ -184,9 +213,49 @@ def seeks(medium: HapticMedium) -> dict[str, float]:
     return {"min_ms": min(waited_ms), "median_ms": float(np.median(waited_ms))}
 
 
-def measure(seconds: float, others: float, offline: float) -> Figures:
-    """Measure the offline loop, an empty loop, every row, and seeks."""
-    figures: Figures = {"seconds": seconds, "others_seconds": others}
+def death_ms(medium: HapticMedium, name: str, is_loaded: bool, folder: Path) -> float:
+    """Return milliseconds from a signal to the servo until its device has no force."""
+    path = folder / f"forces-{time.perf_counter_ns()}"
+    with ExitStack() as stack:
+        player = stack.enter_context(Player(medium, PROFILE, partial(RecordedCircle, path), loop=True))
+        player.play()
+        servo = player._servo
+        assert servo is not None
+        while servo.standby is None or not servo.standby.is_ready:
+            player.wait(0.01)
+        if is_loaded:
+            keep_busy(stack)
+        player.wait(0.5)
+        while not forces_of(path)[-1][1]:  # outside the body
+            player.wait(0.01)
+        assert player.servo_pid is not None
+        signalled_ns = time.perf_counter_ns()
+        os.kill(player.servo_pid, getattr(signal, name))
+        with suppress(DeviceError):
+            player.wait()
+    ended_ns, force_n = forces_of(path)[-1]
+    return math.nan if force_n else 1e-6 * (ended_ns - signalled_ns)
+
+
+def forces_of(path: Path) -> list[tuple[int, float]]:
+    """Return times, ns, and sizes, N, of the forces so far."""
+    lines = (line.split() for line in path.read_text().splitlines())
+    return [(int(at_ns), float(force_n)) for at_ns, force_n in lines]
+
+
+def measure_deaths(medium: HapticMedium, count: int, folder: Path) -> Figures:
+    """Return the times from the servo's death, or hang, to zero force, ms."""
+    figures: Figures = {}
+    for row, name, is_loaded in DEATHS:
+        times_ms = [death_ms(medium, name, is_loaded, folder) for _ in range(count)]
+        figures[row] = {"median_ms": float(np.median(times_ms)), "worst_ms": float(np.max(times_ms))}
+        print(f"{row} is measured", flush=True)
+    return figures
+
+
+def measure(seconds: float, others: float, offline: float, deaths: int) -> Figures:
+    """Measure the offline loop, an empty loop, every row, seeks, and deaths."""
+    figures: Figures = {"seconds": seconds, "others_seconds": others, "death_count": deaths}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "turning.touch"
         write_medium(path)
@@ -204,11 +273,12 @@ def measure(seconds: float, others: float, offline: float) -> Figures:
                 figures[name]["stolen_share"] = (stolen_s() - stolen) / (lasts_s * worker_count())
                 print(f"{name} is measured", flush=True)
             figures["seeks"] = seeks(medium)
+            figures["deaths"] = measure_deaths(medium, deaths, Path(folder))
     return figures
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Require the requested rate, punctual ticks, no underruns, and fast seeks."""
+    """Require the requested rate, punctual ticks, no underruns, fast seeks, and a fast end of the force."""
     first = figures[ROWS[0][0]]
     idle = f"{ROWS[0][0]}: "
     off = abs(first["mean_rate_hz"] / first["rate_hz"] - 1)
@@ -221,8 +291,26 @@ def bars(figures: Figures) -> list[Bar]:
         at_most("underruns, all rows", underruns, 0),
         at_most("a tick without a clock", figures["offline_us_per_tick"], 1000.0, "us"),
         at_most("a seek to its first force, median", figure(figures, "seeks", "median_ms"), 100.0, "ms"),
+        *(
+            at_most(
+                f"from the servo's {row} to zero force, worst",
+                figure(figures, "deaths", row, "worst_ms"),
+                100.0,
+                "ms",
+            )
+            for row, *_ in DEATHS
+        ),
     ]
 
 
 if __name__ == "__main__":
-    bench("servo", __doc__, measure, bars, seconds=(150.0, 2.0), others=(45.0, 1.0), offline=(20.0, 2.0))
+    bench(
+        "servo",
+        __doc__,
+        measure,
+        bars,
+        seconds=(150.0, 2.0),
+        others=(45.0, 1.0),
+        offline=(20.0, 2.0),
+        deaths=(10, 1),
+    )

@@ -25,37 +25,16 @@ from player_makers import (
     numbered_field,
     numbered_medium,
 )
+from processes import no_leftovers, runs
 
 from touchfield.errors import CorruptFile, DeviceError, InvalidArgument
 from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
-from touchfield.render.block import FLAGS, PREFIX, aligned, shared_folder
+from touchfield.render.block import FLAGS, aligned
 from touchfield.render.feeder import FrameSource
 from touchfield.render.player import Player
-from touchfield.render.servo import zero_by_reconnecting
+from touchfield.render.standby import zero_by_reconnecting
 
-
-@pytest.fixture(autouse=True)
-def no_leftovers() -> object:
-    """No block in shared memory and no process after each test."""
-    before = set(shared_folder().glob(PREFIX + "*"))
-    yield
-    assert set(shared_folder().glob(PREFIX + "*")) <= before
-    if os.path.exists("/proc"):
-        assert not _children()
-
-
-def _children() -> list[str]:
-    """Processes started by this one that serve a device."""
-    found = []
-    for path in Path("/proc").glob("[0-9]*"):
-        try:
-            parent = int((path / "stat").read_text().rsplit(")", 1)[1].split()[1])
-            command = (path / "cmdline").read_text()
-        except (OSError, ValueError, IndexError):
-            continue
-        if parent == os.getpid() and "spawn_main" in command:
-            found.append(command)
-    return found
+__all__ = ["no_leftovers"]  # a fixture of all tests here
 
 
 def test_a_medium_is_played_to_its_end_and_again() -> None:
@@ -190,7 +169,7 @@ def test_a_failed_reconnection_is_reported() -> None:
 
 def test_a_hanging_device_does_not_block_close(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("touchfield.render.player._JOIN_S", 0.1)
-    monkeypatch.setattr("touchfield.render.servo._TERMINATE_S", 0.1)
+    monkeypatch.setattr("touchfield.render.servo_process._TERMINATE_S", 0.1)
     with Player(numbered_medium(1), OMNI, Hung) as player:
         player.play()
         with pytest.raises(DeviceError, match="no answer for"):
@@ -265,9 +244,9 @@ def test_the_servo_ends_with_its_player(name: str, tmp_path: Path) -> None:
         stderr = program.stderr.read()
     assert "leaked" not in stderr and "BufferError" not in stderr
     deadline_s = time.monotonic() + 20
-    while _runs(servo) and time.monotonic() < deadline_s:
+    while runs(servo) and time.monotonic() < deadline_s:
         time.sleep(0.02)
-    assert not _runs(servo)
+    assert not runs(servo)
 
 
 UNGUARDED = """
@@ -294,11 +273,3 @@ def test_a_program_without_a_main_guard_is_a_clear_error(tmp_path: Path) -> None
     assert done.stderr.rstrip().endswith(
         'Start the player under `if __name__ == "__main__":` of your program.'
     )
-
-
-def _runs(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-        return "Z" not in Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
-    except OSError:
-        return False

@@ -17,7 +17,7 @@ from player_makers import AXES, GRID, RestingDevice, numbered_field
 from touchfield.devices import device
 from touchfield.errors import CorruptFile, DeviceError
 from touchfield.medium import ForceField, HapticMedium
-from touchfield.render import servo
+from touchfield.render import standby
 from touchfield.render.block import Memory, layout
 from touchfield.render.player import Session
 from touchfield.render.point_device import Point, Quaternion
@@ -237,5 +237,5 @@ def test_reconnecting_zeroes_the_torque_too(monkeypatch: pytest.MonkeyPatch) -> 
         def send(self, word: str) -> None:
             sent.append(word)
 
-    servo._write_zero(lambda: hand, Pipe())  # type: ignore[arg-type]
+    standby._write_zero(lambda: hand, Pipe())  # type: ignore[arg-type]
     assert hand.wrenches == [(0.0,) * 6] and hand.closed == 1 and sent == [""]

@@ -37,7 +37,8 @@ from touchfield.render.block import (
 )
 from touchfield.render.feeder import FIRST_GENERATION, Feeder, FrameSource, arena_bytes
 from touchfield.render.material import material_bytes, stored_materials, write_materials
-from touchfield.render.servo import Opener, ServoProcess, zero_by_reconnecting
+from touchfield.render.servo import Opener
+from touchfield.render.servo_process import ServoProcess
 from touchfield.render.spec import RenderSpec, Stability, Wall, stability_of, write_parameters
 from touchfield.render.tool import tool_bytes, write_tool
 
@@ -161,9 +162,10 @@ class Player:
     def notes(self) -> tuple[str, ...]:
         """Notes for the user.
 
-        They concern axes, limits, damping, coupling, frames left out, and the end of the servo.
+        They concern axes, limits, damping, coupling, frames left out, and the loss of servo or standby.
         """
-        return (*self._session.notes, *self._notes)
+        servo_notes = () if self._servo is None else self._servo.notes
+        return (*self._session.notes, *servo_notes, *self._notes)
 
     @property
     def servo_pid(self) -> int | None:
@@ -266,8 +268,9 @@ class Player:
                 self._notes = (*self._notes, self._feeder.note)
 
     def _force_zero(self) -> None:
-        """Set the force to zero through a new connection, after the servo's process was lost."""
-        self._notes = (*self._notes, zero_by_reconnecting(self._opener))
+        """Wait for a force of zero after the servo's process was lost."""
+        assert self._servo is not None
+        self._notes = (*self._notes, self._servo.zero_force())
 
     def close(self) -> None:
         """Bring the force to zero, close the device and end the process.
@@ -289,6 +292,8 @@ class Player:
             self._update()
             if self._rescue is not None:
                 self._rescue.join()
+            if self._servo is not None:
+                self._servo.join_standby()
             self.statistics()
             if self._feeder is not None:
                 self._feeder.close(_JOIN_S)

@@ -31,6 +31,19 @@ class PointDevice(ABC):
     is_driven: ClassVar[bool] = False
     """Whether the vendor's driver calls the renderer (`drive`), so that `position_m` is not called."""
 
+    has_force_at_open: ClassVar[bool] = False
+    """Whether `open` leaves the force of an earlier process on.
+
+    The standby of a servo that died then brings it to zero within the slew limit; else `open` sets zero.
+    """
+
+    def load(self) -> None:
+        """Load the libraries that `open` needs, without contact to the device.
+
+        The standby calls it ahead, so that it can open the device at once.
+        """
+        return
+
     @abstractmethod
     def open(self) -> None:
         """Find the device and make it ready, without force.

@@ -2,7 +2,8 @@
 (1 kHz or more).
 
 Whether it ends by an order, a signal, the loss of the player or a failure of the device, the force goes to
-zero within the slew limit and the device is closed, as far as the device still accepts forces.
+zero within the slew limit and the device is closed, as far as the device still accepts forces. If it dies
+without that, `standby` takes over the device.
 """
 
 from __future__ import annotations
@@ -11,22 +12,18 @@ import contextlib
 import ctypes
 import gc
 import math
-import multiprocessing
 import os
 import signal
 import struct
 import sys
 import time
 from collections.abc import Callable
-from functools import partial
 from multiprocessing.connection import Connection
-from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
-from pickle import PickleError
 from typing import Any, Final
 
 from touchfield.compute.native import native
-from touchfield.errors import DeviceError, InvalidArgument, TouchfieldError
+from touchfield.errors import DeviceError, TouchfieldError
 from touchfield.render.block import Block, Memory, layout
 from touchfield.render.point_device import Point, PointDevice
 
@@ -128,41 +125,53 @@ def serve(memory: Memory, device: PointDevice, clock: Clock, must_stop: Callable
                 link.put(native.cycle(memory.bytes, *latest_m, clock.now_ns() if is_paced else now_ns))
                 device.advance(0.0 if orders["mode"] == layout.IDLE else dt_s)
         except BaseException:
-            _ramp_to_zero(memory, device, link, clock, latest_m)
+            ramp_to_zero(memory, device, link, clock, latest_m)
             raise
     finally:
         device.close()
 
 
-def _ramp_to_zero(
+def ramp_to_zero(
     memory: Memory, device: PointDevice, link: DeviceLink, clock: Clock, position_m: Point
-) -> None:
-    """Bring force and torque to zero, ignoring errors of the device."""
+) -> Exception | None:
+    """Bring force and torque to zero; returns the error of the last call of the device, None if it worked.
+
+    Earlier errors of the device are ignored.
+    """
     receiver = memory.receiver
     clock_state, dt_s = receiver["clock"], 1.0 / receiver["settings"]["rate_hz"]
     clock_state["is_stopping"] = 1
     deadline_ns = clock.now_ns() + int(receiver["layout"]["ramp_limit_ns"])
+    error: Exception | None = None
     while not clock_state["is_released"]:
         now_ns = clock.sleep_until(int(clock_state["deadline_ns"]))
-        if now_ns > deadline_ns:  # the device is slow: set zero, no sooner than the slew limit allows
-            clock.sleep_until(now_ns + math.ceil(1e9 * max(map(partial(_slew_s, receiver), _LIMITED))))
+        is_late = now_ns > deadline_ns  # the device is slow: set zero, no sooner than the slew limit allows
+        if is_late:
+            clock.sleep_until(now_ns + math.ceil(1e9 * slew_s(receiver)))
             receiver["state"]["torque"]["output"] = 0.0
-            with contextlib.suppress(Exception):
-                link.put((0.0, 0.0, 0.0))
-            return
-        force = native.cycle(memory.bytes, *position_m, now_ns)
-        with contextlib.suppress(Exception):
+            force = (0.0, 0.0, 0.0)
+        else:
+            force = native.cycle(memory.bytes, *position_m, now_ns)
+        try:
             link.put(force)
+            error = None
+        except Exception as put_error:
+            error = put_error
+        if is_late:
+            break
+        with contextlib.suppress(Exception):
             device.advance(dt_s)
+    return error
 
 
-_LIMITED: Final = ("force", "torque")
-
-
-def _slew_s(receiver: Any, name: str) -> float:
-    """Return the time that the slew limit needs for the present force or torque, seconds."""
-    size = math.hypot(*receiver["state"][name]["output"])
-    return size / float(receiver["settings"][f"{name}_limits"]["slew_per_s"]) if size else 0.0
+def slew_s(receiver: Any) -> float:
+    """Return the time that the slew limits need for the present force and torque, seconds."""
+    seconds = 0.0
+    for name in ("force", "torque"):
+        size = math.hypot(*receiver["state"][name]["output"])
+        if size:
+            seconds = max(seconds, size / float(receiver["settings"][f"{name}_limits"]["slew_per_s"]))
+    return seconds
 
 
 def _supervise(memory: Memory, device: PointDevice, must_stop: Callable[[], bool]) -> None:
@@ -197,15 +206,6 @@ def _supervise(memory: Memory, device: PointDevice, must_stop: Callable[[], bool
             time.sleep(_WATCH_S)
 
 
-_START_S: Final = 180.0
-"""Time limit for loading interpreter and code."""
-
-_SILENT_S: Final = 0.03
-"""Time without a tick after which the device of a waiting process counts as hung."""
-
-_MAX_STARVED_S: Final = 2.0
-"""The same for a runnable process, which may only lack processor time."""
-
 FIFO_PRIORITY: Final = 50
 """Above all ordinary processes, below the kernel's own threads."""
 
@@ -215,15 +215,15 @@ _LATENCY: Final = "/dev/cpu_dma_latency"
 _MCL_CURRENT, _MCL_ONFAULT = 1, 4
 _PR_SET_TIMERSLACK: Final = 29
 
-_ZERO_FORCE_S: Final = 5.0  # limit for starting an interpreter, opening the device, and writing zero
-_TERMINATE_S: Final = 3.0
-_KILL_S: Final = 2.0
+CLOSED: Final = b"closed"
+"""Last message of the servo to its standby: it has closed the device itself."""
 
 
-def _run_servo(path: str, is_realtime: bool, pipe: Connection) -> None:
+def run_servo(path: str, is_realtime: bool, pipe: Connection, lifeline: Connection) -> None:
     """Main function of the servo's process.
 
-    Attaches to the block, receives the device, warms up, serves, and reports.
+    Attaches to the block, receives the device, warms up, serves, and reports. `lifeline` is the writing end
+    of a pipe that the standby reads; it is closed at the latest when this process ends.
     """
     parent = os.getppid()
     block = Block.attach(Path(path))
@@ -259,6 +259,8 @@ def _run_servo(path: str, is_realtime: bool, pipe: Connection) -> None:
             pipe.send(("error", reported))
     finally:
         with contextlib.suppress(OSError):
+            lifeline.send_bytes(CLOSED)
+        with contextlib.suppress(OSError):
             pipe.close()
 
 
@@ -267,6 +269,9 @@ def warm_up(memory: Memory) -> None:
     arena = int(memory.receiver["layout"]["arena_offset"])
     scratch = Memory.empty(max(arena, layout.RECEIVER.itemsize))
     scratch.bytes[:] = memory.bytes[: scratch.size_bytes]
+    parts = scratch.receiver["layout"]
+    offset, slots = int(parts["directory_offset"]), int(parts["directory_slots"])
+    scratch.array(layout.DIRECTORY_ENTRY, offset, slots)["tag"] = -1  # the copy has no frames
     for n in range(32):
         native.cycle(scratch.bytes, 0.0, 0.0, 0.0, 1 + n * int(scratch.receiver["layout"]["tick_ns"]))
     scratch.receiver["clock"]["is_stopping"] = 1
@@ -312,175 +317,3 @@ def make_realtime(is_realtime: bool = True) -> dict[str, str]:
         except (OSError, AttributeError) as error:
             report[key] = f"{fallback}: {getattr(error, 'strerror', None) or 'not on this system'}"
     return report
-
-
-def _write_zero(opener: Opener, pipe: Connection) -> None:
-    try:
-        device = opener()
-        try:
-            device.open()
-            if not device.is_driven:
-                device.put_wrench(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        finally:
-            device.close()
-        pipe.send("")
-    except BaseException as error:
-        pipe.send(f"{type(error).__name__}: {error}")
-
-
-def zero_by_reconnecting(opener: Opener) -> str:
-    """Set the force to zero through a new connection; describes the outcome.
-
-    It runs in a process of its own, after a servo has died without releasing the device.
-    """
-    context = multiprocessing.get_context("spawn")
-    receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=_write_zero, args=(opener, sender), name="touchfield-zero", daemon=True)
-    try:
-        process.start()
-        sender.close()
-        answer = receiver.recv() if receiver.poll(_ZERO_FORCE_S) else f"no answer within {_ZERO_FORCE_S:g} s"
-    except (EOFError, OSError) as error:
-        answer = f"{type(error).__name__}"
-    finally:
-        process.join(0.5)
-        if process.is_alive():
-            process.kill()
-            process.join()
-        receiver.close()
-        process.close()
-    if answer:
-        return f"Setting the force to zero through a new connection failed ({answer}): switch the device off"
-    return "The force was set to zero through a new connection to the device"
-
-
-def is_waiting(pid: int) -> bool:
-    """Return True if no thread of a process is running or runnable, or the system hides it."""
-    try:
-        for thread in Path(f"/proc/{pid}/task").iterdir():
-            if (thread / "stat").read_text().rpartition(")")[2].split()[0] == "R":
-                return False
-    except (OSError, IndexError):
-        pass
-    return True
-
-
-class ServoProcess:
-    """The servo's process as seen by its parent.
-
-    The block must be laid out, with the first order in it. `report` is that of `make_realtime`, once the
-    process is ready; `error` is the error that ended it. `is_done` is True if it ended as ordered, and
-    `is_unreleased` if it ended without bringing the force to zero.
-    """
-
-    def __init__(self, block: Block, opener: Opener, is_realtime: bool) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._pipe, child_pipe = context.Pipe()
-        self._block = block
-        try:
-            self._opener = ForkingPickler.dumps(opener)
-        except (AttributeError, TypeError, ImportError, PickleError) as error:  # e.g. of a local function
-            raise InvalidArgument(
-                "opener", f"{opener!r} ({error})", "a callable that can be pickled"
-            ) from error
-        self.report: dict[str, str] = {}
-        self.error: TouchfieldError | None = None
-        self.is_ready = self.is_done = self.is_unreleased = self._is_joined = False
-        self._ticks, self._ticked_s = -1, time.monotonic()
-        self._silent_s = max(_SILENT_S, 3 / float(block.memory.receiver["settings"]["rate_hz"]))
-        self._process = context.Process(
-            target=_run_servo,
-            args=(str(block.path), is_realtime, child_pipe),
-            name="touchfield-servo",
-            daemon=True,
-        )
-        try:
-            self._process.start()
-        finally:
-            child_pipe.close()
-
-    @property
-    def pid(self) -> int | None:
-        """Id of the process; None once it has ended."""
-        return None if self._is_joined else self._process.pid
-
-    def check_progress(self, ticks: int, has_released: bool) -> None:
-        """Kill the process if its device hangs while a force is applied.
-
-        A device hangs if the process waits for it and no tick has passed for too long.
-        """
-        now_s = time.monotonic()
-        is_over = self._is_joined or self.error or self.is_done or not self._process.is_alive()
-        if ticks != self._ticks or has_released or is_over:
-            self._ticks, self._ticked_s = ticks, now_s
-            return
-        silent_s = now_s - self._ticked_s
-        if silent_s < self._silent_s:
-            return
-        if silent_s < _MAX_STARVED_S and self.pid and not is_waiting(self.pid):
-            return
-        self.error = DeviceError(
-            "device", f"no answer for {1e3 * silent_s:.0f} ms", "a position at each tick", "Plug it in again."
-        )
-        self.is_unreleased = True
-        self._process.kill()
-
-    def receive(self) -> None:
-        """Read the messages of the process; never waits."""
-        if self._is_joined:
-            return
-        is_alive = self._process.is_alive()  # checked first: a dead process has sent all its messages
-        with contextlib.suppress(EOFError, OSError):
-            while self._pipe.poll():
-                kind, content = self._pipe.recv()
-                if kind == "attached":
-                    # not passed as an argument: if the process is gone, `start` would block on a long one
-                    self._pipe.send_bytes(self._opener)
-                    if os.name == "posix":
-                        self._block.unlink()
-                elif kind == "ready":
-                    self.is_ready, self.report = True, content
-                elif kind == "done":
-                    self.is_done = True
-                else:
-                    self.error = content
-        if not is_alive and not self.is_done and self.error is None:
-            self.is_unreleased = self.is_ready
-            hint = (
-                ""
-                if self.is_ready
-                else 'Start the player under `if __name__ == "__main__":` of your program.'
-            )
-            self.error = DeviceError(
-                "servo process",
-                f"its end with exit code {self._process.exitcode}",
-                "a process that runs until it is stopped",
-                hint,
-            )
-
-    def wait_ready(self) -> None:
-        """Wait until the device is open; raises the error if it cannot be opened."""
-        deadline = time.monotonic() + _START_S
-        while not self.is_ready:
-            self.receive()
-            if self.error is not None:
-                raise self.error
-            if self.is_done:
-                return
-            if time.monotonic() > deadline:
-                raise DeviceError("servo process", f"no sign for {_START_S:g} s", "an open device")
-            time.sleep(0.002)
-
-    def join(self, ramp_s: float) -> None:
-        """Wait for the end of the process after a stop; terminate it, then kill it, if needed."""
-        process = self._process
-        process.join(ramp_s)
-        for end, seconds in ((process.terminate, _TERMINATE_S), (process.kill, _KILL_S)):
-            if process.is_alive():
-                end()
-                process.join(seconds)
-        self.receive()
-        self._is_joined = True
-        self._pipe.close()
-        if not process.is_alive():
-            process.close()

@@ -16,7 +16,7 @@ from touchfield.devices.drivers.forcedimension import ForceDimension, quaternion
 from touchfield.devices.drivers.registry import point_device
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.medium.pose_track import rotation_matrices
-from touchfield.render.servo import _write_zero
+from touchfield.render.standby import _write_zero
 
 VARIABLE = "TOUCHFIELD_FORCEDIMENSION_LIBRARY"
 
@@ -82,6 +82,15 @@ def test_new_connection_ends_the_torque_of_a_killed_process(fake) -> None:
     _write_zero(ForceDimension, SimpleNamespace(send=answers.append))
     assert answers == [""] and not fake.faults
     assert not torques(fake)[-1].any() and not fake.forces[-1].any()
+
+
+def test_loading_the_library_does_not_contact_the_device(fake, monkeypatch) -> None:
+    before = fake.log
+    ForceDimension().load()
+    assert fake.log == before
+    monkeypatch.setenv(VARIABLE, "/nowhere/libdhd.so")
+    with pytest.raises(DeviceError, match="nowhere"):
+        ForceDimension().load()
 
 
 def test_torque_that_cannot_be_zeroed_turns_the_motors_off(fake) -> None:

@@ -61,6 +61,10 @@ class ForceDimension(PointDevice):
         self._frame, self._gap = (9 * c_double)(), c_double()
         self._has_wrist = self._has_gripper = self._has_torque = False
 
+    def load(self) -> None:
+        """See `PointDevice.load`."""
+        DRIVER.load(_FUNCTIONS)
+
     def open(self) -> None:
         """Open the device, put a force of zero, and switch forces on."""
         self.close()

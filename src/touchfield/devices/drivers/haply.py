@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from touchfield.devices.drivers.links import service_check, web_socket
 from touchfield.devices.drivers.registry import Check, DeviceKind, Opener, library_check
-from touchfield.errors import DeviceError, reason
+from touchfield.errors import DeviceError, import_extra, reason
 from touchfield.options import Address, address
 from touchfield.render.point_device import PointDevice, Quaternion
 
@@ -71,6 +71,10 @@ class Haply(PointDevice):
         self._pending_states = 0  # one for each force that was sent
         self._orientation: Quaternion = _IDENTITY
         self._pressed, self._has_grip = 0, False
+
+    def load(self) -> None:
+        """See `PointDevice.load`."""
+        import_extra("websockets.sync.client", self._where, "websockets", "devices")
 
     def open(self) -> None:
         """Connect, read the device's id, and send a force of zero to get the first state."""

@@ -121,6 +121,10 @@ class OpenHaptics(PointDevice):
         self._driver = _Driver()
         self._progress = (0, 0.0)  # number of calls, and the time of the last change
 
+    def load(self) -> None:
+        """See `PointDevice.load`."""
+        DRIVER.load(_FUNCTIONS)
+
     def open(self) -> None:
         """Load the driver, find the device and switch forces on.
 

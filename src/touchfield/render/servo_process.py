@@ -1,0 +1,215 @@
+"""The servo's process as the player sees it: starts it and its standby, reads their messages, ends them."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import time
+from multiprocessing.reduction import ForkingPickler
+from pathlib import Path
+from pickle import PickleError
+from typing import Final
+
+from touchfield.errors import DeviceError, InvalidArgument, TouchfieldError
+from touchfield.render.block import Block
+from touchfield.render.servo import Opener, run_servo
+from touchfield.render.standby import StandbyProcess, lost_standby, zero_by_reconnecting, zero_report
+
+_START_S: Final = 180.0
+"""Time limit for loading interpreter and code."""
+
+_SILENT_S: Final = 0.03
+"""Time without a tick after which the device of a waiting process counts as hung."""
+
+_MAX_STARVED_S: Final = 2.0
+"""The same for a runnable process, which may only lack processor time."""
+
+_TERMINATE_S: Final = 3.0
+_KILL_S: Final = 2.0
+
+
+def is_waiting(pid: int) -> bool:
+    """Return True if no thread of a process is running or runnable, or the system hides it."""
+    try:
+        for thread in Path(f"/proc/{pid}/task").iterdir():
+            if (thread / "stat").read_text().rpartition(")")[2].split()[0] == "R":
+                return False
+    except (OSError, IndexError):
+        pass
+    return True
+
+
+class ServoProcess:
+    """The servo's process as seen by its parent, and its standby.
+
+    The block must be laid out, with the first order in it. `report` is that of `make_realtime`, once the
+    process is ready; `error` is the error that ended it. `is_done` is True if it ended as ordered, and
+    `is_unreleased` if it ended without bringing the force to zero. The standby starts once the servo has
+    loaded its code, so that it does not delay the servo.
+    """
+
+    def __init__(self, block: Block, opener: Opener, is_realtime: bool) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pipe, child_pipe = context.Pipe()
+        self._block, self._opener, self._is_realtime = block, opener, is_realtime
+        try:
+            self._pickled_opener = ForkingPickler.dumps(opener)
+        except (AttributeError, TypeError, ImportError, PickleError) as error:  # e.g. of a local function
+            raise InvalidArgument(
+                "opener", f"{opener!r} ({error})", "a callable that can be pickled"
+            ) from error
+        self.report: dict[str, str] = {}
+        self.error: TouchfieldError | None = None
+        self.is_ready = self.is_done = self.is_unreleased = self._is_joined = False
+        self._ticks, self._ticked_s = -1, time.monotonic()
+        self._silent_s = max(_SILENT_S, 3 / float(block.memory.receiver["settings"]["rate_hz"]))
+        self._standby: StandbyProcess | None = None
+        self._standby_error = ""
+        self._lifeline, child_lifeline = context.Pipe(duplex=False)
+        self._process = context.Process(
+            target=run_servo,
+            args=(str(block.path), is_realtime, child_pipe, child_lifeline),
+            name="touchfield-servo",
+            daemon=True,
+        )
+        try:
+            self._process.start()
+        finally:
+            child_pipe.close()
+            child_lifeline.close()
+
+    @property
+    def pid(self) -> int | None:
+        """Id of the process; None once it has ended."""
+        return None if self._is_joined else self._process.pid
+
+    @property
+    def standby(self) -> StandbyProcess | None:
+        """The standby; None before the servo has loaded its code, or if there is none."""
+        return self._standby
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes for the user: that the standby is lost."""
+        note = self._standby.note if self._standby is not None else self._standby_error
+        return (note,) if note else ()
+
+    def check_progress(self, ticks: int, has_released: bool) -> None:
+        """Kill the process if its device hangs while a force is applied; the standby then takes over.
+
+        A device hangs if the process waits for it and no tick has passed for too long.
+        """
+        now_s = time.monotonic()
+        is_over = self._is_joined or self.error or self.is_done or not self._process.is_alive()
+        if ticks != self._ticks or has_released or is_over:
+            self._ticks, self._ticked_s = ticks, now_s
+            return
+        silent_s = now_s - self._ticked_s
+        if silent_s < self._silent_s:
+            return
+        if silent_s < _MAX_STARVED_S and self.pid and not is_waiting(self.pid):
+            return
+        self.error = DeviceError(
+            "device", f"no answer for {1e3 * silent_s:.0f} ms", "a position at each tick", "Plug it in again."
+        )
+        self.is_unreleased = True
+        self._process.kill()
+
+    def receive(self) -> None:
+        """Read the messages of servo and standby; never waits."""
+        self._receive_of_standby()
+        if self._is_joined:
+            return
+        is_alive = self._process.is_alive()  # checked first: a dead process has sent all its messages
+        with contextlib.suppress(EOFError, OSError):
+            while self._pipe.poll():
+                kind, content = self._pipe.recv()
+                if kind == "attached":
+                    # not passed as an argument: if the process is gone, `start` would block on a long one
+                    self._pipe.send_bytes(self._pickled_opener)
+                    self._start_standby()
+                elif kind == "ready":
+                    self.is_ready, self.report = True, content
+                elif kind == "done":
+                    self.is_done = True
+                else:
+                    self.error = content
+        if not is_alive and not self.is_done and self.error is None:
+            self.is_unreleased = self.is_ready
+            hint = (
+                ""
+                if self.is_ready
+                else 'Start the player under `if __name__ == "__main__":` of your program.'
+            )
+            self.error = DeviceError(
+                "servo process",
+                f"its end with exit code {self._process.exitcode}",
+                "a process that runs until it is stopped",
+                hint,
+            )
+
+    def _start_standby(self) -> None:
+        """Start the standby; without one, the servo runs all the same."""
+        assert self._process.pid is not None
+        try:
+            self._standby = StandbyProcess(
+                self._block, self._pickled_opener, self._process.pid, self._is_realtime, self._lifeline
+            )
+        except OSError as error:
+            self._standby_error = lost_standby(str(error))
+            self._unlink_block()
+        finally:
+            self._lifeline.close()
+
+    def _receive_of_standby(self) -> None:
+        """Read the messages of the standby; the last process to attach to the block deletes its name."""
+        if self._standby is not None:
+            is_alive = self._standby.receive()
+            if self._standby.is_attached or not is_alive:
+                self._unlink_block()
+
+    def _unlink_block(self) -> None:
+        if os.name == "posix":
+            self._block.unlink()
+
+    def zero_force(self) -> str:
+        """Wait until the standby of a lost servo has set the force to zero; describes the outcome.
+
+        Without a standby, a new process does it.
+        """
+        error = None if self._standby is None else self._standby.wait_answer()
+        return zero_by_reconnecting(self._opener) if error is None else zero_report(error)
+
+    def wait_ready(self) -> None:
+        """Wait until the device is open; raises the error if it cannot be opened."""
+        deadline = time.monotonic() + _START_S
+        while not self.is_ready:
+            self.receive()
+            if self.error is not None:
+                raise self.error
+            if self.is_done:
+                return
+            if time.monotonic() > deadline:
+                raise DeviceError("servo process", f"no sign for {_START_S:g} s", "an open device")
+            time.sleep(0.002)
+
+    def join(self, ramp_s: float) -> None:
+        """Wait for the end of the process after a stop; terminate it, then kill it, if needed."""
+        process = self._process
+        process.join(ramp_s)
+        for end, seconds in ((process.terminate, _TERMINATE_S), (process.kill, _KILL_S)):
+            if process.is_alive():
+                end()
+                process.join(seconds)
+        self.receive()
+        self._is_joined = True
+        self._pipe.close()
+        self._lifeline.close()
+        if not process.is_alive():
+            process.close()
+
+    def join_standby(self) -> None:
+        """Wait for the end of the standby, after that of the servo."""
+        if self._standby is not None:
+            self._standby.join()
