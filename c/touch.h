@@ -116,6 +116,8 @@ int touch_seek(touch_decoder *decoder, uint32_t segment);
 /* The next frame, which lives in `arena` until the caller empties it (arena.used = 0). Fields of bodies live in the arena
    of the decoder: those of rigid ones stay, those of bodies that deform die at the next touch_seek. */
 int touch_next(touch_decoder *decoder, touch_arena *arena, touch_frame *frame);
+/* Whether a body of a file has one field for all frames. */
+int touch_is_rigid(const touch_decoder *decoder, uint32_t body);
 void touch_force(const touch_frame *frame, double x, double y, double z, double newtons[3]);
 /* dF_i/dx_j, N/m, row by row. */
 void touch_gradient(const touch_frame *frame, double x, double y, double z, double n_per_m[9]);
@@ -1641,6 +1643,10 @@ int touch_next(touch_decoder *decoder, touch_arena *arena, touch_frame *frame) {
     frame->surface_damping_n_s_per_m = s->surface_damping, frame->force_max_n = file ? file->force_max_n : 0;
     s->next = error.code ? s->segment.count : own + 1;
     return touch_told(decoder, &error);
+}
+
+int touch_is_rigid(const touch_decoder *decoder, uint32_t body) {
+    return decoder->state->body && body < decoder->file->object_count && decoder->state->body[body].rigid;
 }
 
 /* -- codes on their own ---------------------------------------------------------------------------------------------- */
