@@ -17,10 +17,12 @@
    zero; play.receiver->clock.is_released says when it is there.
 
    It plays what touch.h decodes: voxels of coder `touch`, objects and vibration. The memory is that of the decoder
-   (touch_room: an upper limit by the bytes of the file, of which a file touches what it needs), seven times that of one
-   decoded frame, the log, and `frames_bytes` for the frames that are decoded ahead: at most `max_ahead` of them. A file of
-   which two frames do not fit there is refused (TOUCH_MEMORY). Frames that the servo has passed are not shown late; no frame
-   is left out in advance, so that a machine that decodes more slowly than the medium plays renders no force.
+   (touch_room: an upper limit by the bytes of the file, of which a file touches what it needs), thirteen times that of one
+   decoded frame (of bodies: of all that the decoder has), the log, and `frames_bytes` for the frames that are decoded
+   ahead: at most `max_ahead` of them. A file of which two frames do not fit there is refused (TOUCH_MEMORY). Frames that the
+   servo has passed are not shown late; no frame is left out in advance, so that a machine that decodes more slowly than the
+   medium plays renders no force. The stiffness of walls is measured in the field; one that the file's provenance states is
+   not read: set `wall_n_per_m`.
    Deformations, materials and tools are no part of a file: write them as touch_receiver.h says. */
 #ifndef TOUCH_PLAY_H
 #define TOUCH_PLAY_H
@@ -124,9 +126,11 @@ static inline uint64_t touch_play_receiver_room(const touch_play *play) {
     return room + touch_play_aligned(play->options.frames_bytes);
 }
 
-/* Bytes of the fields of a frame: forces and numbers of its bricks, also of a blend, and work for their cells. */
-static inline uint64_t touch_play_fields_room(const touch_play *play, uint64_t frame_room) {
-    return touch_play_aligned(4096 + 2 * frame_room + (touch_play_parts(play) + 1) * sizeof(touch_play_field));
+/* Bytes of the fields of a frame: forces and numbers of its bricks, those of a blend with as many others, and work for their
+   cells. The fields of bodies live in the arena of the decoder. */
+static inline uint64_t touch_play_fields_room(const touch_play *play, uint64_t decoder_room, uint64_t frame_room) {
+    if (play->file.object_count) frame_room += decoder_room;
+    return touch_play_aligned(4096 + 4 * frame_room + (touch_play_parts(play) + 1) * sizeof(touch_play_field));
 }
 
 /* Bytes of memory that touch_play_start takes. */
@@ -134,7 +138,7 @@ static inline uint64_t touch_play_room(const touch_play *play) {
     uint64_t decoder_room, frame_room;
     touch_room(&play->file, &decoder_room, &frame_room);
     return touch_play_receiver_room(play) + touch_play_aligned(decoder_room) + touch_play_aligned(frame_room) +
-           3 * touch_play_fields_room(play, frame_room) +
+           3 * touch_play_fields_room(play, decoder_room, frame_room) +
            touch_play_aligned((uint64_t)play->options.max_ahead * sizeof(touch_play_slot)) + TOUCH_PLAY_ALIGNMENT;
 }
 
@@ -245,9 +249,8 @@ static inline int64_t touch_play_merge(const touch_field_bricks *a, const touch_
 }
 
 /* Blend the field of the former segment's last frame into a field; where there is no room for that, it stays as it is. */
-static inline void touch_play_blend(touch_play *play, const touch_play_field *former, touch_play_field *field, double weight,
+static inline void touch_play_blend(const touch_blend_rule *rule, const touch_play_field *former, touch_play_field *field,
                                     touch_arena *arena) {
-    const touch_blend_rule rule = {weight, play->file.weber_fraction, play->file.force_threshold_n};
     uint64_t mark = arena->used, capacity = former->bricks.bricks + field->bricks.bricks, kept = 0;
     int32_t *brick = (int32_t *)touch_play_take(arena, 12 * capacity);
     float *forces_n = (float *)touch_play_take(arena, 4 * TOUCH_BRICK_FLOATS * capacity);
@@ -259,7 +262,7 @@ static inline void touch_play_blend(touch_play *play, const touch_play_field *fo
     }
     int64_t count = touch_play_merge(&former->bricks, &field->bricks, brick, slot, (int64_t)capacity);
     memmove(slot + count, slot + capacity, (size_t)(8 * count));
-    touch_blend_bricks(&rule, count, 0, count, slot, former->bricks.forces_n, field->bricks.forces_n, forces_n, has_force);
+    touch_blend_bricks(rule, count, 0, count, slot, former->bricks.forces_n, field->bricks.forces_n, forces_n, has_force);
     for (int64_t n = 0; n < count; n++) {
         if (!has_force[n]) continue;
         memmove(brick + 3 * kept, brick + 3 * n, 12);
@@ -312,7 +315,7 @@ static inline int touch_play_write_cells(touch_play *play, const touch_play_fiel
 static inline int touch_play_prepare(touch_play *play, int64_t frame) {
     uint64_t parts = touch_play_parts(play);
     if (touch_play_decode_frame(play, frame)) return play->code;
-    double weight = touch_play_weight(play, frame);
+    touch_blend_rule rule = {touch_play_weight(play, frame), 0.0, 0.0};
     touch_play_fields *fields = play->spare;
     touch_arena *arena = &fields->arena;
     const touch_play_field *shared = play->latest->field; /* offsets of rigid bodies are the same in all three */
@@ -324,7 +327,8 @@ static inline int touch_play_prepare(touch_play *play, int64_t frame) {
         memset(field, 0, sizeof *field);
         if ((field->cells_offset = cells_offset) || !source) continue;
         if (!touch_play_gather(source, arena, field)) return touch_play_fail(play, TOUCH_MEMORY, "no room for a field");
-        if (weight < 1.0 && n < parts) touch_play_blend(play, play->former->field + n, field, weight, arena);
+        if (rule.weight < 1.0 && n < parts && touch_mask_of(&play->decoder, (uint32_t)n, &rule.k, &rule.f0_n))
+            touch_play_blend(&rule, play->former->field + n, field, arena);
         touch_play_count_cells(field);
     }
     play->spare = play->latest, play->latest = fields, play->latest_frame = frame;
@@ -548,7 +552,7 @@ static inline int touch_play_divide(touch_play *play, void *memory) {
     uint64_t decoder_room, frame_room, shift = (uint64_t)(uintptr_t)memory % TOUCH_PLAY_ALIGNMENT;
     touch_arena all = touch_arena_of((uint8_t *)memory + (shift ? TOUCH_PLAY_ALIGNMENT - shift : 0), touch_play_room(play));
     touch_room(&play->file, &decoder_room, &frame_room);
-    uint64_t fields_room = touch_play_fields_room(play, frame_room);
+    uint64_t fields_room = touch_play_fields_room(play, decoder_room, frame_room);
     uint64_t fields_start = touch_play_aligned((touch_play_parts(play) + 1) * sizeof(touch_play_field));
     play->receiver = (touch_receiver *)touch_play_take(&all, touch_play_receiver_room(play));
     play->slot = (touch_play_slot *)touch_play_take(&all, (uint64_t)play->options.max_ahead * sizeof(touch_play_slot));
