@@ -3,7 +3,8 @@
    segments, and plays, pauses, seeks and stops. The servo's thread calls touch_receiver_tick alone (touch_render.h).
 
        touch_play play;                                      // lives as long as the receiver
-       touch_device device = {3.0};                          // newtons; what else it states is 0
+       touch_device device = {0};                            // what it does not state is 0
+       device.force_max_n = 3.3;
        touch_play_open(&play, bytes, size, &device);         // TOUCH_OK, or why not: play.error
        play.options.is_loop = 1;                             // where the defaults do not suit
        touch_play_start(&play, malloc(touch_play_room(&play)));

@@ -59,8 +59,9 @@ int main(int count, char **words) {
         if (play.code) return refused(&play);
         touch_vector at = touch_vector_of(position[3 * n], position[3 * n + 1], position[3 * n + 2]);
         touch_vector force = touch_receiver_tick(play.receiver, at, (int64_t)n * play.receiver->layout.tick_ns);
-        const touch_log_row *rows = (const touch_log_row *)(const void *)((char *)play.receiver + play.receiver->layout.log_offset);
-        const touch_log_row *row = rows + (int64_t)n % play.receiver->layout.log_rows;
+        const touch_receiver_layout *layout = &play.receiver->layout;
+        const touch_log_row *row = (const touch_log_row *)(const void *)((char *)play.receiver + layout->log_offset);
+        row += (int64_t)n % layout->log_rows;
         double values[5] = {row->media_s, (double)row->flags, force.x, force.y, force.z};
         if (fwrite(values, sizeof values, 1, out) != 1) return 64;
     }

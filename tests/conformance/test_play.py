@@ -15,7 +15,7 @@ import touchfield as tf
 from touchfield.devices import device
 from touchfield.devices.drivers.simulated import SimHand
 from touchfield.medium.trace import Trace
-from touchfield.render.block import Memory, layout
+from touchfield.render.block import Memory
 from touchfield.render.offline import run_offline
 from touchfield.render.player import Session
 from touchfield.render.spec import RenderSpec
@@ -85,9 +85,7 @@ def play(
     return Played(settings, rows[:, 0], rows[:, 1].astype(int), rows[:, 2:])
 
 
-def play_in_python(
-    path: Path, positions_m: Any, loop: bool, wall_n_per_m: float
-) -> tuple[list[float], Any]:
+def play_in_python(path: Path, positions_m: Any, loop: bool, wall_n_per_m: float) -> tuple[list[float], Any]:
     """The settings, and the log, of the Python player at the same positions."""
     count = len(positions_m)
     trace = Trace(np.arange(count) * 1e-3, np.asarray(positions_m), None)
@@ -95,9 +93,7 @@ def play_in_python(
         medium = stream.scene or stream.medium
         spec = RenderSpec(up="lattice", wall_n_per_m=wall_n_per_m or None)
         profile = with_axes_of(medium)
-        run = run_offline(
-            medium, profile, lambda: SimHand(trace), spec, seconds=1e-3 * count, loop=loop
-        )
+        run = run_offline(medium, profile, lambda: SimHand(trace), spec, seconds=1e-3 * count, loop=loop)
         session = Session(medium, profile, spec)
         memory = Memory.empty(session.layout.size_bytes)
         session.set_up(memory)
@@ -133,3 +129,62 @@ def test_forces_are_those_of_the_python_player(program: Path, tmp_path: Path, na
     np.testing.assert_array_equal(played.flags, log["flags"])
     np.testing.assert_allclose(played.forces_n, log["force_n"], atol=1e-9, rtol=0)
     assert name == "touch-empty" or np.abs(played.forces_n).max() > 0.05
+
+
+def press(thickness_m: float, count: int = 1500) -> Any:
+    """A hand that goes from 5 mm above a plate to 2 mm below its surface, and rests there, float64 [count, 3]."""
+    surface_m = thickness_m / 2
+    height_m = np.interp(
+        np.arange(count), [0, 300, count], [surface_m + 0.005, surface_m - 0.002, surface_m - 0.002]
+    )
+    return np.stack([np.full(count, 0.004), np.full(count, 0.003), height_m], axis=1)
+
+
+def test_hand_is_held_by_a_thin_plate(program: Path, plate: Path, tmp_path: Path) -> None:
+    played = play(program, plate, press(0.002), tmp_path)
+    sizes_n = np.linalg.norm(played.forces_n, axis=1)
+    assert played.settings[0] > 100  # there is a proxy
+    # 2 mm into a plate of 2 mm: the field itself pushes to the other side, or not at all; the proxy pushes up
+    expected_n = min(played.settings[0] * 0.002, OMNI.force_continuous_n)
+    assert (played.forces_n[400:, 2] > 0.8 * expected_n).all()
+    assert sizes_n.max() <= OMNI.force_max_n
+    assert np.linalg.norm(np.diff(played.forces_n, axis=0), axis=1).max() <= OMNI.force_max_n / 0.005 * 1e-3
+
+
+def test_force_comes_with_a_ramp(program: Path, plate: Path, tmp_path: Path) -> None:
+    """A hand that is within the plate from the first tick on."""
+    resting = np.repeat([[0.004, 0.003, 0.0006]], 60, axis=0)
+    played = play(program, plate, resting, tmp_path)
+    sizes_n = np.linalg.norm(played.forces_n, axis=1)
+    assert sizes_n[40] > 0.1
+    gains = np.minimum(1.0, np.arange(1, 61) * 1e-3 / 0.02)
+    np.testing.assert_allclose(sizes_n[:20], sizes_n[40] * gains[:20], rtol=0.02)
+
+
+@pytest.fixture(scope="module")
+def readme_program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The program of c/README.md."""
+    text = (C / "README.md").read_text().split("```c\n")[-1].split("```")[0]
+    source = tmp_path_factory.mktemp("readme") / "receiver.c"
+    source.write_text(text)
+    return compiled(source, source.parent, "-O1")
+
+
+@pytest.mark.parametrize("name", ["touch-block", "objects-touch", "plate"])
+def test_program_of_the_readme_runs(readme_program: Path, plate: Path, name: str) -> None:
+    path = plate if name == "plate" else GOLDEN / f"{name}.touch"
+    positions_m = press(0.002, 700) if name == "plate" else through_the_medium(path, 300)
+    lines = "".join(f"{x!r} {y!r} {z!r}\n" for x, y, z in positions_m.tolist())
+    done = subprocess.run([readme_program, path], input=lines, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    forces_n = np.array([line.split() for line in done.stdout.splitlines()], np.float64)
+    assert len(forces_n) == len(positions_m)
+    assert 0.05 < np.linalg.norm(forces_n, axis=1).max() <= 3.3
+    if name == "plate":
+        assert (forces_n[400:, 2] > 0.5).all()
+
+
+def test_program_of_the_readme_refuses_a_damaged_file(readme_program: Path) -> None:
+    path = GOLDEN.parent / "faulty" / "cut-at-end.touch"
+    done = subprocess.run([readme_program, path], capture_output=True, text=True, check=False)
+    assert done.returncode == 65 and "end too early" in done.stderr
