@@ -24,15 +24,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from machine import SHARED, Bar, Figures, at_most, bench
+from touchfield.compute.native import native
 from touchfield.medium import ForceField
 from touchfield.perception.hand_motion import in_band, points_on_surface, slide_m, surface_walks
 from touchfield.pipeline.preparation import prepare
 from touchfield.pipeline.spec import EncodeSpec
-from touchfield.render.block import layout
-from touchfield.render.kernels.proxy import held
 from touchfield.render.spec import wall_of
 from touchfield.sources.shapes.shapes import Box, Sphere
 
@@ -156,14 +154,13 @@ def energies(damping: float, seconds: int) -> Figures:
     return rows
 
 
-@njit
-def _query(i8, u8, f8, f4, frame, x, y, z):  # type: ignore[no-untyped-def]
-    held(i8, u8, f8, f4, frame, frame, 0.0, x, y, z)
+def _query(memory: Any, frame: int, x: float, y: float, z: float) -> None:
+    native.contact_force(memory, frame, frame, 0.0, x, y, z)
 
 
-@njit
-def _nothing(i8, u8, f8, f4, frame, x, y, z):  # type: ignore[no-untyped-def]
-    return x
+def _nothing(memory: Any, frame: int, x: float, y: float, z: float) -> None:
+    """A call of a function without work: a vibration of a medium that has none."""
+    native.vibration_at(memory, frame, frame, 0.0, x, y, z)
 
 
 def speeds(fields: dict[str, ForceField], count: int) -> Figures:
@@ -177,12 +174,12 @@ def speeds(fields: dict[str, ForceField], count: int) -> Figures:
         )
         took = []
         for call in (_query, _nothing):
-            call(*rig.memory.views, rig.frames[0], *points[0])
+            call(rig.memory.bytes, rig.frames[0], *points[0])
             times = np.empty((5, len(points)))
             for run in times:
                 for n, point in enumerate(points.tolist()):
                     began = time.perf_counter()
-                    call(*rig.memory.views, rig.frames[0], *point)
+                    call(rig.memory.bytes, rig.frames[0], *point)
                     run[n] = time.perf_counter() - began
             took.append(
                 1e6 * np.percentile(times.min(axis=0), [50, 99, 99.9])

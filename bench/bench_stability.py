@@ -23,21 +23,22 @@ N` takes every N-th case. The figures are:
 
 from __future__ import annotations
 
+import ctypes
 import itertools
+import subprocess
 import sys
 import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from shutil import which
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numba import njit
 from scipy.linalg import expm
 
-from machine import Bar, Figures, at_least, at_most, bench
-from touchfield.render.block import layout
-from touchfield.render.kernels.tick import tick
+from machine import Bar, Figures, at_least, at_most, bench, leave_out
 from touchfield.render.spec import RenderSpec, stability_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "render"))
@@ -48,9 +49,7 @@ from touchfield.medium import Grid
 CYCLE_N, ENERGY_J, STIFFNESS_TOLERANCE = 0.020, 1e-5, 0.10
 """Limits of the bars."""
 DEVICE_KG, PRESS_N, TICK_S = 0.045, 2.0, 1e-3
-APPROACH_TICKS, SECOND_TICKS, MAX_PRESS_TICKS, RETREAT_TICKS = 300, 1000, 60_000, 400
-SETTLED_N = 0.005
-START_M, MAX_FORCE_N = 0.010, 12.0
+MAX_FORCE_N = 12.0
 WALLS = (200.0, 500.0, 1000.0, 2000.0)
 DAMPINGS = (0.3, 0.5, 1.0, 2.0, 5.0)
 DELAYS = (0, 1, 2)
@@ -60,54 +59,37 @@ STRONG = replace(OMNI, force_max_n=12.0, force_continuous_n=None)
 GRID = Grid((17, 17, 129), (0.01, 0.01, 0.0005), (-0.08, -0.08, -0.048))
 
 
-@njit(cache=True)
-def touch(i8, u8, f8, f4, frame, step, k, b, depth, delay, resolution):  # type: ignore[no-untyped-def]
+class Case(ctypes.Structure):
+    """`touch_case` of ``c_stability.c``."""
+
+    _fields_ = (
+        ("step", ctypes.c_double * 3 * 2),
+        *((name, ctypes.c_double) for name in ("k", "b", "depth_m", "resolution_m")),
+        ("delay_ticks", ctypes.c_int64),
+    )
+
+
+def simulator(folder: Path) -> Any:
+    """Compile ``c_stability.c`` and return its function; skip the benchmark without a C compiler."""
+    if which("cc") is None:
+        leave_out("no C compiler (cc)")
+    library = folder / "stability.so"
+    options = ("-O3", "-std=c99", "-ffp-contract=off", "-shared", "-fPIC")
+    source = Path(__file__).with_name("c_stability.c")
+    subprocess.run(["cc", *options, "-o", str(library), str(source), "-lm"], check=True)
+    return ctypes.CDLL(str(library)).simulate_touch
+
+
+def simulate(touch: Any, bench: Bench, case: Case) -> tuple[float, ...]:
     """Simulate one touch.
 
     Returns rms, mean and energy of the last second of pressing, net energy, mean depth and seconds of
     pressing.
     """
-    x, v, work_j, hold_j, first, second, deep = START_M, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    late = np.zeros(delay + 1)
-    start_x, rms, mean, energy, depth_now, stop, n = x, 1e9, 0.0, 0.0, 0.0, 1 << 60, 0
-    while n < stop:
-        target = -depth
-        if n < APPROACH_TICKS:
-            target = START_M - (START_M + depth) * n / APPROACH_TICKS
-        elif stop < 1 << 60:
-            target = -depth + (START_M + depth) * (1.0 - (stop - n) / RETREAT_TICKS)
-        reported_x = round(x / resolution) * resolution if resolution > 0.0 else x
-        force = tick(i8, u8, f8, f4, frame, frame, 0.0, 0.0, 0.0, reported_x, 0.001)[2]
-        late[n % (delay + 1)] = force
-        acts = late[(n + 1) % (delay + 1)]
-        push = acts + k * target
-        nx = step[0, 0] * x + step[0, 1] * v + step[0, 2] * push
-        nv = step[1, 0] * x + step[1, 1] * v + step[1, 2] * push
-        work_j += acts * (nx - x) - b * (nx - x) * (nx - x) / 0.001
-        if stop == 1 << 60:
-            hold_j += acts * (nx - x)
-            first, second, deep = first + force, second + force * force, deep - x
-        x, v = nx, nv
-        n += 1
-        if stop == 1 << 60 and (n - APPROACH_TICKS) % SECOND_TICKS == 0:
-            before = rms
-            mean = first / SECOND_TICKS
-            rms = np.sqrt(max(second / SECOND_TICKS - mean * mean, 0.0))
-            if n >= APPROACH_TICKS + MAX_PRESS_TICKS or (
-                n >= APPROACH_TICKS + 2 * SECOND_TICKS and (rms < SETTLED_N or rms > 0.995 * before)
-            ):
-                stop, energy, depth_now = (
-                    n + RETREAT_TICKS,
-                    hold_j - mean * (x - start_x),
-                    deep / SECOND_TICKS,
-                )
-            first, second, deep, hold_j, start_x = 0.0, 0.0, 0.0, 0.0, x
-    return rms, mean, energy, work_j, depth_now, (stop - RETREAT_TICKS - APPROACH_TICKS) / SECOND_TICKS
-
-
-def call(compiled: Any, *values: Any) -> Any:
-    """Call a compiled function, which the type checker does not know to be callable."""
-    return compiled(*values)
+    result = (ctypes.c_double * 6)()
+    memory = ctypes.c_void_p(bench.memory.bytes.ctypes.data)
+    touch(memory, ctypes.c_int64(bench.frame), ctypes.byref(case), result)
+    return tuple(result)
 
 
 def tick_matrix(kg: float, k: float, b: float) -> Any:
@@ -118,8 +100,8 @@ def tick_matrix(kg: float, k: float, b: float) -> Any:
     return expm(np.array([[0, 1, 0], [-k / kg, -b / kg, 1 / kg], [0, 0, 0]]) * TICK_S)
 
 
-def run(render: Any, every: int) -> dict[str, Any]:
-    """Run all cases with one way to render.
+def run(touch: Any, render: Any, every: int) -> dict[str, Any]:
+    """Run all cases with one way to render, in the simulation `touch`.
 
     `render(bench, K, b, delay, resolution)` sets up the memory block of a case.
     """
@@ -131,8 +113,8 @@ def run(render: Any, every: int) -> dict[str, Any]:
         ]:
             render(block, stiffness, b, delay, resolution)
             depth = PRESS_N * (1 / stiffness + 1 / k)
-            step = tick_matrix(DEVICE_KG + kg, k, b)
-            result = call(touch, *block.memory.views, block.frame, step, k, b, depth, delay, resolution)
+            step = (ctypes.c_double * 3 * 2)(*map(tuple, tick_matrix(DEVICE_KG + kg, k, b)[:2]))
+            result = simulate(touch, block, Case(step, k, b, depth, resolution, delay))
             rows.append((stiffness, b, delay, resolution, kg, k, *result))
     return summary_of(np.array(rows)) | {"s": time.perf_counter() - began}
 
@@ -206,7 +188,9 @@ WAYS = {
 
 def measure(every: int) -> Figures:
     """Measure all ways to render."""
-    return {"rows": {name: run(render, every) for name, render in WAYS.items()}}
+    with TemporaryDirectory() as folder:
+        touch = simulator(Path(folder))
+        return {"rows": {name: run(touch, render, every) for name, render in WAYS.items()}}
 
 
 def bars(figures: Figures) -> list[Bar]:

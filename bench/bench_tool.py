@@ -20,14 +20,14 @@ from dataclasses import replace
 import numpy as np
 
 from machine import Bar, Figures, at_most, bench
+from touchfield.compute.native import native
 from touchfield.devices import device
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.cells import CellPool
-from touchfield.render.block import Memory, layout
-from touchfield.render.block.frames import FramePart, field_words, frame_words, write_field, write_frame
-from touchfield.render.kernels.tick import tick
+from touchfield.render.block import Memory, aligned, layout
+from touchfield.render.block.frames import FramePart, field_bytes, frame_bytes, write_field, write_frame
 from touchfield.render.spec import RenderSpec, write_parameters
-from touchfield.render.tool import Tool, tool_word_count, write_tool
+from touchfield.render.tool import Tool, tool_bytes, write_tool
 
 GRID = Grid((128, 128, 128), (0.00125,) * 3, (-0.08,) * 3)
 AXES = "x right, y up, z towards the user"
@@ -49,9 +49,9 @@ def block(tool: Tool, fields: list[ForceField], parts: list[list[FramePart]]) ->
     The parts of a frame refer to a field by its number.
     """
     pools = [CellPool.of(field) for field in fields]
-    first = W.FREE + tool_word_count(tool)
-    starts = first + np.cumsum([0, *map(field_words, pools)])
-    frame_size = frame_words(max(map(len, parts)))
+    first = aligned(layout.RECEIVER.itemsize + tool_bytes(tool))
+    starts = first + np.cumsum([0, *map(field_bytes, pools)])
+    frame_size = frame_bytes(max(map(len, parts)))
     frames = [int(starts[-1]) + n * frame_size for n in range(len(parts))]
     memory = Memory.empty(frames[-1] + frame_size)
     for at, pool in zip(starts, pools, strict=False):
@@ -61,20 +61,21 @@ def block(tool: Tool, fields: list[ForceField], parts: list[list[FramePart]]) ->
         write_frame(memory, frame, placed, math.inf if len(frame_parts) == 1 else 50.0)
     spec = RenderSpec(tool=tool)
     write_parameters(memory, spec, replace(device("sigma.7"), axes=AXES), 0.3, 0.5, AXES)
-    write_tool(memory, W.FREE, tool)
+    write_tool(memory, layout.RECEIVER.itemsize, tool)
     return memory, frames
 
 
 def run(memory: Memory, frames: list[int], blend: float, seconds: float) -> dict[str, float]:
     """Return percentiles of a tick at 1 kHz, in wall and processor milliseconds."""
-    f8, views, count = memory.f8, memory.views, round(1000 * seconds)
+    orientation, torque = memory.receiver["grip"]["orientation"], memory.receiver["state"]["torque"]["output"]
+    count = round(1000 * seconds)
     took, spent = np.empty(count), np.empty(count)
     contact_ticks = 0
     deadline = time.perf_counter()
     for n in range(count):
         angle = 2 * math.pi * n / 1000
         half = 0.3 * angle
-        f8[W.ORIENTATION : W.ORIENTATION + 4] = (
+        orientation[:] = (
             math.cos(half),
             0.6 * math.sin(half),
             0.0,
@@ -85,9 +86,9 @@ def run(memory: Memory, frames: list[int], blend: float, seconds: float) -> dict
         while (remaining_s := deadline - time.perf_counter()) > 0:
             time.sleep(remaining_s)
         began, began_thread = time.perf_counter_ns(), time.thread_time_ns()
-        force = tick(*views, frames[0], frames[-1], blend, x, y, z, 0.001)
+        force = native.tick(memory.bytes, frames[0], frames[-1], blend, x, y, z, 0.001)
         spent[n], took[n] = time.thread_time_ns() - began_thread, time.perf_counter_ns() - began
-        contact_ticks += force != (0.0, 0.0, 0.0) and bool(f8[W.TORQUE : W.TORQUE + 3].any())
+        contact_ticks += force != (0.0, 0.0, 0.0) and bool(torque.any())
         deadline = max(deadline, time.perf_counter() - 0.001)
     assert contact_ticks > 0.8 * count, "the tool is to be in contact nearly all the while"
     figures = {}

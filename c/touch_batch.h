@@ -24,8 +24,10 @@ TOUCH_INLINE touch_vector touch_batch_point(const touch_batch *b, int64_t point)
 
 /* touch_force_at, into float [points][3]. */
 static inline void touch_forces_at(const touch_batch *b, int64_t start, int64_t stop, float *__restrict out) {
+    if (start == stop) return;
+    touch_instant t = touch_batch_instant(b, start);
     for (int64_t p = start; p < stop; p++) {
-        touch_instant t = touch_batch_instant(b, p);
+        if (b->blends > 1) t = touch_batch_instant(b, p);
         touch_vector force = touch_force_at(&t, touch_batch_point(b, p));
         out[3 * p] = (float)force.x, out[3 * p + 1] = (float)force.y, out[3 * p + 2] = (float)force.z;
     }
@@ -78,8 +80,8 @@ TOUCH_INLINE void touch_cell_forces(const touch_cells *cells, double weight, int
             if (own != brick) brick = own, index = touch_find_brick(table, shift, own);
             if (index >= 0 && touch_is_supported(supported, index, i, j, k)) {
                 const float *corner = samples + touch_corner_of(index, i, j, k);
-                for (int c = 0; c < 3; c++)
-                    force[c] = (float)weight * touch_interpolate_float(corner + c, (float)fx, (float)fy, (float)fz);
+                touch_interpolate_float(corner, (float)fx, (float)fy, (float)fz, force);
+                for (int c = 0; c < 3; c++) force[c] *= (float)weight;
             }
         }
         for (int c = 0; c < 3; c++) out[3 * p + c] = is_first ? force[c] : out[3 * p + c] + force[c];

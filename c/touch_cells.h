@@ -48,6 +48,26 @@ TOUCH_INLINE int64_t touch_corner_of(int64_t index, int64_t i, int64_t j, int64_
     return index * TOUCH_NEXT_BRICK + (i & 7) * TOUCH_NEXT_X + (j & 7) * TOUCH_NEXT_Y + (k & 7) * TOUCH_NEXT_Z;
 }
 
+#if defined(__GNUC__)
+/* Several components at once, with the same results: a third of the time of a query is interpolation. */
+typedef float touch_float_pair __attribute__((vector_size(8)));
+typedef double touch_pair __attribute__((vector_size(16)));
+
+TOUCH_INLINE touch_pair touch_pair_at(const float *sample) {
+    touch_float_pair pair;
+    memcpy(&pair, sample, sizeof pair);
+    return __builtin_convertvector(pair, touch_pair);
+}
+
+typedef float touch_floats __attribute__((vector_size(16)));
+
+TOUCH_INLINE touch_floats touch_floats_at(const float *sample) {
+    touch_floats four;
+    memcpy(&four, sample, sizeof four);
+    return four;
+}
+#endif
+
 /* One component between the eight corners of a cell, trilinearly. */
 TOUCH_INLINE double touch_interpolate(const float *corner, double x, double y, double z) {
     double a = corner[0], b = corner[TOUCH_NEXT_Y], c = corner[TOUCH_NEXT_X], d = corner[TOUCH_NEXT_X + TOUCH_NEXT_Y];
@@ -58,6 +78,33 @@ TOUCH_INLINE double touch_interpolate(const float *corner, double x, double y, d
     a += y * (b - a);
     c += y * (d - c);
     return a + x * (c - a);
+}
+
+/* The same of all three components, in float: in half the time. A fourth number is read behind each sample. */
+TOUCH_INLINE void touch_interpolate_float(const float *corner, float x, float y, float z, float out[3]) {
+#if defined(__GNUC__)
+    touch_floats a = touch_floats_at(corner), b = touch_floats_at(corner + TOUCH_NEXT_Y);
+    touch_floats c = touch_floats_at(corner + TOUCH_NEXT_X), d = touch_floats_at(corner + TOUCH_NEXT_X + TOUCH_NEXT_Y);
+    a += z * (touch_floats_at(corner + TOUCH_NEXT_Z) - a);
+    b += z * (touch_floats_at(corner + TOUCH_NEXT_Y + TOUCH_NEXT_Z) - b);
+    c += z * (touch_floats_at(corner + TOUCH_NEXT_X + TOUCH_NEXT_Z) - c);
+    d += z * (touch_floats_at(corner + TOUCH_NEXT_X + TOUCH_NEXT_Y + TOUCH_NEXT_Z) - d);
+    a += y * (b - a);
+    c += y * (d - c);
+    a += x * (c - a);
+    out[0] = a[0], out[1] = a[1], out[2] = a[2];
+#else
+    for (int n = 0; n < 3; n++, corner++) {
+        float a = corner[0], b = corner[TOUCH_NEXT_Y], c = corner[TOUCH_NEXT_X], d = corner[TOUCH_NEXT_X + TOUCH_NEXT_Y];
+        a += z * (corner[TOUCH_NEXT_Z] - a);
+        b += z * (corner[TOUCH_NEXT_Y + TOUCH_NEXT_Z] - b);
+        c += z * (corner[TOUCH_NEXT_X + TOUCH_NEXT_Z] - c);
+        d += z * (corner[TOUCH_NEXT_X + TOUCH_NEXT_Y + TOUCH_NEXT_Z] - d);
+        a += y * (b - a);
+        c += y * (d - c);
+        out[n] = a + x * (c - a);
+    }
+#endif
 }
 
 typedef struct { /* a point in cells */
@@ -104,11 +151,31 @@ TOUCH_INLINE touch_cell_point touch_locate(const touch_cells *cells, touch_vecto
     return found;
 }
 
+#if defined(__GNUC__)
+TOUCH_INLINE touch_pair touch_interpolate_pair(const float *corner, double x, double y, double z) {
+    touch_pair a = touch_pair_at(corner), b = touch_pair_at(corner + TOUCH_NEXT_Y), c = touch_pair_at(corner + TOUCH_NEXT_X);
+    touch_pair d = touch_pair_at(corner + TOUCH_NEXT_X + TOUCH_NEXT_Y);
+    a += z * (touch_pair_at(corner + TOUCH_NEXT_Z) - a);
+    b += z * (touch_pair_at(corner + TOUCH_NEXT_Y + TOUCH_NEXT_Z) - b);
+    c += z * (touch_pair_at(corner + TOUCH_NEXT_X + TOUCH_NEXT_Z) - c);
+    d += z * (touch_pair_at(corner + TOUCH_NEXT_X + TOUCH_NEXT_Y + TOUCH_NEXT_Z) - d);
+    a += y * (b - a);
+    c += y * (d - c);
+    return a + x * (c - a);
+}
+#endif
+
 /* The force at a point in cells, newtons, in the frame of the body. */
 TOUCH_INLINE touch_vector touch_cell_force(touch_cell_point p) {
-    return touch_vector_of(touch_interpolate(p.corner, p.fraction.x, p.fraction.y, p.fraction.z),
-                           touch_interpolate(p.corner + 1, p.fraction.x, p.fraction.y, p.fraction.z),
-                           touch_interpolate(p.corner + 2, p.fraction.x, p.fraction.y, p.fraction.z));
+    touch_vector f = p.fraction;
+    double z = touch_interpolate(p.corner + 2, f.x, f.y, f.z);
+#if defined(__GNUC__)
+    touch_pair xy = touch_interpolate_pair(p.corner, f.x, f.y, f.z);
+    return touch_vector_of(xy[0], xy[1], z);
+#else
+    double x = touch_interpolate(p.corner, f.x, f.y, f.z);
+    return touch_vector_of(x, touch_interpolate(p.corner + 1, f.x, f.y, f.z), z);
+#endif
 }
 
 /* -- building --------------------------------------------------------------------------------------------------------- */
@@ -205,7 +272,7 @@ TOUCH_INLINE int touch_table_bits(uint64_t bricks) {
 /* Bytes that the cells of so many bricks take. */
 static inline uint64_t touch_cells_room(uint64_t bricks) {
     uint64_t table = (uint64_t)16 << touch_table_bits(bricks), samples = 4 * (uint64_t)TOUCH_NEXT_BRICK * bricks;
-    uint64_t size = sizeof(touch_cells) + table + 8 * TOUCH_SIDE * bricks + samples;
+    uint64_t size = sizeof(touch_cells) + table + 8 * TOUCH_SIDE * bricks + samples + sizeof(float); /* read, not used */
     return (size + TOUCH_CELLS_ALIGNMENT - 1) / TOUCH_CELLS_ALIGNMENT * TOUCH_CELLS_ALIGNMENT;
 }
 
@@ -238,6 +305,8 @@ static inline void touch_start_cells(touch_cells *cells, const touch_cell_box *b
     cells->table_shift = 64 - bits, cells->table_offset = (int64_t)sizeof *cells;
     cells->supported_offset = cells->table_offset + ((int64_t)16 << bits);
     cells->samples_offset = cells->supported_offset + (int64_t)(8 * TOUCH_SIDE * bricks);
+    uint64_t end = (uint64_t)cells->samples_offset + sizeof(float) * TOUCH_NEXT_BRICK * bricks;
+    memset((char *)cells + end, 0, (size_t)(touch_cells_room(bricks) - end));
 }
 
 /* The first brick of a field that is at or behind a brick of cells, as its `corner`. */

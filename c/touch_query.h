@@ -76,6 +76,9 @@ TOUCH_INLINE touch_vector touch_between(touch_vector before, touch_vector after,
     return touch_add_scaled(before, blend, touch_subtract(after, before));
 }
 
+/* Whether a body has a pose; else its axes are those of the scene, and its surface does not move. */
+TOUCH_INLINE int touch_is_moved(const touch_body_pair *b) { return !(b->before->is_identity & b->after->is_identity); }
+
 /* From the body's origin to a point, metres, in the axes of the scene. */
 TOUCH_INLINE touch_vector touch_arm_of(const touch_body_pair *b, double blend, touch_vector point_m) {
     return touch_subtract(point_m, touch_between(b->before->position_m, b->after->position_m, blend));
@@ -143,15 +146,18 @@ TOUCH_INLINE touch_vector touch_add_cell_force(touch_vector total, double weight
     return found.corner ? touch_add_scaled(total, weight, touch_cell_force(found)) : total;
 }
 
+/* The force of a body's cells at a point in its own axes. */
+TOUCH_INLINE touch_vector touch_own_force(const touch_body_pair *b, double blend, touch_vector p) {
+    if (b->cells_before == b->cells_after) return touch_add_cell_force(touch_zero(), 1.0, b->cells_before, p);
+    touch_vector force = touch_add_cell_force(touch_zero(), 1.0 - blend, b->cells_before, p);
+    return touch_add_cell_force(force, blend, b->cells_after, p);
+}
+
 /* The force of a body at an arm from its origin, in the axes of the scene, without what its motion adds. */
 TOUCH_INLINE touch_vector touch_body_force(const touch_body_pair *b, double blend, touch_vector arm_m) {
-    int is_one_field = b->cells_before == b->cells_after;
-    int is_rotated = !(b->before->is_identity & b->after->is_identity);
-    touch_matrix r = b->before->rotation;
-    if (is_rotated) r = touch_pair_rotation(b, blend), arm_m = touch_rotate_back(&r, arm_m);
-    touch_vector force = touch_add_cell_force(touch_zero(), is_one_field ? 1.0 : 1.0 - blend, b->cells_before, arm_m);
-    if (!is_one_field) force = touch_add_cell_force(force, blend, b->cells_after, arm_m);
-    return is_rotated ? touch_rotate(&r, force) : force;
+    if (!touch_is_moved(b)) return touch_own_force(b, blend, arm_m);
+    touch_matrix r = touch_pair_rotation(b, blend);
+    return touch_rotate(&r, touch_own_force(b, blend, touch_rotate_back(&r, arm_m)));
 }
 
 /* The sum over the bodies as the frames have them, without their deformation. */
@@ -160,11 +166,14 @@ TOUCH_INLINE touch_vector touch_stored_force(const touch_instant *t, touch_vecto
     int64_t count = touch_body_count(t);
     for (int64_t n = 0; n < count; n++) {
         touch_body_pair b = touch_pair_of(t, n);
-        touch_vector arm_m = touch_arm_of(&b, t->blend, point_m);
-        if (touch_is_far(&b, arm_m)) continue;
+        touch_vector arm_m = point_m;
+        int is_moved = touch_is_moved(&b);
+        if (is_moved) arm_m = touch_arm_of(&b, t->blend, point_m);
+        if (is_moved && touch_is_far(&b, arm_m)) continue;
         touch_vector force = touch_body_force(&b, t->blend, arm_m);
-        if (touch_dot(force, force) > t->before->force_floor2_n2)
-            total = touch_add(touch_add(total, force), touch_motion_force(&b, t->blend, arm_m));
+        if (!(touch_dot(force, force) > t->before->force_floor2_n2)) continue;
+        total = touch_add(total, force);
+        if (is_moved) total = touch_add(total, touch_motion_force(&b, t->blend, arm_m));
     }
     return touch_clipped(total, t->before->force_max_n);
 }

@@ -9,24 +9,23 @@ enum { TOUCH_SLOPE_BINS = 400, TOUCH_SLOPE_BINS_PER_DOUBLING = 20 };
 
 /* The mean of the eight corners of a cell, and by how much it grows along x, y and z, a sample each. */
 TOUCH_INLINE double touch_cell_slope(const float *corner, touch_vector *slope) {
-    double total = 0.0;
-    *slope = touch_zero();
-    for (int c = 0; c < 8; c++) {
-        double value = corner[TOUCH_NEXT_X * (c >> 2) + TOUCH_NEXT_Y * (c >> 1 & 1) + TOUCH_NEXT_Z * (c & 1)];
-        total += value;
-        slope->x += c & 4 ? value : -value, slope->y += c & 2 ? value : -value, slope->z += c & 1 ? value : -value;
+    double sum[4], along_z[4]; /* of the two corners along z; of x and y: lower lower, lower upper, upper lower, upper upper */
+    for (int c = 0; c < 4; c++) {
+        const float *lower = corner + TOUCH_NEXT_X * (c >> 1) + TOUCH_NEXT_Y * (c & 1), *upper = lower + TOUCH_NEXT_Z;
+        sum[c] = (double)*upper + (double)*lower, along_z[c] = (double)*upper - (double)*lower;
     }
-    *slope = touch_vector_of(slope->x / 4.0, slope->y / 4.0, slope->z / 4.0);
-    return total / 8.0;
+    double lower = sum[0] + sum[1], upper = sum[2] + sum[3];
+    slope->x = (upper - lower) / 4.0, slope->y = ((sum[1] - sum[0]) + (sum[3] - sum[2])) / 4.0;
+    slope->z = ((along_z[0] + along_z[1]) + (along_z[2] + along_z[3])) / 4.0;
+    return (lower + upper) / 8.0;
 }
 
 /* Add to `counts` the cells whose force grows against its own direction, N/m, in the middle of each cell. */
 static inline void touch_count_slopes(const float *samples, const uint64_t *supported, int64_t bricks,
                                       touch_vector samples_per_m, int64_t counts[TOUCH_SLOPE_BINS]) {
     for (int64_t n = 0; n < 512 * bricks; n++) {
-        int64_t index = n >> 9, i = n >> 6 & 7, j = n >> 3 & 7, k = n & 7;
-        if (!touch_is_supported(supported, index, i, j, k)) continue;
-        const float *corner = samples + touch_corner_of(index, i, j, k);
+        if (!(supported[n >> 6] >> (n & 63) & 1)) continue;
+        const float *corner = samples + touch_corner_of(n >> 9, n >> 6, n >> 3, n);
         touch_vector slope[3], force;
         force.x = touch_cell_slope(corner, slope), force.y = touch_cell_slope(corner + 1, slope + 1);
         force.z = touch_cell_slope(corner + 2, slope + 2);

@@ -15,7 +15,7 @@
 static inline touch_vector touch_tool_force(const touch_receiver *receiver, const touch_instant *t, touch_vector point_m,
                                             touch_vector *torque_nm);
 
-enum { TOUCH_TOOL_BLOCK = 512 }; /* points at a time */
+enum { TOUCH_TOOL_BLOCK = 512, TOUCH_TOOL_LANES = 16 }; /* points at a time; sums at a time */
 
 typedef struct { /* a vector for each point of a block, by component */
     float x[TOUCH_TOOL_BLOCK], y[TOUCH_TOOL_BLOCK], z[TOUCH_TOOL_BLOCK];
@@ -37,49 +37,52 @@ TOUCH_INLINE touch_float_vector touch_float_of(touch_vector v) {
     return f;
 }
 
-/* One component between the eight corners of a cell, as touch_interpolate. */
-TOUCH_INLINE float touch_interpolate_float(const float *corner, float x, float y, float z) {
-    float a = corner[0], b = corner[TOUCH_NEXT_Y], c = corner[TOUCH_NEXT_X], d = corner[TOUCH_NEXT_X + TOUCH_NEXT_Y];
-    a += z * (corner[TOUCH_NEXT_Z] - a);
-    b += z * (corner[TOUCH_NEXT_Y + TOUCH_NEXT_Z] - b);
-    c += z * (corner[TOUCH_NEXT_X + TOUCH_NEXT_Z] - c);
-    d += z * (corner[TOUCH_NEXT_X + TOUCH_NEXT_Y + TOUCH_NEXT_Z] - d);
-    a += y * (b - a);
-    c += y * (d - c);
-    return a + x * (c - a);
-}
+typedef struct { /* where the points of a block lie in cells */
+    int32_t brick[TOUCH_TOOL_BLOCK];  /* its number; -1: outside of the box */
+    int32_t cell[TOUCH_TOOL_BLOCK];   /* 64 i + 8 j + k within the brick */
+    int32_t corner[TOUCH_TOOL_BLOCK]; /* of the cell, floats from the first sample of the brick */
+    touch_tool_vectors fraction;      /* of the way through the cell */
+} touch_tool_cells;
 
-/* Positions of the points in samples of cells: row . point + start. */
-static inline void touch_place_tool(const touch_tool_points *p, const touch_float_vector row[3], touch_float_vector start,
-                                    touch_tool_vectors *__restrict position) {
+/* Find the points in cells: row . point + start, in samples; 0: none is in the box. */
+static inline int touch_locate_tool(const touch_cells *cells, const touch_tool_points *p, const touch_float_vector row[3],
+                                    touch_float_vector start, touch_tool_cells *__restrict out) {
     const float *__restrict px = p->x, *__restrict py = p->y, *__restrict pz = p->z;
+    int32_t ny = (int32_t)cells->brick_count[1], nz = (int32_t)cells->brick_count[2];
+    float high_x = (float)(8 * cells->brick_count[0]), high_y = (float)(8 * ny), high_z = (float)(8 * nz);
+    int is_any_in_box = 0;
     for (int n = 0; n < p->count; n++) {
-        position->x[n] = start.x + row[0].x * px[n] + row[0].y * py[n] + row[0].z * pz[n];
-        position->y[n] = start.y + row[1].x * px[n] + row[1].y * py[n] + row[1].z * pz[n];
-        position->z[n] = start.z + row[2].x * px[n] + row[2].y * py[n] + row[2].z * pz[n];
+        float x = start.x + row[0].x * px[n] + row[0].y * py[n] + row[0].z * pz[n];
+        float y = start.y + row[1].x * px[n] + row[1].y * py[n] + row[1].z * pz[n];
+        float z = start.z + row[2].x * px[n] + row[2].y * py[n] + row[2].z * pz[n];
+        int is_in_box = (x >= 0.0f) & (y >= 0.0f) & (z >= 0.0f) & (x < high_x) & (y < high_y) & (z < high_z);
+        is_any_in_box |= is_in_box;
+        x = is_in_box ? x : 0.0f, y = is_in_box ? y : 0.0f, z = is_in_box ? z : 0.0f;
+        int32_t i = (int32_t)x, j = (int32_t)y, k = (int32_t)z;
+        out->brick[n] = is_in_box ? ((i >> 3) * ny + (j >> 3)) * nz + (k >> 3) : -1;
+        out->cell[n] = (i & 7) << 6 | (j & 7) << 3 | (k & 7);
+        out->corner[n] = (i & 7) * TOUCH_NEXT_X + (j & 7) * TOUCH_NEXT_Y + (k & 7) * TOUCH_NEXT_Z;
+        out->fraction.x[n] = x - (float)i, out->fraction.y[n] = y - (float)j, out->fraction.z[n] = z - (float)k;
     }
+    return is_any_in_box;
 }
 
-/* Add `weight` times the force of cells at positions in its samples. */
-static inline void touch_add_tool_samples(const touch_cells *cells, float weight, int count,
-                                          const touch_tool_vectors *__restrict position, touch_tool_vectors *__restrict force) {
+/* Add `weight` times the force at points in cells. */
+static inline void touch_add_tool_samples(const touch_cells *cells, float weight, int count, const touch_tool_cells *at,
+                                          touch_tool_vectors *__restrict force) {
     const int64_t *table = touch_table_of(cells);
     const uint64_t *supported = touch_supported_of(cells);
     const float *samples = touch_samples_of(cells);
-    int64_t ny = cells->brick_count[1], nz = cells->brick_count[2], brick = -1, index = -1;
-    float high_x = (float)(8 * cells->brick_count[0]), high_y = (float)(8 * ny), high_z = (float)(8 * nz);
+    int64_t index = -1;
+    int32_t brick = -1;
+    float own_n[3];
     for (int n = 0; n < count; n++) {
-        float x = position->x[n], y = position->y[n], z = position->z[n];
-        if (!(x >= 0.0f && y >= 0.0f && z >= 0.0f && x < high_x && y < high_y && z < high_z)) continue;
-        int32_t i = (int32_t)x, j = (int32_t)y, k = (int32_t)z;
-        int64_t own = ((int64_t)(i >> 3) * ny + (j >> 3)) * nz + (k >> 3);
-        if (own != brick) brick = own, index = touch_find_brick(table, cells->table_shift, own);
-        if (index < 0 || !touch_is_supported(supported, index, i, j, k)) continue;
-        const float *corner = samples + touch_corner_of(index, i, j, k);
-        x -= (float)i, y -= (float)j, z -= (float)k;
-        force->x[n] += weight * touch_interpolate_float(corner, x, y, z);
-        force->y[n] += weight * touch_interpolate_float(corner + 1, x, y, z);
-        force->z[n] += weight * touch_interpolate_float(corner + 2, x, y, z);
+        if (at->brick[n] < 0) continue;
+        if (at->brick[n] != brick) brick = at->brick[n], index = touch_find_brick(table, cells->table_shift, brick);
+        if (index < 0 || !(supported[8 * index + (at->cell[n] >> 6)] >> (at->cell[n] & 63) & 1)) continue;
+        const float *corner = samples + index * TOUCH_NEXT_BRICK + at->corner[n];
+        touch_interpolate_float(corner, at->fraction.x[n], at->fraction.y[n], at->fraction.z[n], own_n);
+        force->x[n] += weight * own_n[0], force->y[n] += weight * own_n[1], force->z[n] += weight * own_n[2];
     }
 }
 
@@ -114,13 +117,21 @@ static inline void touch_weight_tool(const touch_tool_points *p, float limit_n, 
 /* Add the sum of forces, and that of point x force. */
 static inline void touch_sum_tool(const touch_tool_points *p, const touch_tool_vectors *__restrict force, touch_vector *total_n,
                                   touch_vector *torque_nm) {
-    touch_vector sum = touch_zero(), torque = touch_zero();
-    for (int n = 0; n < p->count; n++) {
-        touch_vector point = touch_vector_of((double)p->x[n], (double)p->y[n], (double)p->z[n]);
-        touch_vector f = touch_vector_of((double)force->x[n], (double)force->y[n], (double)force->z[n]);
-        sum = touch_add(sum, f), torque = touch_add(torque, touch_cross(point, f));
+    float sum[6][TOUCH_TOOL_LANES] = {{0.0f}}; /* many at once, and with less rounding than one after the other */
+    for (int n = 0; n < p->count; n += TOUCH_TOOL_LANES) {
+        int lanes = p->count - n < TOUCH_TOOL_LANES ? p->count - n : (int)TOUCH_TOOL_LANES;
+        for (int l = 0; l < lanes; l++) {
+            float x = force->x[n + l], y = force->y[n + l], z = force->z[n + l];
+            sum[0][l] += x, sum[1][l] += y, sum[2][l] += z;
+            sum[3][l] += p->y[n + l] * z - p->z[n + l] * y;
+            sum[4][l] += p->z[n + l] * x - p->x[n + l] * z;
+            sum[5][l] += p->x[n + l] * y - p->y[n + l] * x;
+        }
     }
-    *total_n = touch_add(*total_n, sum), *torque_nm = touch_add(*torque_nm, torque);
+    for (int l = 0; l < TOUCH_TOOL_LANES; l++) {
+        *total_n = touch_add(*total_n, touch_vector_of((double)sum[0][l], (double)sum[1][l], (double)sum[2][l]));
+        *torque_nm = touch_add(*torque_nm, touch_vector_of((double)sum[3][l], (double)sum[4][l], (double)sum[5][l]));
+    }
 }
 
 typedef struct { /* how the tool lies in the axes of a body */
@@ -128,18 +139,19 @@ typedef struct { /* how the tool lies in the axes of a body */
     touch_vector origin_m; /* the device's point */
 } touch_tool_pose;
 
-/* Add `weight` times the force of cells at points of the tool. */
-static inline void touch_add_tool_cells(const touch_cells *cells, double weight, const touch_tool_pose *pose,
-                                        const touch_tool_points *p, touch_tool_vectors *force) {
-    touch_tool_vectors position;
+/* Add `weight` times the force of cells at points of the tool; 0: none is in their box. */
+static inline int touch_add_tool_cells(const touch_cells *cells, double weight, const touch_tool_pose *pose,
+                                       const touch_tool_points *p, touch_tool_vectors *force) {
+    touch_tool_cells at;
     touch_float_vector row[3];
     touch_vector per_m = cells->samples_per_m, from_corner_m = touch_subtract(pose->origin_m, cells->corner_m);
     touch_vector start = {per_m.x * from_corner_m.x, per_m.y * from_corner_m.y, per_m.z * from_corner_m.z};
     row[0] = touch_float_of(touch_scale(per_m.x, pose->rotation.row[0]));
     row[1] = touch_float_of(touch_scale(per_m.y, pose->rotation.row[1]));
     row[2] = touch_float_of(touch_scale(per_m.z, pose->rotation.row[2]));
-    touch_place_tool(p, row, touch_float_of(start), &position);
-    touch_add_tool_samples(cells, (float)weight, p->count, &position, force);
+    if (!touch_locate_tool(cells, p, row, touch_float_of(start), &at)) return 0;
+    touch_add_tool_samples(cells, (float)weight, p->count, &at, force);
+    return 1;
 }
 
 /* Add the force of one body at points of the tool to `total`, in the tool's axes. */
@@ -161,8 +173,9 @@ static inline void touch_add_tool_body(const touch_receiver *receiver, const tou
     pose.rotation = touch_transposed(&tool_from_body), pose.origin_m = touch_rotate_back(&r, arm_m);
     memset(&force, 0, sizeof force);
     int is_one_field = b->cells_before == b->cells_after;
-    touch_add_tool_cells(b->cells_before, is_one_field ? 1.0 : 1.0 - blend, &pose, p, &force);
-    if (!is_one_field) touch_add_tool_cells(b->cells_after, blend, &pose, p, &force);
+    int is_reached = touch_add_tool_cells(b->cells_before, is_one_field ? 1.0 : 1.0 - blend, &pose, p, &force);
+    if (!is_one_field) is_reached |= touch_add_tool_cells(b->cells_after, blend, &pose, p, &force);
+    if (!is_reached) return;
     touch_vector shift = touch_rotate_back(field_from_tool, touch_damping_shift(b, blend));
     touch_vector spin = touch_rotate_back(field_from_tool, touch_damping_spin(b, blend));
     shift = touch_add(shift, touch_cross(spin, touch_rotate_back(field_from_tool, arm_m)));

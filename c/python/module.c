@@ -5,6 +5,7 @@
    threads run while C works. The module uses CPython's stable ABI only, so that one binary serves every version from 3.11
    on. Each header ends with the list of its functions. */
 #include "arguments.h"
+#include "fields.h"
 #include "hand.h"
 #include "parts.h"
 #include "query.h"
@@ -15,6 +16,7 @@ static PyMethodDef methods[] = {
     SEGMENTS_METHODS,
     PARTS_METHODS,
     QUERY_METHODS,
+    FIELDS_METHODS,
     RECEIVER_METHODS,
     HAND_METHODS,
     {NULL, NULL, 0, NULL},

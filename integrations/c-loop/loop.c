@@ -3,10 +3,10 @@
 
        loop [-s SECONDS] [-p PEAK_N] [-m FRICTION] [-k WALL] [-x SPEED] [-l] [-t] [-i] FILE.touch
 
-   -s how long (2); -p the greatest force of the device (what the medium states); -m friction (the medium's); -k the
-   stiffness of walls, N/m (the medium's); -x how fast the medium plays (1); -l it plays again and again; -t simulated time: as fast as possible, and each frame is waited for; -i the
-   hand is read, a line `x y z` in metres for each tick, else it is simulated. At the end each tick is printed: media time,
-   position and force; and to stderr how late the loop was at worst.
+   -s how long (2); -p the greatest force of the device (what the medium states); -m friction (the medium's); -k the stiffness
+   of walls, N/m (the medium's); -x how fast the medium plays (1); -l it plays again and again; -t simulated time: as fast as
+   possible, and each frame is waited for; -i the hand is read, a line `x y z` in metres for each tick, else it is simulated.
+   At the end each tick is printed: media time, position and force; and to stderr how late the loop was at worst.
 
    The loop never waits for another thread and never allocates. */
 #define _POSIX_C_SOURCE 200809L
@@ -146,7 +146,7 @@ int main(int count, char **words) {
     loop_options options = {0, 0, 0, 0, 0, 0, 0, 0};
     pthread_t decoder;
     if (!read_options(count, words, &options))
-        return fprintf(stderr, "loop [-s SECONDS] [-p PEAK_N] [-m FRICTION] [-k WALL] [-x SPEED] [-l] [-t] [-i] FILE.touch\n"), 64;
+        return fputs("loop [-s SECONDS] [-p PEAK_N] [-m FRICTION] [-k WALL] [-x SPEED] [-l] [-t] [-i] FILE.touch\n", stderr), 64;
     int code = prepare(words[optind], &options);
     if (code) return code;
     int64_t ticks = (int64_t)(options.seconds * 1000 + 0.5);

@@ -2,10 +2,10 @@
 ``c/touch_encode.h``). Python code of the package calls them to encode and decode segments.
 
 Arrays are C-contiguous buffers of the given dtype and shape; results are bytes. Every function releases the
-GIL while C works, and holds no state but in the objects that it returns, each of which one thread uses at a
-time. One that fails raises ValueError with two arguments: a code of ``touch.h`` (2 truncated, 3 corrupt, 4 of
-another version, 5 out of memory, 6 an invalid argument, 8 more than a limit that the caller gives), and a
-text that says what is wrong.
+GIL while C works, unless stated otherwise, and holds no state but in the objects that it returns, each of
+which one thread uses at a time. One that fails raises ValueError with two arguments: a code of ``touch.h`` (2
+truncated, 3 corrupt, 4 of another version, 5 out of memory, 6 an invalid argument, 8 more than a limit that
+the caller gives), and a text that says what is wrong.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -13,7 +13,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-Buffer = bytes | NDArray[Any]
+Buffer = bytes | memoryview | NDArray[Any]
 Shape = tuple[int, int, int]
 Frame = tuple[Buffer, Buffer, Buffer | None]
 """Bricks int32 [n, 3], ascending; forces float32 [n, 8, 8, 8, 3], newtons; and the error that surrounding
@@ -97,3 +97,265 @@ def encode_poses(numbers: Buffer) -> bytes:
 
 def decode_poses(data: Buffer, count: int, quaternion_unit: int) -> bytes:
     """The inverse of `encode_poses`: int64 [count, 7]. `quaternion_unit` is the number of steps in 1."""
+
+# -- the receiver: memory is a `touch_receiver` (c/touch_receiver.h) and what lies behind it, a writable
+# buffer that is aligned to eight bytes. Functions of one tick or order take a microsecond and hold the GIL.
+# An offset of a frame is in bytes from the start of the memory; what lies there is not checked.
+
+Vector = tuple[float, float, float]
+
+def tick(
+    memory: Buffer, before: int, after: int, blend: float, x: float, y: float, z: float, dt_s: float
+) -> Vector:
+    """The force of a tick, newtons in the device's axes, for a device at x, y, z metres (`touch_tick`).
+
+    `before` and `after` are the offsets of the frames around this time, 0 for none.
+    """
+
+def release(memory: Buffer, dt_s: float) -> Vector:
+    """The next force on the way to zero, newtons (`touch_release`)."""
+
+def cycle(memory: Buffer, x: float, y: float, z: float, now_ns: int) -> Vector:
+    """The force at a time of the clock, newtons, with orders, media clock, log and counts
+    (`touch_receiver_tick`); the torque is in ``state.torque.output``."""
+
+def limited(memory: Buffer, x: float, y: float, z: float, dt_s: float) -> Vector:
+    """The force that the limits allow where one is wanted, newtons (`touch_limit_output`)."""
+
+def contact_force(
+    memory: Buffer, before: int, after: int, blend: float, x: float, y: float, z: float
+) -> tuple[float, float, float, float, float, float]:
+    """The force of the proxy on a hand at x, y, z metres, newtons, and what friction adds
+    (`touch_contact_force`)."""
+
+def give_order(
+    memory: Buffer, generation: int, start_s: float, speed: float, mode: int, is_stopping: int
+) -> None:
+    """Write an order of the player (`touch_give_order`)."""
+
+def publish(memory: Buffer, generation: int, unrolled_frame: int, offset: int) -> None:
+    """Show a frame that is written at an offset (`touch_publish`)."""
+
+def unrolled_frame(media_s: float, rate_hz: float) -> int:
+    """The frame at a media time, counted on in a loop (`touch_unrolled_frame`)."""
+
+def receiver_layout() -> list[tuple[str, int]]:
+    """Version of the receiver's memory, sizes of its structs and offsets of their members, bytes."""
+
+def openhaptics_callback() -> tuple[int, int, int]:
+    """Addresses of `touch_openhaptics_callback` and `touch_receiver_tick`; the size of a `touch_driver`."""
+
+# -- fields in bricks
+
+def sample_field(index: Buffer, shape: Shape, keys: Buffer, forces: Buffer, out: Buffer) -> None:
+    """Interpolate at positions float64 [m, 3], in samples: newtons, float32 [m, 3], to `out`.
+
+    `keys` int64 [n] are those of the bricks, ascending, of `forces` float32 [n, 8, 8, 8, 3].
+    """
+
+def raster_slots(bricks: Buffer, mask: Buffer, out: Buffer) -> None:
+    """Write the indices of the set samples of `mask`, uint8 [n, 512], in raster order, to `out`, int64 [L].
+
+    `bricks` are int32 [n, 3], ascending.
+    """
+
+# -- the simulated hand: `times_s` float64 [n], ascending; `state` float64 [10]: time, position, velocity and
+# force
+
+def follow(times_s: Buffer, positions_m: Buffer, state: Buffer, dt_s: float) -> None:
+    """Move a hand along a trajectory float64 [n, 3], whatever the force."""
+
+def spring(
+    times_s: Buffer,
+    positions_m: Buffer,
+    state: Buffer,
+    mass_kg: float,
+    stiffness_n_per_m: float,
+    damping_n_s_per_m: float,
+    dt_s: float,
+) -> None:
+    """Move a mass that a spring pulls and the force pushes: m a = k (target - x) - b v + F."""
+
+def interpolate_orientation(times_s: Buffer, quaternions: Buffer, out: Buffer, time_s: float) -> None:
+    """Write the orientation at a time to `out`, float64 [4]: along the shorter arc, of length 1."""
+
+# -- queries of a field (c/touch_query.h): `memory`, `before` and `after` as above; `blend` is how far an
+# instant lies between the two frames, 0 to 1
+
+def force_at(
+    memory: Buffer, before: int, after: int, blend: float, x: float, y: float, z: float
+) -> tuple[float, float, float]:
+    """The force at a point, metres, in newtons; zero where the point is not finite. Holds the GIL."""
+
+def vibration_at(
+    memory: Buffer, before: int, after: int, blend: float, x: float, y: float, z: float
+) -> tuple[float, float]:
+    """The amplitude, newtons, and frequency, hertz, of the vibration at a point. Holds the GIL."""
+
+def strongest_body(
+    memory: Buffer, before: int, after: int, blend: float, x: float, y: float, z: float
+) -> int:
+    """The index of the body that pushes most at a point; -1 if there is none. Holds the GIL."""
+
+def tool_force(
+    memory: Buffer, before: int, after: int, blend: float, x: float, y: float, z: float
+) -> tuple[float, float, float, float, float, float]:
+    """Force, N, and torque, N m, on the receiver's tool with the device's point at a point. Holds the GIL."""
+
+def forces_at(
+    start: int,
+    stop: int,
+    memory: Buffer,
+    before: int,
+    after: int,
+    points: Buffer,
+    blends: Buffer,
+    out: Buffer,
+) -> None:
+    """Write forces, float32 [n, 3], at the points of a range of float64 [n, 3]; `blends` are float64 [n] or
+    [1]."""
+
+def gradients_at(
+    start: int,
+    stop: int,
+    memory: Buffer,
+    before: int,
+    after: int,
+    points: Buffer,
+    blends: Buffer,
+    out: Buffer,
+) -> None:
+    """As `forces_at`, dF_i/dx_j, N/m, float64 [n, 3, 3]; zero where a point is not finite."""
+
+def vibrations_at(
+    start: int,
+    stop: int,
+    memory: Buffer,
+    before: int,
+    after: int,
+    points: Buffer,
+    blends: Buffer,
+    out: Buffer,
+) -> None:
+    """As `forces_at`, amplitude, N, and frequency, Hz, float32 [n, 2]."""
+
+def cell_forces(
+    start: int,
+    stop: int,
+    memory: Buffer,
+    cells: int,
+    weight: float,
+    is_first: bool,
+    points: Buffer,
+    out: Buffer,
+) -> None:
+    """Write `weight` times the forces of one field, float32 [n, 3], at the points of a range of float64 or
+    float32 [n, 3]; unless `is_first`, add it. `cells` is the offset of the field."""
+
+# -- cells (c/touch_cells.h)
+
+def find_cells(
+    bricks: Buffer, forces: Buffer, paired_bricks: Buffer | None, paired_forces: Buffer | None
+) -> tuple[bytes, Shape, Shape, int]:
+    """The bricks of cells that a field needs, or either of two fields.
+
+    Returns the bricks, int32 [n, 3], ascending and counted from the corner of their box; that corner, as a
+    brick of the field; the number of bricks of the box along x, y and z; and the bytes that the cells take.
+    Bricks int32 [m, 3] are ascending, forces float32 [m, 8, 8, 8, 3].
+    """
+
+def start_cells(
+    memory: Buffer,
+    corner: Shape,
+    box: Shape,
+    cell_bricks: Buffer,
+    spacing_m: tuple[float, float, float],
+    origin_m: tuple[float, float, float],
+) -> tuple[tuple[float, float, float], int, int, int, int]:
+    """Write the header and the hash table of cells.
+
+    Returns the position of the box, metres, 64 minus the bits of an index of the table, and the offsets of
+    table, supports and samples.
+    """
+
+def fill_cells(
+    start: int, stop: int, memory: Buffer, corner: Shape, cell_bricks: Buffer, bricks: Buffer, forces: Buffer
+) -> None:
+    """Write the samples and supports of a range of the bricks of cells."""
+
+# -- a scene of objects at their poses (c/touch_placed.h)
+
+Objects = tuple[Buffer, Buffer, Buffer, Buffer, Buffer, float, float]
+"""Boxes int64 [n, 5], placements float64 [n, 33], tables int64 [m, 2], cells float32 [b, 9, 9, 9, 3] and
+supports uint64 [b, 8] (`CellPool`); the force of an object that counts as none, and the limit of the sum,
+newtons."""
+Lattice = tuple[tuple[float, float, float], tuple[float, float, float], Shape]
+"""Position of the first sample, spacing, metres, and shape."""
+
+def place_objects(poses: Buffer, lattices: Buffer, motions: Buffer, out: Buffer) -> None:
+    """Write the placements, float64 [n, 33], of objects.
+
+    `poses` float64 [n, 7] are a unit quaternion, w first, and a position; `lattices` [n, 6] spacing and
+    corner; `motions` [n, 6] velocity and angular velocity times surface damping.
+    """
+
+def placed_at_points(start: int, stop: int, points: Buffer, objects: Objects, out: Buffer) -> None:
+    """Write the forces of objects, float32 [n, 3], at the points of a range of float64 [n, 3]."""
+
+def find_reached(
+    lattice: Lattice,
+    objects: Objects,
+    starts: Buffer,
+    bricks: Buffer,
+    stamps: Buffer,
+    max_pairs: int,
+    pairs: Buffer,
+) -> int:
+    """Find the bricks of a lattice that each object may reach, and write pairs of brick and object, int64 [m,
+    2], objects ascending.
+
+    Returns the number of pairs; -1 if there are more than `max_pairs`; -2 if there are more than `pairs` has.
+    `bricks` int32 [b, 3] are those of the cells, `starts` int64 [n + 1] where those of an object start, and
+    `stamps` a zero, int32, for each brick of the lattice.
+    """
+
+def fill_lattice(
+    start: int,
+    stop: int,
+    bricks: Buffer,
+    starts: Buffer,
+    object_indices: Buffer,
+    lattice: Lattice,
+    objects: Objects,
+    forces: Buffer,
+    has_force: Buffer,
+) -> None:
+    """Write the forces of objects on a range of bricks of a lattice, int32 [n, 3], and whether each has one.
+
+    Brick s gets the objects ``object_indices[starts[s]:starts[s + 1]]``. `forces`, float32 [n, 8, 8, 8, 3],
+    is initially zero.
+    """
+
+def count_slopes(
+    cells: Buffer, supported: Buffer, samples_per_m: tuple[float, float, float], counts: Buffer
+) -> None:
+    """Add to a histogram, int64 [400], the slope of the force against its own direction in each cell
+    (c/touch_slopes.h)."""
+
+def blend_bricks(
+    start: int,
+    stop: int,
+    slots: Buffer,
+    before: Buffer,
+    after: Buffer,
+    weight: float,
+    k: float,
+    f0_n: float,
+    out: Buffer,
+    has_force: Buffer,
+) -> None:
+    """Write a range of blended bricks, float32 [n, 8, 8, 8, 3], and whether one has a force
+    (c/touch_segment_blend.h).
+
+    `slots` int64 [2, n] are indices in `before` and `after`, -1 for a brick that is missing.
+    """

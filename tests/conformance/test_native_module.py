@@ -63,7 +63,8 @@ LAYOUT = """
 int main(void) {{
     PyModuleDef empty = {{PyModuleDef_HEAD_INIT, "m", NULL, -1, NULL, NULL, NULL, NULL, NULL}};
     printf("%zu %zu %zu\\n", sizeof empty, sizeof(PyMethodDef), sizeof(Py_buffer));
-    printf("%d %d %d\\n", METH_VARARGS, METH_O, PyBUF_SIMPLE);
+    printf("%d %d %d %d\\n", METH_VARARGS, METH_O, METH_NOARGS, METH_FASTCALL);
+    printf("%d %d\\n", PyBUF_SIMPLE, PyBUF_WRITABLE);
     FIELD(PyModuleDef, m_name); FIELD(PyModuleDef, m_doc); FIELD(PyModuleDef, m_size);
     FIELD(PyModuleDef, m_methods); FIELD(PyModuleDef, m_slots); FIELD(PyModuleDef, m_free);
     FIELD(PyMethodDef, ml_name); FIELD(PyMethodDef, ml_meth); FIELD(PyMethodDef, ml_flags);

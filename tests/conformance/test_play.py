@@ -132,7 +132,7 @@ def test_forces_are_those_of_the_python_player(program: Path, tmp_path: Path, na
 
 
 def press(thickness_m: float, count: int = 1500) -> Any:
-    """A hand that goes from 5 mm above a plate to 2 mm below its surface, and rests there, float64 [count, 3]."""
+    """A hand that goes from 5 mm above a plate to 2 mm below its surface and rests, float64 [count, 3]."""
     surface_m = thickness_m / 2
     height_m = np.interp(
         np.arange(count), [0, 300, count], [surface_m + 0.005, surface_m - 0.002, surface_m - 0.002]

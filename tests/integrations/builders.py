@@ -114,7 +114,8 @@ def player_forces(
 
     The positions differ from the given ones in their last digits: the simulated hand adds up its time.
 
-    The device states its greatest force alone: that of the medium, or `peak_n`. `options` are of `RenderSpec`.
+    The device states its greatest force alone: that of the medium, or `peak_n`. `options` are those of
+    `RenderSpec`.
     """
     with tf.open_stream(path) as stream:
         medium = stream.scene or stream.medium
@@ -151,7 +152,7 @@ def make_plate(path: Path) -> Path:
 
 
 def press_plate(count: int = 1000) -> np.ndarray:
-    """A hand that goes from 5 mm above that plate to 2 mm below its surface, where it rests, float64 [count, 3]."""
+    """A hand that goes from 5 mm above that plate to 2 mm below its surface and rests, float64 [count, 3]."""
     height_m = np.interp(np.arange(count), [0, 300, count], [0.006, -0.001, -0.001])
     return np.stack([np.full(count, 0.004), np.full(count, 0.003), height_m], axis=1)
 

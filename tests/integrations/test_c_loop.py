@@ -46,7 +46,7 @@ def run_loop(loop: Path, path: Path, *options: object, points: np.ndarray | None
 
 
 def slow_way(name: str, count: int) -> np.ndarray:
-    """A polygon through some points of the medium, between which it returns to the middle, float64 [count, 3]."""
+    """A polygon through points of the medium that returns to the middle after each, float64 [count, 3]."""
     corners = some_points(name, count // 50 + 2)
     corners[1::2] = some_points(name, 1000).mean(axis=0)
     at = np.linspace(0, len(corners) - 1, count)

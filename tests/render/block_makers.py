@@ -9,32 +9,32 @@ import numpy as np
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.cells import CellPool
 from touchfield.render.block import Memory
-from touchfield.render.block.frames import FramePart, field_words, frame_words, write_field, write_frame
+from touchfield.render.block.frames import FramePart, field_bytes, frame_bytes, write_field, write_frame
 
 
 class Block:
     """A block filled from front to back."""
 
-    def __init__(self, word_count: int = 400_000) -> None:
-        self.memory = Memory.empty(word_count)
-        self.top = 8
+    def __init__(self, size_bytes: int = 3_200_000) -> None:
+        self.memory = Memory.empty(size_bytes)
+        self.top = 64
 
     def field(self, field: ForceField) -> int:
-        """Write a field; return its address."""
+        """Write a field; return its offset."""
         pool, at = CellPool.of(field), self.top
         write_field(self.memory, at, pool)
-        self.top += field_words(pool)
+        self.top += field_bytes(pool)
         return at
 
     def frame(self, parts: Sequence[FramePart], force_max_n: float = np.inf, vibration_at: int = 0) -> int:
-        """Write a frame; return its address."""
+        """Write a frame; return its offset."""
         at = self.top
         write_frame(self.memory, at, parts, force_max_n, vibration_at)
-        self.top += frame_words(len(parts))
+        self.top += frame_bytes(len(parts))
         return at
 
     def voxels(self, field: ForceField) -> int:
-        """Write a field and its frame of voxels; return the address of the frame."""
+        """Write a field and its frame of voxels; return the offset of the frame."""
         return self.frame([FramePart.voxels(self.field(field))])
 
 

@@ -132,6 +132,6 @@ def laid_out(
 ) -> tuple[Session, Memory]:
     """A session and its block within this process, not yet fed."""
     session = Session(medium, OMNI, RenderSpec() if spec is None else spec, **options)  # type: ignore[arg-type]
-    memory = Memory.empty(session.layout.words)
+    memory = Memory.empty(session.layout.size_bytes)
     session.set_up(memory)
     return session, memory

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
 from receiver_values import value_of
+
 from touchfield.compute.native import native
 from touchfield.devices import device
 from touchfield.medium import ForceField
@@ -67,7 +67,10 @@ class Held:
         assert wall is not None
         self.wall = wall if stiffness is None else replace(wall, stiffness_n_per_m=stiffness)
         if is_proxy:
-            settings["wall_n_per_m"], settings["wall_level_n"] = self.wall.stiffness_n_per_m, self.wall.level_n
+            settings["wall_n_per_m"], settings["wall_level_n"] = (
+                self.wall.stiffness_n_per_m,
+                self.wall.level_n,
+            )
             spacing = (min(wall.spacing_m),) * 3 if poses else wall.spacing_m
             settings["wall_spacing_m"] = spacing
         self.at = 0.0

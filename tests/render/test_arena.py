@@ -10,40 +10,53 @@ from player_makers import numbered_medium
 
 from touchfield.devices import device
 from touchfield.errors import InvalidArgument
-from touchfield.render.block import PREFIX, Block, Layout, Memory, Ring, check_fits, shared_folder, layout
+from touchfield.render.block import (
+    PREFIX,
+    Block,
+    Layout,
+    Memory,
+    Ring,
+    aligned,
+    check_fits,
+    layout,
+    shared_folder,
+)
 from touchfield.render.feeder import FrameSource, arena_bytes
 from touchfield.render.player import Session, ramp_limit_s
 from touchfield.render.spec import RenderSpec
 
+LINE = aligned(1)  # bytes of a cache line, where every frame starts
+
 
 @given(st.integers(20, 60), st.lists(st.tuples(st.integers(1, 25), st.integers(0, 3)), max_size=40))
-def test_allocations_never_overlap(word_count: int, turns: list[tuple[int, int]]) -> None:
-    ring, allocated = Ring(100, word_count), {}
+def test_allocations_never_overlap(line_count: int, turns: list[tuple[int, int]]) -> None:
+    ring, allocated = Ring(100, LINE * line_count), {}
     for frame, (size, stored_frames) in enumerate(turns):
         ring.free_before(frame - stored_frames)
         allocated = {n: piece for n, piece in allocated.items() if n >= frame - stored_frames}
+        size *= LINE
         at = ring.take(frame, size)
         if at is None:
-            assert allocated or size > word_count  # an empty ring accepts anything up to its size
+            assert allocated or size > LINE * line_count  # an empty ring accepts anything up to its size
             continue
-        assert at >= 100 and at + size <= 100 + word_count
+        assert at >= 100 and at + size <= 100 + LINE * line_count
         for other, length in allocated.values():
             assert at + size <= other or other + length <= at
         allocated[frame] = at, size
 
 
 def test_a_ring_of_three_frames_stores_two_for_ever() -> None:
-    ring = Ring(0, 30)
+    ring = Ring(0, 3 * LINE)
     for frame in range(50):
         ring.free_before(frame - 1)
-        assert ring.take(frame, 10) is not None
+        assert ring.take(frame, LINE) is not None
 
 
 def test_a_cleared_ring_is_empty() -> None:
-    ring = Ring(7, 10)
-    assert ring.take(0, 10) == 7 and ring.take(1, 1) is None
+    ring = Ring(7, LINE)
+    assert ring.take(0, LINE) == 7 and ring.take(1, 1) is None
     ring.clear()
-    assert ring.take(2, 10) == 7
+    assert ring.take(2, LINE) == 7
 
 
 def test_parts_of_the_block_are_contiguous() -> None:

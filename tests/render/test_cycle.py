@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from player_makers import RATE_HZ, frame_of, laid_out, numbered_medium
-
 from receiver_values import value_of
+
 from touchfield.compute.native import native
 from touchfield.medium import HapticMedium
-from touchfield.render.block import FLAGS, TickLog, statistics_of, layout
+from touchfield.render.block import FLAGS, TickLog, layout, statistics_of
 from touchfield.render.spec import RenderSpec
 
 TICK_NS = 1_000_000

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, strategies as st
 from player_makers import GRID, laid_out, numbered_field, numbered_medium
 
+from touchfield.compute.native import native
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
-from touchfield.compute.native import native
 from touchfield.render.block import Memory, aligned, layout
 from touchfield.render.feeder import Feeder, FrameSource
 from touchfield.render.player import Session
@@ -73,8 +73,8 @@ def test_one_frame_is_written_once() -> None:
 
 @given(st.lists(st.integers(0, 12), max_size=30), st.integers(3, 9))
 def test_needed_frames_are_never_overwritten(steps: list[int], frames_of_room: int) -> None:
-    word_count = FrameSource(numbered_medium()).prepare(0).word_count
-    session, memory = laid_out(numbered_medium(7), loop=True, memory_bytes=8 * word_count * frames_of_room)
+    size_bytes = aligned(FrameSource(numbered_medium()).prepare(0).size_bytes)
+    session, memory = laid_out(numbered_medium(7), loop=True, memory_bytes=size_bytes * frames_of_room)
     feeder = session.feeder(memory)
     run_dry(feeder)
     needed, is_stored = 0, lambda n: stored_force_z(session, memory, 1, n) == 0.5 + n % 7 / 64
@@ -225,9 +225,9 @@ def test_hopeless_frames_are_not_repeated() -> None:
 
 
 def test_a_frame_that_does_not_fit_is_one_clear_error() -> None:
-    word_count = FrameSource(numbered_medium()).prepare(0).word_count
+    size_bytes = FrameSource(numbered_medium()).prepare(0).size_bytes
     for factor, message in ((0.5, r"frame 0"), (1.5, r"room for two frames")):
-        session, memory = laid_out(numbered_medium(3), memory_bytes=8 * int(word_count * factor))
+        session, memory = laid_out(numbered_medium(3), memory_bytes=int(size_bytes * factor))
         feeder = session.feeder(memory)
         run_dry(feeder)
         assert isinstance(feeder.error, InvalidArgument)

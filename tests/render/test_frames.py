@@ -8,19 +8,23 @@ from block_makers import Block, some_field
 from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
+from touchfield.compute.native import native
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.cells import CellPool
 from touchfield.medium.medium import VibrationFrame
 from touchfield.render.block import Memory
-from touchfield.render.block.frames import FramePart, field_words, write_field
-from touchfield.render.kernels.frames import force_at, vibration_at
+from touchfield.render.block.frames import FramePart, field_bytes, write_field
 
 GRID = Grid((17, 12, 21), (0.01, 0.011, 0.009), (-0.08, -0.06, -0.1))
 seeds = st.integers(0, 2**32 - 1)
 
 
 def forces(block: Block, a: int, b: int, blend: float, points: np.ndarray) -> np.ndarray:
-    return np.array([force_at(*block.memory.views, a, b, blend, *p) for p in points.tolist()])
+    return np.array([native.force_at(block.memory.bytes, a, b, blend, *p) for p in points.tolist()])
+
+
+def vibration(block: Block, frame: int, *point: float) -> tuple[float, float]:
+    return native.vibration_at(block.memory.bytes, frame, frame, 0.0, *point)
 
 
 @settings(max_examples=30)
@@ -120,11 +124,11 @@ def test_an_invalid_position_gives_no_force(bad: float, axis: int, is_rotated: b
     frame = block.frame([FramePart(address, quaternion, is_identity=not is_rotated)])
     later = block.frame([FramePart(address, (1.0, 0.0, 0.0, 0.0), (0.1, 0.1, 0.1))])
     point = np.zeros(3)
-    assert force_at(*block.memory.views, frame, later, 0.0, *point) != (0.0, 0.0, 0.0)
+    assert native.force_at(block.memory.bytes, frame, later, 0.0, *point) != (0.0, 0.0, 0.0)
     point[axis] = bad
     for blend in (0.0, 0.5):
-        assert force_at(*block.memory.views, frame, later, blend, *point) == (0.0, 0.0, 0.0)
-    assert vibration_at(*block.memory.views, frame, *point) == (0.0, 0.0)
+        assert native.force_at(block.memory.bytes, frame, later, blend, *point) == (0.0, 0.0, 0.0)
+    assert vibration(block, frame, *point) == (0.0, 0.0)
 
 
 def test_vibration_has_the_frequency_of_the_dominant_corner() -> None:
@@ -136,28 +140,87 @@ def test_vibration_has_the_frequency_of_the_dominant_corner() -> None:
         np.array([80.0, 250.0, 120.0], np.float32),
     )
     frame = block.frame([], vibration_at=block.field(band.as_field()))
-    views = block.memory.views
-    assert vibration_at(*views, frame, 0.01, 0.01, 0.02) == (1.0, 80.0)
-    assert vibration_at(*views, frame, 0.01, 0.01, 0.035) == pytest.approx((2.5, 250.0))
-    assert vibration_at(*views, frame, 0.018, 0.01, 0.029) == pytest.approx(
+    assert vibration(block, frame, 0.01, 0.01, 0.02) == (1.0, 80.0)
+    assert vibration(block, frame, 0.01, 0.01, 0.035) == pytest.approx((2.5, 250.0))
+    assert vibration(block, frame, 0.018, 0.01, 0.029) == pytest.approx(
         (1.0 * 0.11 + 3 * 0.09 + 2 * 0.44, 120.0)
     )
-    assert vibration_at(*views, frame, 0.001, 0.01, 0.02) == pytest.approx((0.1, 80.0))
-    nearer = vibration_at(*views, frame, 0.01, 0.01, 0.026)  # 0.7 N of the near corner, 0.9 N of the far one
+    assert vibration(block, frame, 0.001, 0.01, 0.02) == pytest.approx((0.1, 80.0))
+    nearer = vibration(block, frame, 0.01, 0.01, 0.026)  # 0.7 N of the near corner, 0.9 N of the far one
     assert nearer == pytest.approx((1.6, 250.0))
-    equal = vibration_at(
-        *views, frame, 0.01 + 0.01 / 3, 0.01, 0.02
-    )  # 2/3 N of both: the first in raster order
+    equal = vibration(block, frame, 0.01 + 0.01 / 3, 0.01, 0.02)  # 2/3 N of both: the first in raster order
     assert equal == pytest.approx((4 / 3, 80.0))
-    assert vibration_at(*views, frame, 0.0, 0.0, 0.0) == (0.0, 0.0)
-    assert vibration_at(*views, block.frame([]), 0.01, 0.01, 0.02) == (0.0, 0.0)
+    assert vibration(block, frame, 0.0, 0.0, 0.0) == (0.0, 0.0)
+    assert vibration(block, block.frame([]), 0.01, 0.01, 0.02) == (0.0, 0.0)
 
 
 def test_a_written_field_can_be_moved() -> None:
     field = some_field(np.random.default_rng(3), GRID)
-    pool, memory = CellPool.of(field), Memory.empty(100_000)
-    word_count = field_words(pool)
-    write_field(memory, 5, pool)
-    before = memory.i8[5 : 5 + word_count].copy()
-    write_field(memory, 777, pool)
-    assert np.array_equal(memory.i8[777 : 777 + word_count], before)
+    pool, memory = CellPool.of(field), Memory.empty(800_000)
+    size = field_bytes(pool)
+    write_field(memory, 64, pool)
+    before = memory.bytes[64 : 64 + size].copy()
+    write_field(memory, 6400, pool)
+    assert np.array_equal(memory.bytes[6400 : 6400 + size], before)
+
+
+@settings(max_examples=10)
+@given(seeds, st.sampled_from([0.0, 0.3]))
+def test_the_strongest_body_is_that_of_the_largest_force(seed: int, blend: float) -> None:
+    rng = np.random.default_rng(seed)
+    block = Block()
+    offsets = [block.field(some_field(rng, GRID)) for _ in range(3)]
+    poses = [
+        [(q, p) for q, p in zip(Rotation.random(3, random_state=rng).as_quat(), rng.normal(0, 0.03, (3, 3)))]
+        for _ in range(2)
+    ]
+    bodies = [[FramePart(at, q, p) for at, (q, p) in zip(offsets, frame)] for frame in poses]
+    frames = [block.frame(parts) for parts in bodies]
+    alone = [[block.frame([frame[n]]) for frame in bodies] for n in range(3)]
+    points = rng.uniform(*GRID.box_m, (60, 3))
+    sizes = [np.linalg.norm(forces(block, *pair, blend, points), axis=1) for pair in alone]
+    expected = np.where(np.max(sizes, axis=0) > 0, np.argmax(sizes, axis=0), -1)
+    memory = block.memory.bytes
+    found = [native.strongest_body(memory, *frames, blend, *p) for p in points.tolist()]
+    assert found == expected.tolist()
+
+
+def test_batches_are_single_queries_in_any_ranges() -> None:
+    rng = np.random.default_rng(2)
+    block = Block()
+    a, b = (block.voxels(some_field(rng, GRID)) for _ in range(2))
+    points, blends = rng.uniform(*GRID.box_m, (90, 3)), rng.choice([0.0, 0.3, 1.0], 90)
+    points[::9] = np.nan
+    out = np.full((90, 3), 7.0, np.float32)
+    for start, stop in ((40, 90), (0, 1), (1, 40), (5, 5)):
+        native.forces_at(start, stop, block.memory.bytes, a, b, points, blends, out)
+    queries = zip(blends.tolist(), points.tolist())
+    single = [native.force_at(block.memory.bytes, a, b, blend, *p) for blend, p in queries]
+    assert np.array_equal(out, np.array(single, np.float32)) and out.any()
+
+
+def test_wrong_arguments_are_refused() -> None:
+    block = Block(64_000)
+    frame = block.frame([])
+    memory = block.memory.bytes
+    for arguments, error in (
+        ((memory, frame, frame, 0.0, 0.0, 0.0), "number of arguments"),
+        ((memory, frame, frame + 4, 0.0, 0.0, 0.0, 0.0), "offset"),
+        ((memory, -8, frame, 0.0, 0.0, 0.0, 0.0), "offset"),
+        ((memory, frame, 64_000, 0.0, 0.0, 0.0, 0.0), "offset"),
+        ((memory[4:], frame, frame, 0.0, 0.0, 0.0, 0.0), "offset"),
+    ):
+        with pytest.raises(ValueError, match=error):
+            native.force_at(*arguments)
+    with pytest.raises(TypeError):
+        native.force_at(memory, frame, frame, 0.0, "0", 0.0, 0.0)
+    points, blends, out = np.zeros((3, 3)), np.zeros(1), np.zeros((3, 3), np.float32)
+    for wrong in (
+        (0, 4, memory, frame, frame, points, blends, out),
+        (0, 3, memory, frame, frame, points[:2], blends, out),
+        (0, 3, memory, frame, frame, points, np.zeros(2), out),
+        (0, 3, memory, frame, frame, points, blends, out[:2]),
+        (0, 3, memory, frame, frame, points, blends, out.tobytes()),
+    ):
+        with pytest.raises(ValueError, match=r"array|range|blends"):
+            native.forces_at(*wrong)

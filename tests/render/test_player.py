@@ -28,7 +28,7 @@ from player_makers import (
 
 from touchfield.errors import CorruptFile, DeviceError, InvalidArgument
 from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
-from touchfield.render.block import FLAGS, PREFIX, aligned, layout, shared_folder
+from touchfield.render.block import FLAGS, PREFIX, aligned, shared_folder
 from touchfield.render.feeder import FrameSource
 from touchfield.render.player import Player
 from touchfield.render.servo import zero_by_reconnecting

@@ -20,7 +20,6 @@ from touchfield.medium.pose_track import PoseTrack
 from touchfield.medium.trace import Trace
 from touchfield.pipeline import prepare
 from touchfield.pipeline.spec import EncodeSpec
-from touchfield.render.block import layout
 from touchfield.render.feeder import FrameSource
 from touchfield.render.offline import run_offline
 from touchfield.render.spec import RenderSpec, stated_n_per_m, wall_of
@@ -217,7 +216,10 @@ def test_friction_carries_a_hand_along_with_a_body_that_turns() -> None:
         rendered.at = at
         rendered.tick(np.array([0.022, 0.0, 0.0]))
         slip = 0.025 * np.radians(2 * at)
-        drag, pressure = rendered.value("state.friction_n"), np.linalg.norm(rendered.value("state.field_force_n"))
+        drag, pressure = (
+            rendered.value("state.friction_n"),
+            np.linalg.norm(rendered.value("state.field_force_n")),
+        )
         expected = min(rendered.wall.stiffness_n_per_m * slip, 0.7 * pressure)
         assert drag[1] == pytest.approx(expected, rel=0.15, abs=0.05)
         assert abs(drag[2]) < 0.05

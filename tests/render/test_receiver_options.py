@@ -15,7 +15,7 @@ from tick_makers import GRID, OMNI, points, wall
 
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.render.block import Memory, statistics_of, layout
+from touchfield.render.block import Memory, layout, statistics_of
 from touchfield.render.feeder import Feeder
 from touchfield.render.material import Material, materials_json, read_materials
 from touchfield.render.point_device import BOX_AXES, axes_matrix, axes_notes
@@ -34,29 +34,34 @@ def medium(stiffness_n_per_m: float = 300.0, frames: int = 1, axes: str = AXES) 
 # ---------------------------------------------------------------------------------------------------------
 
 OPTIONS = {
-    "rate_hz": (2000.0, "RATE_HZ", 2000.0),
-    "friction": (0.21, "FRICTION", 0.21),
-    "damping_n_s_per_m": (0.31, "DAMPING", 0.31),
-    "slip_speed_m_s": (0.0041, "SLIP_SPEED", 0.0041),
-    "coupling_n_per_m": (51.0, "COUPLING", 51.0),
-    "passivity": (True, "PASSIVITY", 1.0),
-    "scale": (0.61, "SCALE", 0.61),
-    "force_scale": (0.71, "FORCE_SCALE", 0.71),
-    "peak_n": (3.1, "PEAK", 3.1),
-    "continuous_n": (0.81, "CONTINUOUS", 0.81),
-    "slew_n_per_s": (91.0, "SLEW", 91.0),
-    "thermal_s": (1.1, "THERMAL_S", 1.1),
-    "ramp_s": (0.012, "RAMP_S", 0.012),
-    "velocity_cutoff_hz": (13.0, "CUTOFF", 2 * math.pi * 13.0),
-    "peak_nm": (0.14, "TORQUE_PEAK", 0.14),
-    "continuous_nm": (0.015, "TORQUE_CONTINUOUS", 0.015),
-    "slew_nm_per_s": (1.6, "TORQUE_SLEW", 1.6),
+    "rate_hz": (2000.0, "settings.rate_hz", 2000.0),
+    "friction": (0.21, "settings.friction", 0.21),
+    "damping_n_s_per_m": (0.31, "settings.damping_n_s_per_m", 0.31),
+    "slip_speed_m_s": (0.0041, "settings.slip_speed_m_s", 0.0041),
+    "coupling_n_per_m": (51.0, "settings.coupling_n_per_m", 51.0),
+    "passivity": (True, "settings.is_passive", 1.0),
+    "scale": (0.61, "settings.scale", 0.61),
+    "force_scale": (0.71, "settings.force_scale", 0.71),
+    "peak_n": (3.1, "settings.force_limits.peak", 3.1),
+    "continuous_n": (0.81, "settings.force_limits.continuous", 0.81),
+    "slew_n_per_s": (91.0, "settings.force_limits.slew_per_s", 91.0),
+    "thermal_s": (1.1, "settings.thermal_s", 1.1),
+    "ramp_s": (0.012, "settings.ramp_s", 0.012),
+    "velocity_cutoff_hz": (13.0, "settings.velocity_cutoff_rad_s", 2 * math.pi * 13.0),
+    "peak_nm": (0.14, "settings.torque_limits.peak", 0.14),
+    "continuous_nm": (0.015, "settings.torque_limits.continuous", 0.015),
+    "slew_nm_per_s": (1.6, "settings.torque_limits.slew_per_s", 1.6),
 }
 TWISTING = replace(OMNI, torque_max_nm=0.2, torque_continuous_nm=0.05)
 
 
+def empty() -> Memory:
+    """A receiver of zeros."""
+    return Memory.empty(layout.RECEIVER.itemsize)
+
+
 def written(spec: RenderSpec) -> tuple[Memory, tuple[str, ...]]:
-    memory = Memory.empty(layout.RECEIVER.itemsize)
+    memory = empty()
     return memory, write_parameters(memory, spec, TWISTING, 0.3, 0.7, AXES)
 
 
@@ -67,7 +72,10 @@ def test_an_option_changes_only_its_setting(name: str) -> None:
     assert value_of(found, path) == pytest.approx(expected)
     follow = {
         "friction": {"state.friction"},
-        "peak_n": {"settings.force_limits.slew_per_s", "state.force.limit"},  # the slew limit reaches the peak in 5 ms
+        "peak_n": {
+            "settings.force_limits.slew_per_s",
+            "state.force.limit",
+        },  # the slew limit reaches the peak in 5 ms
         "peak_nm": {"settings.torque_limits.slew_per_s", "state.torque.limit"},
         "rate_hz": {"settings.delay_ticks"},
     }.get(name, set())
@@ -110,8 +118,8 @@ def test_torque_limits_are_those_of_a_device_that_states_them() -> None:
         with pytest.raises(
             InvalidArgument, match=f"{name}: found a limit for phantom-omni; expected a device that states"
         ):
-            write_parameters(Memory.empty(layout.RECEIVER.itemsize), RenderSpec(**{name: 0.01}), OMNI, 0, 0, AXES)
-    silent = write_parameters(Memory.empty(layout.RECEIVER.itemsize), RenderSpec(tool=Tool.sphere(0.001, 10)), OMNI, 0, 0, AXES)
+            write_parameters(empty(), RenderSpec(**{name: 0.01}), OMNI, 0, 0, AXES)
+    silent = write_parameters(empty(), RenderSpec(tool=Tool.sphere(0.001, 10)), OMNI, 0, 0, AXES)
     assert silent == ("phantom-omni states no torque: only the tool's force is rendered",)
 
 
@@ -171,22 +179,27 @@ def test_note_states_damping_and_coupling_in_units_of_the_device(scale: float, s
     assert coupled_result.coupling_n_per_m == pytest.approx(70.0)
 
 
+def stiffness_of(memory: Memory) -> float:
+    return float(memory.receiver["settings"]["wall_n_per_m"])
+
+
 def test_note_states_the_wall_of_the_proxy_as_rendered() -> None:
     grid = Grid((33, 31, 65), (0.004, 0.006, 0.0025), (-0.064, -0.09, -0.08))
     for max_n, level_n in ((9.0, 0.05), (0.2, 0.02)):  # a tenth of a weak force
         field = ForceField.from_dense(grid, wall(30.0, max_n)(points(grid)).astype(np.float32))
         _, memory = laid_out(HapticMedium.from_frames([field], 20.0, AXES))
-        assert memory.receiver["settings"]["wall_n_per_m"] == pytest.approx(30, rel=0.01)
-        assert memory.receiver["settings"]["wall_level_n"] == pytest.approx(level_n)
-        assert memory.receiver["settings"]["wall_spacing_m"].tolist() == list(grid.spacing_m)
+        settings = memory.receiver["settings"]
+        assert settings["wall_n_per_m"] == pytest.approx(30, rel=0.01)
+        assert settings["wall_level_n"] == pytest.approx(level_n)
+        assert settings["wall_spacing_m"].tolist() == list(grid.spacing_m)
     usual, memory = laid_out(medium())
     found = wall_of(medium()[0])
-    assert found is not None and memory.receiver["settings"]["wall_n_per_m"] == pytest.approx(found.stiffness_n_per_m)
+    assert found is not None and stiffness_of(memory) == pytest.approx(found.stiffness_n_per_m)
     assert f"a proxy holds the hand at walls of {found.stiffness_n_per_m:.0f} N/m" in usual.notes
     softer, memory = laid_out(medium(), RenderSpec(wall_n_per_m=123.0))
-    assert memory.receiver["settings"]["wall_n_per_m"] == 123 and "a proxy holds the hand at walls of 123 N/m" in softer.notes
+    assert stiffness_of(memory) == 123 and "a proxy holds the hand at walls of 123 N/m" in softer.notes
     plain, memory = laid_out(medium(), RenderSpec(render="field"))
-    assert memory.receiver["settings"]["wall_n_per_m"] == 0 and not any("proxy" in note for note in plain.notes)
+    assert stiffness_of(memory) == 0 and not any("proxy" in note for note in plain.notes)
 
 
 def test_note_quotes_assumed_axes() -> None:
@@ -292,7 +305,7 @@ def test_invalid_materials_are_refused_by_name() -> None:
 
 
 def test_every_statistic_has_its_counter() -> None:
-    memory = Memory.empty(layout.RECEIVER.itemsize)
+    memory = empty()
     counts = {
         "late": 11,
         "missed": 12,
@@ -338,5 +351,5 @@ def test_every_statistic_has_its_counter() -> None:
     memory.receiver["counts"]["periods"][layout.TIME_BINS] = 2  # the open bin reports the maximum
     memory.receiver["counts"]["periods"][40] = 9
     assert statistics_of(memory)["jitter_p99_9_us"] == 9000.0
-    nothing = statistics_of(Memory.empty(layout.RECEIVER.itemsize))
+    nothing = statistics_of(empty())
     assert not any(nothing.values()) and nothing.keys() == statistics_of(memory).keys()

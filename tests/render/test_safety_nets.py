@@ -189,9 +189,7 @@ def test_force_and_torque_push_before_the_fault_and_vanish_after(name: str) -> N
     for part, name in ((wrenches[:, :3], "force"), (wrenches[:, 3:], "torque")):
         steps = np.linalg.norm(np.diff(part, axis=0), axis=1)
         slew_per_s = float(memory.receiver["settings"][f"{name}_limits"]["slew_per_s"])
-        assert (steps <= slew_per_s * times_s * (1 + 1e-9) + 1e-9).all(), (
-            "no faster than the slew limit"
-        )
+        assert (steps <= slew_per_s * times_s * (1 + 1e-9) + 1e-9).all(), "no faster than the slew limit"
 
 
 @pytest.mark.parametrize("slow", [{"slew_n_per_s": 4.0}, {"slew_nm_per_s": 0.1}])

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given, strategies as st
 from player_makers import laid_out, numbered_field, numbered_medium
 
+from touchfield.compute.native import native
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack, Segments
 from touchfield.medium.medium import VibrationFrame
-from touchfield.render.block import words as W
-from touchfield.render.kernels.frames import force_at, vibration_between
+from touchfield.render.block import Memory, layout
 from touchfield.render.sampler import FieldSampler
 from touchfield.render.segment_blend import SegmentBlend, with_blends
 from touchfield.render.spec import RenderSpec
@@ -142,15 +142,25 @@ def blended_z(frame: int) -> float:
     return 0.5 + (9 + weight * (frame - 9)) / 64
 
 
+def frame_offset(memory: Memory, frame: int) -> int:
+    """Where the directory says that a frame is."""
+    slots, offset = (int(memory.receiver["layout"][f"directory_{name}"]) for name in ("slots", "offset"))
+    return int(memory.array(layout.DIRECTORY_ENTRY, offset, slots)["frame_offset"][frame % slots])
+
+
+def need(memory: Memory, generation: int, frame: int) -> None:
+    """Let the servo need a frame of a generation."""
+    memory.receiver["clock"]["needs"] = (generation << layout.FRAME_BITS) | frame
+
+
 def in_order(medium: HapticMedium, spec: RenderSpec | None = None, **options: object):
     """A feeder, and a function for the force along z of a written frame."""
     session, memory = laid_out(medium, spec, **options)
     feeder = session.feeder(memory)
 
     def z_of(frame: int) -> float:
-        at = W.FREE + W.DIRECTORY_WORDS * (frame % session.layout.slots)
-        address = int(memory.i8[at + 1])
-        return float(force_at(*memory.views, address, address, 0.0, 0.0, 0.0, 0.0)[2])
+        offset = frame_offset(memory, frame)
+        return native.force_at(memory.bytes, offset, offset, 0.0, 0.0, 0.0, 0.0)[2]
 
     return feeder, memory, z_of
 
@@ -167,7 +177,7 @@ def test_continuous_play_is_blended_and_a_seek_is_not() -> None:
     assert z_of(10) < unblended_z(10) - 0.01
     for generation, first in ((2, 10), (3, 12), (4, 9)):
         feeder.seek(generation, first)
-        memory.i8[W.NEEDS] = (generation << W.FRAME_BITS) | first
+        need(memory, generation, first)
         while feeder.step():
             pass
         for n in range(first, 20):
@@ -179,7 +189,7 @@ def test_a_seek_to_the_next_segment_is_not_blended() -> None:
     feeder, memory, z_of = in_order(SEGMENTED)
     feeder.fill_lookahead(10)
     feeder.seek(2, 10)
-    memory.i8[W.NEEDS] = (2 << W.FRAME_BITS) | 10
+    need(memory, 2, 10)
     assert feeder.step() and z_of(10) == unblended_z(10)
 
 
@@ -217,10 +227,9 @@ def test_vibration_is_not_blended() -> None:
     session, memory = laid_out(medium)
     session.feeder(memory).fill_lookahead(20)
     for n in range(20):
-        at = W.FREE + W.DIRECTORY_WORDS * (n % session.layout.slots)
-        address = int(memory.i8[at + 1])
-        found = vibration_between(*memory.views, address, address, 0.0, 0.0, 0.0, 0.0)
-        np.testing.assert_allclose(found[:2], [0.1 + n / 100, 100 + n], rtol=1e-5)
+        offset = frame_offset(memory, n)
+        found = native.vibration_at(memory.bytes, offset, offset, 0.0, 0.0, 0.0, 0.0)
+        np.testing.assert_allclose(found, [0.1 + n / 100, 100 + n], rtol=1e-5)
 
 
 def test_only_deforming_bodies_are_blended() -> None:

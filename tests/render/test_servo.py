@@ -222,7 +222,8 @@ def test_zero_is_reached_no_faster_than_the_slew_limit() -> None:
         serve(memory, device, clock, lambda: False)
     last_n = np.linalg.norm(device.forces[-2])
     assert last_n > 0.1 and device.forces[-1] == (0.0, 0.0, 0.0)
-    assert last_n <= 1e-9 * (times_ns[-1] - times_ns[-2]) * float(memory.receiver["settings"]["force_limits"]["slew_per_s"]) * (1 + 1e-9)
+    slew_n_per_s = float(memory.receiver["settings"]["force_limits"]["slew_per_s"])
+    assert last_n <= 1e-9 * (times_ns[-1] - times_ns[-2]) * slew_n_per_s * (1 + 1e-9)
 
 
 class Driver(RestingDevice):

@@ -131,7 +131,8 @@ def test_missing_device_parameters_are_assumed_and_stated_ones_used() -> None:
     assert coupling(**smooth, inertia_kg=0.2) > coupling(**smooth) > coupling(**smooth, delay_ms=2.0) > 0
     stated = coupling(**smooth, inertia_kg=0.045, damping_n_s_per_m=0.0, delay_ms=1.0)
     assert coupling(**smooth) == pytest.approx(stated)
-    assert Bench(wall(300.0), device=replace(STRONG, delay_ms=30.0)).value("settings.delay_ticks") == layout.MAX_DELAY
+    late = Bench(wall(300.0), device=replace(STRONG, delay_ms=30.0))
+    assert late.value("settings.delay_ticks") == layout.MAX_DELAY
 
 
 def test_requested_values_are_used_and_zero_disables() -> None:

@@ -194,7 +194,9 @@ def test_limits_beyond_the_device_are_refused(spec: RenderSpec) -> None:
 
 def test_unsupported_devices_are_refused() -> None:
     with pytest.raises(DeviceError, match="type 2"):
-        write_parameters(Memory.empty(layout.RECEIVER.itemsize), RenderSpec(), device("tactsuit-x40"), 0, 0, "")
+        write_parameters(
+            Memory.empty(layout.RECEIVER.itemsize), RenderSpec(), device("tactsuit-x40"), 0, 0, ""
+        )
     for force in (0.0, math.nan, math.inf, 1e9):
         with pytest.raises(DeviceError, match="force_max_n"):
             written(RenderSpec(), force_max_n=force)

@@ -104,7 +104,8 @@ def test_any_requested_force_stays_within_the_limits(
     memory = Memory.empty(layout.RECEIVER.itemsize)
     spec = RenderSpec(continuous_n=min(continuous, 1.0), thermal_s=thermal_s)
     write_parameters(memory, spec, OMNI, 0.0, 0.0, "")
-    peak, slew = memory.receiver["settings"]["force_limits"]["peak"], memory.receiver["settings"]["force_limits"]["slew_per_s"]
+    limits = memory.receiver["settings"]["force_limits"]
+    peak, slew = limits["peak"], limits["slew_per_s"]
     before = np.zeros(3)
     for x, y, z, dt in wishes:
         force = np.array(native.limited(memory.bytes, x, y, z, dt))
@@ -117,10 +118,11 @@ def test_a_turning_force_with_a_falling_limit_keeps_the_slew() -> None:
     for turn in range(1, 40):
         memory, before = Memory.empty(layout.RECEIVER.itemsize), np.zeros(3)
         write_parameters(memory, RenderSpec(thermal_s=0.02, slew_n_per_s=1000.0), OMNI, 0.0, 0.0, "")
+        limits = memory.receiver["settings"]["force_limits"]
         for tick in range(turn + 8):
             wish = (-3.0, 4.0, 0.0) if tick >= turn else (3.0, 4.0, 0.0)
             force = np.array(native.limited(memory.bytes, *wish, 0.001))
-            check_step(before, force, memory.receiver["settings"]["force_limits"]["peak"], memory.receiver["settings"]["force_limits"]["slew_per_s"], 0.001)
+            check_step(before, force, limits["peak"], limits["slew_per_s"], 0.001)
             before = force
 
 

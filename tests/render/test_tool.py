@@ -10,17 +10,16 @@ import pytest
 from hypothesis import given, strategies as st
 from tick_makers import GRID, OMNI, Bench, Vector, constant, points
 
+from touchfield.compute.native import native
 from touchfield.devices import device
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.cells import CellPool
 from touchfield.medium.pose_track import rotation_matrices
-from touchfield.render.block import Memory, words as W
-from touchfield.render.block.frames import FramePart, field_words, frame_words, write_field, write_frame
-from touchfield.render.kernels.frames import force_at
-from touchfield.render.kernels.points import tool_force
+from touchfield.render.block import Memory, aligned, layout
+from touchfield.render.block.frames import FramePart, field_bytes, frame_bytes, write_field, write_frame
 from touchfield.render.spec import RenderSpec
-from touchfield.render.tool import MAX_POINTS, Tool, tool_word_count, write_tool
+from touchfield.render.tool import MAX_POINTS, Tool, tool_bytes, write_tool
 
 SIGMA = device("sigma.7")
 Law = Callable[[Vector], Vector]
@@ -84,24 +83,26 @@ class ToolBlock:
         pools = [
             CellPool.of(ForceField.from_dense(grid, law(points(grid)).astype(np.float32))) for law in laws
         ]
-        first = W.FREE + tool_word_count(tool)
-        addresses = first + np.cumsum([0, *map(field_words, pools)])
-        self.frames = [int(addresses[-1]) + n * frame_words(2) for n in range(max(len(pools), 1))]
-        self.memory = Memory.empty(self.frames[-1] + frame_words(2))
-        for position, pool in zip(addresses, pools, strict=False):
+        tool_at = layout.RECEIVER.itemsize
+        first = aligned(tool_at + tool_bytes(tool))
+        offsets = first + np.cumsum([0, *map(field_bytes, pools)])
+        self.frames = [int(offsets[-1]) + n * frame_bytes(2) for n in range(max(len(pools), 1))]
+        self.memory = Memory.empty(self.frames[-1] + frame_bytes(2))
+        for position, pool in zip(offsets, pools, strict=False):
             write_field(self.memory, int(position), pool)
         for n, frame in enumerate(self.frames):
-            parts_of_frame = [replace(part, field_at=int(addresses[n])) for part in parts] or [
-                FramePart.voxels(int(addresses[n]))
+            parts_of_frame = [replace(part, field_at=int(offsets[n])) for part in parts] or [
+                FramePart.voxels(int(offsets[n]))
             ]
             write_frame(self.memory, frame, parts_of_frame, np.inf if not parts else 1e3)
-        write_tool(self.memory, W.FREE, tool)
+        write_tool(self.memory, tool_at, tool)
         self.tool = tool
 
     def wrench(self, position: Vector, turn: Vector, blend: float = 0.0) -> tuple[Vector, Vector]:
-        self.memory.f8[W.TURN : W.TURN + 9] = turn.ravel()
-        force = tool_force(*self.memory.views, self.frames[0], self.frames[-1], blend, *map(float, position))
-        return np.array(force), self.memory.f8[W.FIELD_TORQUE : W.FIELD_TORQUE + 3].copy()
+        self.memory.receiver["state"]["tool_rotation"] = turn
+        frames = self.frames[0], self.frames[-1]
+        both = native.tool_force(self.memory.bytes, *frames, blend, *map(float, position))
+        return np.array(both[:3]), np.array(both[3:])
 
     def by_points(self, position: Vector, turn: Vector, blend: float = 0.0) -> tuple[Vector, Vector]:
         """The same by `force_at` at each point."""
@@ -109,7 +110,9 @@ class ToolBlock:
         for parts_of_frame, normal in zip(self.tool.points_m, self.tool.normals, strict=True):
             lever = turn @ parts_of_frame
             f = np.array(
-                force_at(*self.memory.views, self.frames[0], self.frames[-1], blend, *(position + lever))
+                native.force_at(
+                    self.memory.bytes, self.frames[0], self.frames[-1], blend, *(position + lever)
+                )
             )
             size = np.linalg.norm(f)
             if size > 0:
@@ -250,20 +253,20 @@ class Grip(Bench):
 
     def restart(self, spec: RenderSpec) -> tuple[str, ...]:
         notes = super().restart(replace(spec, tool=self.tool))
-        top = self.frame + frame_words(1)
-        if self.memory.words < top + tool_word_count(self.tool):
-            grown = Memory.empty(top + tool_word_count(self.tool))
-            grown.i8[: self.memory.words] = self.memory.i8
+        top = self.frame + frame_bytes(1)
+        if self.memory.size_bytes < top + tool_bytes(self.tool):
+            grown = Memory.empty(top + tool_bytes(self.tool))
+            grown.bytes[: self.memory.size_bytes] = self.memory.bytes
             self.memory = grown
         write_tool(self.memory, top, self.tool)
         return notes
 
     def turn(self, w: float, x: float, y: float, z: float) -> None:
-        self.memory.f8[W.ORIENTATION : W.ORIENTATION + 4] = (w, x, y, z)
+        self.memory.receiver["grip"]["orientation"] = (w, x, y, z)
 
     @property
     def torque(self) -> Vector:
-        return self.state(W.TORQUE)
+        return self.value("state.torque.output")
 
 
 STICK = Tool(np.array([[0.05, 0.0, 0.0]]), np.array([[0.0, 0.0, -1.0]]), "stick")
@@ -290,7 +293,7 @@ def test_force_and_torque_are_those_of_one_lever_in_any_axes(axes: str) -> None:
     """The torque is lever x force in the device's axes, also for left-handed ones."""
     grip = Grip(UP, STICK, RenderSpec(scale=2.0), device=replace(SIGMA, axes=axes))
     force = grip.settled(0.0, 0.0, 0.0)
-    axes_matrix = grip.state(W.AXES, 9).reshape(3, 3)
+    axes_matrix = grip.value("settings.axes")
     lever = axes_matrix.T @ STICK.points_m[0] / 2.0
     handed = np.sign(np.linalg.det(axes_matrix))
     assert np.linalg.norm(force) == pytest.approx(2.0, rel=1e-6)
@@ -302,7 +305,7 @@ def test_a_device_without_torque_gets_none_and_a_note() -> None:
     (note,) = [text for text in grip.restart(RenderSpec()) if "torque" in text]
     assert "phantom-omni" in note
     grip.settled(0.0, 0.0, 0.0)
-    assert not grip.torque.any() and grip.state(W.FIELD_TORQUE)[1] == pytest.approx(-0.1, rel=1e-6)
+    assert not grip.torque.any() and grip.value("state.field_torque_nm")[1] == pytest.approx(-0.1, rel=1e-6)
     assert not any("torque" in text for text in Grip(UP, STICK).restart(RenderSpec()))
     with pytest.raises(InvalidArgument, match="peak_nm"):
         grip.restart(RenderSpec(peak_nm=0.1))
@@ -318,10 +321,10 @@ def test_an_invalid_orientation_releases_the_torque_until_it_returns() -> None:
         first = grip.torque
         assert (
             0 < np.linalg.norm(first) < np.linalg.norm(torque_nm)
-            and grip.state(W.FIELD_TORQUE).tolist() == [0] * 3
+            and grip.value("state.field_torque_nm").tolist() == [0] * 3
         )
         grip.settled(0.0, 0.0, 0.0)
-        assert not grip.torque.any() and not grip.state(W.FORCE).any()
+        assert not grip.torque.any() and not grip.value("state.force.output").any()
         grip.turn(1, 0, 0, 0)
         grip.settled(0.0, 0.0, 0.0)
         assert grip.torque == pytest.approx(torque_nm)
@@ -361,7 +364,10 @@ def test_limits_of_torque_hold_exactly_for_the_output(
     steps: list[tuple[object, ...]], peak: float | None, slew: float | None, scale: float
 ) -> None:
     WILD.restart(RenderSpec(peak_nm=peak, slew_nm_per_s=slew, scale=scale))
-    peak_nm, slew_nm_s = WILD.word(W.TORQUE_PEAK), WILD.word(W.TORQUE_SLEW)
+    peak_nm, slew_nm_s = (
+        WILD.value("settings.torque_limits.peak"),
+        WILD.value("settings.torque_limits.slew_per_s"),
+    )
     before = np.zeros(3)
     for is_there, x, y, z, turn, dt in steps:
         WILD.turn(*turn)  # type: ignore[misc]
@@ -391,4 +397,4 @@ def test_a_long_torque_falls_to_the_continuous_limit() -> None:
         grip.tick(0.0, 0.0, 0.0)
         sizes.append(float(np.linalg.norm(grip.torque)))
     assert max(sizes) == pytest.approx(SIGMA.torque_max_nm, rel=1e-6)
-    assert sizes[-1] == pytest.approx(0.05, rel=1e-2) and grip.word(W.TORQUE_HEAT) <= 0.05**2
+    assert sizes[-1] == pytest.approx(0.05, rel=1e-2) and grip.value("state.torque.heat") <= 0.05**2

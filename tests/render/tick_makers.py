@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
 from receiver_values import value_of
+
 from touchfield.compute.native import native
 from touchfield.devices import Device, device
 from touchfield.medium import ForceField, Grid

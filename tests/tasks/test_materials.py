@@ -25,7 +25,7 @@ from touchfield.perception.vibrotactile import (
     BANDS_HZ,
     band_rms,
 )
-from touchfield.render.block.words import MATERIAL_CREST
+from touchfield.render.block.layout import MATERIAL_CREST
 from touchfield.render.material import (
     Material,
     materials_json,

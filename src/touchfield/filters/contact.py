@@ -2,7 +2,7 @@
 damping are stored as numbers with a medium, and the receiver applies them.
 
 The coefficients mu and b are metadata of a medium and change no frame. With the force F of the field at the
-point, and its velocity v, the receiver adds (`filters/kernels/forces.py`, `render/kernels/tick.py`) ::
+point, and its velocity v, the receiver adds (`filters/kernels/forces.py`, ``c/touch_effects.h``) ::
 
     n = F / |F|,  v_t = v - (v . n) n,  F_t = -mu |F| v_t / max(|v_t|, v_s),      F_d = -b v
 

@@ -58,6 +58,7 @@ from touchfield.medium.field import (
     padded_blocks,
 )
 from touchfield.medium.grid import CORNERS, ON_A_SAMPLE
+from touchfield.medium.samples import sample
 
 MAX_WEIGHTS: Final = 1 << 24
 _BATCH: Final = 1 << 14
@@ -221,8 +222,6 @@ def interpolate(
     Raises `InvalidArgument` if the border is unknown, or the target is too fine for a field of that size.
     """
     require_one_of("border", border, BORDERS)
-    from touchfield.medium import kernels
-
     motion = None if motion == RigidMotion() else motion
     bricks = bricks_reached(field, grid, None if motion is None else motion.points_m)
     keys, last = brick_keys(field.grid, field.bricks), np.array(field.grid.shape) - 1.0
@@ -235,7 +234,7 @@ def interpolate(
             is_outside = ((index < -0.5 - ON_A_SAMPLE) | (index > last + 0.5 + ON_A_SAMPLE)).any(axis=-1)
             index = np.clip(index, 0.0, last)
             index[is_outside] = -2.0
-        forces = kernels.sample(index, field.grid, keys, field.forces_n)
+        forces = sample(index, field.grid, keys, field.forces_n)
         return forces if motion is None else motion.vectors(forces)
 
     return field_of_points(grid, bricks, forces_n)

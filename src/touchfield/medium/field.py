@@ -24,6 +24,7 @@ from touchfield.compute.threads import for_chunks
 from touchfield.errors import InvalidArgument
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.grid import BRICK, CORNERS, LOCAL, ON_A_SAMPLE, Grid
+from touchfield.medium.samples import raster_slots, sample
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -407,9 +408,7 @@ class ForceField(EqualByValue):
 
         They are indices into ``forces_n.reshape(-1, 3)``.
         """
-        from touchfield.medium import kernels
-
-        return kernels.raster_slots(self.bricks, self.mask)
+        return raster_slots(self.bricks, self.mask)
 
     def vectors_n(self) -> Float32s:
         """Return the forces of the support in raster order, newtons, float32 [L, 3]."""
@@ -462,14 +461,12 @@ class ForceField(EqualByValue):
 
         Beyond the outermost samples the force falls to zero over one spacing.
         """
-        from touchfield.medium import kernels
-
         points = numbers_of("positions_m", positions_m)
         if not points.ndim or points.shape[-1] != 3:
             raise InvalidArgument("positions_m", f"shape {points.shape}", "[..., 3], metres")
         index = np.ascontiguousarray(self.grid.to_index(points).reshape(-1, 3))
         keys = brick_keys(self.grid, self.bricks)
-        return kernels.sample(index, self.grid, keys, self.forces_n).reshape(points.shape)
+        return sample(index, self.grid, keys, self.forces_n).reshape(points.shape)
 
     def scaled(self, factor: float) -> ForceField:
         """Return the field with every force multiplied by `factor`."""

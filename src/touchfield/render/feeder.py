@@ -108,8 +108,9 @@ def arena_bytes(source: FrameSource, memory_bytes: int) -> int:
 class Feeder:
     """Writes frames ahead of the servo.
 
-    It works by calls of `step` in the caller's thread, or in its own thread after `start`. ``reserve(size_bytes)``
-    makes that many bytes of the block writable. With `is_timed`, frames that come too late are dropped.
+    It works by calls of `step` in the caller's thread, or in its own thread after `start`.
+    ``reserve(size_bytes)`` makes that many bytes of the block writable. With `is_timed`, frames that come too
+    late are dropped.
     ``on_stiffness(k)`` is called with the largest slope of each frame, N/m. `error` is the error that ended
     the feed, `decode_s` holds the decoding times of the latest frames, and `dropped_frames` the number of
     frames that came too late.

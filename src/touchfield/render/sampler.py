@@ -328,13 +328,19 @@ class DeviceSampler:
         a, b, blend = self._sampler._instant(time_s)
         pair = self._sampler._pair(a, b)
         if self._latest is not pair:
-            self._views, self._latest = on_device(tuple(pair.memory.views)), pair
+            self._views, self._latest = on_device(_number_views(pair.memory)), pair
         count, points = points_m.shape[0], on_device(points_m)
         out = empty((count, 3), np.float32)
         if self._sampler._has_voxels:
             for n, (field, weight) in enumerate(pair.weighted_fields(blend)):
-                for_each(field_at_points, count, points, *self._views, field, weight, n == 0, out)
+                for_each(field_at_points, count, points, *self._views, field // 8, weight, n == 0, out)
         else:
             blends = on_device(np.array([blend]))
-            for_each(forces_at_points, count, points, blends, *self._views, pair.first, pair.second, out)
+            frames = pair.first // 8, pair.second // 8
+            for_each(forces_at_points, count, points, blends, *self._views, *frames, out)
         return out
+
+
+def _number_views(memory: Memory) -> tuple[NDArray[Any], ...]:
+    """Return memory as int64, uint64, float64 and float32, as kernels for a GPU read it."""
+    return tuple(memory.bytes.view(dtype) for dtype in (np.int64, np.uint64, np.float64, np.float32))

@@ -244,14 +244,14 @@ _MIN_STIFFNESS_FRACTION: Final = 0.92
 """Minimum rendered fraction of a stiffness that Colgate's rule allows for the bare device."""
 
 
-# For slow movements, a force that is sampled, held and delayed by d equals -K x(t - T/2 - d): a spring with a
-# negative damper of K (T/2 + d), which the device must compensate (Colgate and Schenkel 1997). In contact the
-# renderer brakes with B = 2 K (T/2 + d) - b along the force, never with more than that force
-# (`touch_damped` of ``c/touch_effects.h``). The damper lags by L: against a mass m (the device and a light hand), B is
-# limited to m / 2L and K to 0.4 m / L^2. One step q of the encoder changes the force by q (K + B / T s), with
-# s the weight of a new sample in the velocity filter; this is limited to 35 mN and twice the friction
-# (Diolaiti 2006). A stiffer field is rendered through a coupling; but a stiffness that Colgate's rule allows
-# for the bare device is rendered to within 8 %.
+# For slow movements, a force that is sampled, held and delayed by d equals -K x(t - T/2 - d): a spring with
+# a negative damper of K (T/2 + d), which the device must compensate (Colgate and Schenkel 1997). In contact
+# the renderer brakes with B = 2 K (T/2 + d) - b along the force, never with more than that force
+# (`touch_damped` of ``c/touch_effects.h``). The damper lags by L: against a mass m (the device and a light
+# hand), B is limited to m / 2L and K to 0.4 m / L^2. One step q of the encoder changes the force by q (K +
+# B / T s), with s the weight of a new sample in the velocity filter; this is limited to 35 mN and twice the
+# friction (Diolaiti 2006). A stiffer field is rendered through a coupling; but a stiffness that Colgate's
+# rule allows for the bare device is rendered to within 8 %.
 
 
 @dataclass(frozen=True)

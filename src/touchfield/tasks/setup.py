@@ -26,13 +26,11 @@ from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.pipeline.comparison import compare
 from touchfield.pipeline.encoding import encode
 from touchfield.pipeline.spec import EncodeSpec
-from touchfield.render.sampler import FieldSampler
 from touchfield.sources.depth.fused_scene import FusedVolume
 from touchfield.sources.depth.kernels.planes import SurfacePlanes
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.tiny_scenes import tiny_scenes
 from touchfield.tasks.measure import MeasureSpec, measure_medium
-from touchfield.tasks.play import PlaySpec, play
 
 _MIN_SHARED_BYTES: Final = 1 << 28
 LIBRARIES: Final = (
@@ -146,7 +144,6 @@ def _filters() -> None:
 def _measures() -> None:
     medium = HapticMedium.from_frames([_solid()] * 2, 30.0)
     measure_medium(medium, MeasureSpec(devices=("tshirt-32x32",)))
-    FieldSampler(medium).force_n(0.0, np.zeros((2, 3)))
 
 
 def _fusion() -> None:
@@ -183,7 +180,6 @@ def warm_up(report: Progress = silent) -> None:
             encode(scene, target, spec)
             compare(scene, target)
             report(i + 1, total)
-        play(target, PlaySpec(offline=True, seconds=0.1)).checked()
     for i, group in enumerate(GROUPS.values()):
         group()
         report(len(jobs) + i + 1, total)

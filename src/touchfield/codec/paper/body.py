@@ -42,7 +42,7 @@ from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys, field_without_empty_bricks
-from touchfield.medium.kernels import raster_slots
+from touchfield.medium.samples import raster_slots
 
 RUN_SYMBOLS: Final = 21  # runs of up to 2^21 - 1 held samples in one symbol
 

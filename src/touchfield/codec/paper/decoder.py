@@ -37,7 +37,7 @@ from touchfield.medium import ForceField, Grid
 from touchfield.medium.budget import memory_budget_bytes, zero_forces
 from touchfield.medium.field import field_without_empty_bricks
 from touchfield.medium.grid import BRICK
-from touchfield.medium.kernels import raster_slots
+from touchfield.medium.samples import raster_slots
 
 LEVELS: Final = 3  # levels of the wavelet: 8, 4 and 2 samples
 GRAIN: Final = 16  # ADPCM values are in units of 1/16 of the finest step

@@ -1,5 +1,4 @@
-"""Compiled inner loops of force fields: list the samples with a force in order, and interpolate the force at
-a point.
+"""Compiled inner loops of force fields: list bricks, and interpolate the force at a point for other kernels.
 
 Import this package only where it is used, since it imports numba.
 """
@@ -8,10 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from touchfield.compute.coder_jit import entry
-from touchfield.compute.jit import inner, kernel
-from touchfield.medium.grid import Grid
+from touchfield.compute.jit import inner
 
 
 @inner
@@ -42,42 +39,6 @@ def reached(spans, brick_shape, out):
                     count += 1
 
 
-@kernel
-def _raster_slots(bricks, mask, out):
-    n = bricks.shape[0]
-    count = 0
-    x0 = 0
-    while x0 < n:  # one slab of bricks with the same x
-        x1 = x0
-        while x1 < n and bricks[x1, 0] == bricks[x0, 0]:
-            x1 += 1
-        for i in range(8):
-            y0 = x0
-            while y0 < x1:  # one row of bricks with the same x and y
-                y1 = y0
-                while y1 < x1 and bricks[y1, 1] == bricks[y0, 1]:
-                    y1 += 1
-                for j in range(8):
-                    for s in range(y0, y1):
-                        for k in range(8):
-                            if mask[s, i, j, k]:
-                                out[count] = s * 512 + i * 64 + j * 8 + k
-                                count += 1
-                y0 = y1
-        x0 = x1
-    return count
-
-
-def raster_slots(bricks: Int32s, mask: Bools) -> Int64s:
-    """Return the indices of the samples of `mask` in an array [n * 512], int64 [L].
-
-    They are in raster order of the grid. `bricks` are int32 [n, 3], ascending, `mask` is bool [n, 8, 8, 8].
-    """
-    out = np.empty(int(np.count_nonzero(mask)), np.int64)
-    _raster_slots(bricks, mask, out)
-    return out
-
-
 @inner
 def force_at(x, y, z, shape, brick_shape, keys, forces, total):
     """Write the force at a position, in samples, to `total`.
@@ -98,19 +59,3 @@ def force_at(x, y, z, shape, brick_shape, keys, forces, total):
                     if slot < keys.shape[0] and keys[slot] == key:
                         for c in range(3):
                             total[c] += w * forces[slot, i & 7, j & 7, k & 7, c]
-
-
-@kernel
-def _sample(index, shape, brick_shape, keys, forces, out):
-    total = np.zeros(3)
-    for p in range(index.shape[0]):
-        force_at(index[p, 0], index[p, 1], index[p, 2], shape, brick_shape, keys, forces, total)
-        for c in range(3):
-            out[p, c] = total[c]
-
-
-def sample(index: Float64s, grid: Grid, keys: Int64s, forces_n: Float32s) -> Float32s:
-    """See `ForceField.sample_n`; `index` float64 [m, 3] in samples."""
-    out = np.empty((len(index), 3), np.float32)
-    _sample(index, np.array(grid.shape), np.array(grid.brick_shape), keys, forces_n, out)
-    return out

@@ -15,6 +15,7 @@ import mmap
 import os
 import tempfile
 from collections import deque
+from collections.abc import Sequence
 from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
@@ -24,7 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Int64s
-from touchfield.errors import InvalidArgument
+from touchfield.compute.native import native
+from touchfield.errors import InvalidArgument, TouchfieldError
 from touchfield.render.block import layout
 
 PREFIX: Final = "touchfield-servo-"
@@ -33,6 +35,28 @@ LOG_ROWS: Final = 8192
 SLOTS: Final = 256  # frames in the directory at one time, a power of two
 _ALIGNMENT: Final = 64  # bytes of a cache line
 _STEP_BYTES: Final = 1 << 22  # space is reserved in steps of this size
+
+
+def check_layout(rows: Sequence[tuple[str, int]]) -> None:
+    """Raise `TouchfieldError` unless the compiled module has the structs of `layout`.
+
+    `rows` are its version, sizes and offsets in bytes, ``native.receiver_layout()``.
+    """
+    expected = {"version": layout.RECEIVER_VERSION}
+    for name, dtype in layout.STRUCTS.items():
+        expected[name] = dtype.itemsize
+        expected |= {f"{name}.{field}": offset for field, (_, offset, *_) in (dtype.fields or {}).items()}
+    differing = set(rows) ^ set(expected.items())
+    if differing:
+        raise TouchfieldError(
+            "touchfield._native, the compiled part of touchfield",
+            f"other structs of a receiver ({min(differing)[0]})",
+            "those of c/touch_receiver.h",
+            "Install touchfield again, or compile the module again (make module).",
+        )
+
+
+check_layout(native.receiver_layout())
 
 
 def aligned(size_bytes: int) -> int:
