@@ -2,10 +2,11 @@
 
     python conformance/make_ticks.py [NAME ...]
 
-A file is little-endian: the bytes `TICKS001`, then int64: bytes of the receiver's memory, pieces, ticks, numbers
-of a tick. Then the pieces of the memory that are not zero, each an offset and a size, int64, and its bytes. Then
-the ticks, float64: offset of the frame before and of the one after, blend, position (3, m), dt (s), whether it is
-a release (1) or a tick (0), force (3, N); with a tool also the orientation of the grip (4) and the torque (3, N m).
+A file is little-endian: the bytes `TICKS001`, then int64: bytes of the receiver's memory, pieces, ticks,
+and numbers of a tick. Then the pieces of the memory that are not zero, each an offset and a size, int64,
+and its bytes. Then the ticks, float64: offset of the frame before and of the one after, blend, position
+(3, m), dt (s), whether it is a release (1) or a tick (0), and the force (3, N). With a tool, the
+orientation of the grip (4) and the torque (3, N m) follow.
 """
 
 from __future__ import annotations
@@ -246,7 +247,7 @@ def tool() -> Ticks:
     limits["peak"], limits["slew_per_s"] = 0.02, 4.0
     receiver.memory.receiver["state"]["torque"]["limit"] = 0.02
     sphere = Tool.sphere(0.005, 60)
-    shifted = Tool(sphere.points_m + [0.002, 0.0, 0.0], sphere.normals, "ball beside the grip")
+    shifted = Tool(sphere.points_m + np.array([0.002, 0.0, 0.0]), sphere.normals, "ball beside the grip")
     write_tool(receiver.memory, receiver.take(tool_bytes(shifted)), shifted)
     frame = receiver.voxels(field_of(wall(300)))
     angle = np.linspace(0, 1.2, TICKS)
