@@ -146,7 +146,7 @@ int main(int count, char **words) {
     loop_options options = {0, 0, 0, 0, 0, 0, 0, 0};
     pthread_t decoder;
     if (!read_options(count, words, &options))
-        return fputs("loop [-s SECONDS] [-p PEAK_N] [-m FRICTION] [-k WALL] [-x SPEED] [-l] [-t] [-i] FILE.touch\n", stderr), 64;
+        return fputs("loop [-s SECONDS] [-p PEAK_N] [-m FRICTION] [-k WALL] [-x SPEED] [-l] [-t] [-i] FILE\n", stderr), 64;
     int code = prepare(words[optind], &options);
     if (code) return code;
     int64_t ticks = (int64_t)(options.seconds * 1000 + 0.5);
