@@ -288,10 +288,7 @@ def press_cases(every: int) -> Figures:
         for b, delay, resolution, (kg, k) in cases:
             hands.auto(block, stiffness, b, delay, resolution)
             depth = hands.PRESS_N * (1 / stiffness + 1 / k)
-            step = hands.tick_matrix(hands.DEVICE_KG + kg, k, b)
-            contact = hands.call(
-                hands.touch, *block.memory.views, block.frame, step, k, b, depth, delay, resolution
-            )
+            contact = hands.simulate(block, kg, k, b, depth, resolution, delay)
             rows.append((stiffness, b, delay, resolution, kg, k, *contact))
     summary = hands.summary_of(np.array(rows))
     return {

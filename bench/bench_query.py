@@ -8,19 +8,23 @@ objects are those of `bench_objects`. The peers interpolate the same dense field
 (order 1, one call for each component), `RegularGridInterpolator`, and a compiled trilinear loop on all
 threads. Forces are compared.
 
-A single query is timed within compiled code by the processor's cycle counter, and from Python.
+A single query is timed within C by the processor's counter (`query_times.c`), and from Python.
 """
 
 from __future__ import annotations
 
+import ctypes
+import subprocess
+import sys
+import tempfile
 from collections.abc import Callable
+from functools import cache
+from pathlib import Path
 from time import perf_counter_ns
 from typing import Any
 
 import numpy as np
-from llvmlite import ir  # type: ignore[import-untyped]
-from numba import njit, prange, types
-from numba.extending import intrinsic
+from numba import njit, prange
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import map_coordinates
@@ -29,7 +33,6 @@ from bench_objects import scene
 from machine import Bar, Figures, at_least, at_most, bench, column, timed
 from touchfield.compute.threads import worker_count
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.render.kernels.frames import force_at
 from touchfield.render.sampler import FieldSampler
 from touchfield.sources.laws import LawSpec, penalty
 from touchfield.sources.shapes.analytic_scene import AnalyticScene
@@ -87,22 +90,6 @@ class Peers:
         return out
 
 
-@intrinsic
-def _counter(context):  # type: ignore[no-untyped-def]
-    """Read the processor's cycle counter."""
-
-    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        read = builder.module.declare_intrinsic(
-            "llvm.readcyclecounter", fnty=ir.FunctionType(ir.IntType(64), [])
-        )
-        return builder.call(read, [])
-
-    return types.int64(), generate
-
-
-counter: Any = _counter
-
-
 @njit(nogil=True, parallel=True, fastmath=True)
 def trilinear(dense, at, out):  # type: ignore[no-untyped-def]
     """Interpolate a dense field [n, n, n, 3] at points [m, 3], in samples."""
@@ -117,33 +104,24 @@ def trilinear(dense, at, out):  # type: ignore[no-untyped-def]
             out[p, n] = lower * (1 - u) + upper * u
 
 
-@njit(nogil=True)
-def time_queries(points, i8, u8, f8, f4, a, b, blend, counts, forces):  # type: ignore[no-untyped-def]
-    """Count the cycles of each single query, and of an empty interval."""
-    for p in range(points.shape[0]):
-        x, y, z = points[p, 0], points[p, 1], points[p, 2]
-        start = counter()
-        fx, fy, fz = force_at(i8, u8, f8, f4, a, b, blend, x, y, z)
-        middle = counter()
-        end = counter()
-        forces[p, 0], forces[p, 1], forces[p, 2] = fx, fy, fz
-        counts[p, 0], counts[p, 1] = middle - start, end - middle
+@cache
+def timer() -> ctypes.CDLL:
+    """Return `query_times.c`, compiled as the package's module is."""
+    folder = Path(__file__).resolve().parent
+    sys.path.insert(0, str(folder.parent / "build_backend"))
+    import compiler  # type: ignore[import-not-found]
 
-
-@njit(nogil=True)
-def count_now():  # type: ignore[no-untyped-def]
-    """Return the counter, for Python."""
-    return counter()
-
-
-def call(compiled: Any, *values: Any) -> Any:
-    """Call a compiled function, which the type checker does not know to be callable."""
-    return compiled(*values)
+    library = Path(tempfile.mkdtemp()) / "query_times.so"
+    command = [*compiler.find_compiler(), *compiler.OPTIONS, "-o", str(library)]
+    subprocess.run([*command, str(folder / "query_times.c"), "-lm"], check=True)
+    loaded = ctypes.CDLL(str(library))
+    loaded.count_now.restype = ctypes.c_int64
+    return loaded
 
 
 def counter_ns() -> float:
     """Return nanoseconds per count."""
-    count_now()
+    count_now = timer().count_now
     began_ns, began = perf_counter_ns(), count_now()
     while perf_counter_ns() - began_ns < 50e6:
         pass
@@ -157,12 +135,18 @@ def percentiles(us: Floats) -> dict[str, float]:
 
 
 def compiled(sampler: FieldSampler, time_s: float, points_m: Floats) -> dict[str, float]:
-    """Time single queries in compiled code, less the time to read the counter."""
+    """Time single queries in C, less the time to read the counter."""
     first, second, blend = sampler._instant(time_s)
     pair = sampler._pair(first, second)
     counts, forces = np.zeros((len(points_m), 2), np.int64), np.zeros(points_m.shape)
+    points, number = np.ascontiguousarray(points_m), ctypes.c_int64
+    addresses = [ctypes.c_void_p(a.ctypes.data) for a in (pair.memory.bytes, points, counts, forces)]
+    memory, *arrays = addresses
+    instant = number(pair.first), number(pair.second), ctypes.c_double(blend)
     for _ in range(2):
-        call(time_queries, points_m, *pair.memory.views, pair.first, pair.second, blend, counts, forces)
+        timer().time_queries(memory, *instant, arrays[0], number(len(points)), *arrays[1:])
+    expected = sampler.force_n(np.full(len(points), time_s), points)
+    assert np.array_equal(forces.astype(np.float32), expected)
     return percentiles((counts[:, 0] - np.median(counts[:, 1])) * counter_ns() / 1e3)
 
 
@@ -266,4 +250,4 @@ def bars(figures: Figures) -> list[Bar]:
 
 
 if __name__ == "__main__":
-    bench("query", __doc__, measure, bars, points=(10**6, 10**5))
+    bench("query", __doc__, measure, bars, points=(10**6, 10**5), reads=("c/*.h", "bench/query_times.c"))

@@ -29,10 +29,10 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from shutil import which
-from tempfile import TemporaryDirectory
+from tempfile import mkdtemp
 from typing import Any
 
 import numpy as np
@@ -69,26 +69,31 @@ class Case(ctypes.Structure):
     )
 
 
-def simulator(folder: Path) -> Any:
+@cache
+def simulator() -> Any:
     """Compile ``c_stability.c`` and return its function; skip the benchmark without a C compiler."""
     if which("cc") is None:
         leave_out("no C compiler (cc)")
-    library = folder / "stability.so"
+    library = Path(mkdtemp()) / "stability.so"
     options = ("-O3", "-std=c99", "-ffp-contract=off", "-shared", "-fPIC")
     source = Path(__file__).with_name("c_stability.c")
     subprocess.run(["cc", *options, "-o", str(library), str(source), "-lm"], check=True)
     return ctypes.CDLL(str(library)).simulate_touch
 
 
-def simulate(touch: Any, bench: Bench, case: Case) -> tuple[float, ...]:
-    """Simulate one touch.
+def simulate(
+    bench: Bench, kg: float, k: float, b: float, depth_m: float, resolution_m: float, delay_ticks: int
+) -> tuple[float, ...]:
+    """Simulate one touch by a hand of `kg` and spring `k` on a device of damping `b`.
 
     Returns rms, mean and energy of the last second of pressing, net energy, mean depth and seconds of
     pressing.
     """
-    result = (ctypes.c_double * 6)()
+    rows = tick_matrix(DEVICE_KG + kg, k, b)[:2]
+    step = (ctypes.c_double * 3 * 2)(*((ctypes.c_double * 3)(*row) for row in rows))
+    case, result = Case(step, k, b, depth_m, resolution_m, delay_ticks), (ctypes.c_double * 6)()
     memory = ctypes.c_void_p(bench.memory.bytes.ctypes.data)
-    touch(memory, ctypes.c_int64(bench.frame), ctypes.byref(case), result)
+    simulator()(memory, ctypes.c_int64(bench.frame), ctypes.byref(case), result)
     return tuple(result)
 
 
@@ -100,8 +105,8 @@ def tick_matrix(kg: float, k: float, b: float) -> Any:
     return expm(np.array([[0, 1, 0], [-k / kg, -b / kg, 1 / kg], [0, 0, 0]]) * TICK_S)
 
 
-def run(touch: Any, render: Any, every: int) -> dict[str, Any]:
-    """Run all cases with one way to render, in the simulation `touch`.
+def run(render: Any, every: int) -> dict[str, Any]:
+    """Run all cases with one way to render.
 
     `render(bench, K, b, delay, resolution)` sets up the memory block of a case.
     """
@@ -113,8 +118,7 @@ def run(touch: Any, render: Any, every: int) -> dict[str, Any]:
         ]:
             render(block, stiffness, b, delay, resolution)
             depth = PRESS_N * (1 / stiffness + 1 / k)
-            step = (ctypes.c_double * 3 * 2)(*map(tuple, tick_matrix(DEVICE_KG + kg, k, b)[:2]))
-            result = simulate(touch, block, Case(step, k, b, depth, resolution, delay))
+            result = simulate(block, kg, k, b, depth, resolution, delay)
             rows.append((stiffness, b, delay, resolution, kg, k, *result))
     return summary_of(np.array(rows)) | {"s": time.perf_counter() - began}
 
@@ -188,9 +192,7 @@ WAYS = {
 
 def measure(every: int) -> Figures:
     """Measure all ways to render."""
-    with TemporaryDirectory() as folder:
-        touch = simulator(Path(folder))
-        return {"rows": {name: run(touch, render, every) for name, render in WAYS.items()}}
+    return {"rows": {name: run(render, every) for name, render in WAYS.items()}}
 
 
 def bars(figures: Figures) -> list[Bar]:

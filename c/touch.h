@@ -1,4 +1,4 @@
-/* touch.h: a decoder of .touch files (format 1) in C99; docs/format tells every byte. touch_model.h lies beside it.
+/* touch.h: a decoder of .touch files (format 1) in C99; docs/format defines every byte. touch_model.h lies beside it.
 
    In one source file:   #define TOUCH_IMPLEMENTATION
                          #include "touch.h"
@@ -56,7 +56,7 @@ typedef struct {
     uint64_t size;
 } touch_bytes;
 
-typedef struct { /* the records of a file, held against each other */
+typedef struct { /* the records of a file, compared with each other */
     const uint8_t *data;
     uint64_t size;
     touch_grid grid;
@@ -100,7 +100,7 @@ typedef struct {
 touch_arena touch_arena_of(void *memory, uint64_t size);
 int touch_open(touch_file *file, const void *bytes, uint64_t size);
 /* Bytes that never are too few: for the arena of a decoder, and for that of a frame. They follow what the bytes of the
-   file may tell at most. What one file takes in truth is `peak` of an arena it was decoded with, and for a decoder also
+   file may code at most. What one file really takes is `peak` of an arena it was decoded with, and for a decoder also
    what bodies keep at the end of its arena, by which touch_start makes `size` smaller. */
 void touch_room(const touch_file *file, uint64_t *decoder, uint64_t *frame);
 int touch_start(touch_decoder *decoder, const touch_file *file, touch_arena arena);
@@ -213,14 +213,15 @@ static double touch_f64(touch_cursor *c) {
     return out;
 }
 
-static uint64_t touch_varint(touch_cursor *c, uint64_t least, uint64_t limit) {
+/* A whole number from `min` to below `stop`. */
+static uint64_t touch_varint(touch_cursor *c, uint64_t min, uint64_t stop) {
     uint64_t value = 0;
     for (int place = 0; place < 8; place++) {
         uint64_t byte = touch_u(c, 1);
         value |= (byte & 127) << (7 * place);
         if (byte < 128) {
             touch_need(c, byte || !place, "a varint that is not in its shortest form");
-            touch_need(c, least <= value && value < limit, "a number out of its bounds");
+            touch_need(c, min <= value && value < stop, "a number out of its bounds");
             return c->code ? 0 : value;
         }
     }
@@ -228,8 +229,8 @@ static uint64_t touch_varint(touch_cursor *c, uint64_t least, uint64_t limit) {
     return 0;
 }
 
-static touch_cursor touch_chunk(touch_cursor *c, uint64_t least) {
-    uint64_t n = touch_varint(c, least, (uint64_t)1 << 56);
+static touch_cursor touch_chunk(touch_cursor *c, uint64_t min_size) {
+    uint64_t n = touch_varint(c, min_size, (uint64_t)1 << 56);
     const uint8_t *at = touch_skip(c, n);
     return c->code ? touch_cursor_of(at, 0) : touch_cursor_of(at, n);
 }
@@ -274,7 +275,7 @@ static int touch_is_known(uint32_t tag) {
            tag == TOUCH_INDX || tag == TOUCH_TEND;
 }
 
-/* The record at the cursor; its CRC-32 is checked where asked. */
+/* The record at the cursor; its CRC-32 is checked if `is_checked`. */
 static touch_record touch_read_record(touch_cursor *c, const uint8_t *data, int is_checked) {
     touch_record r;
     r.offset = (uint64_t)(c->at - data);
@@ -306,9 +307,9 @@ static void touch_settle(touch_cursor *c) {
     if (c->code == TOUCH_CUT) c->code = TOUCH_CORRUPT;
 }
 
-static double touch_bounded(touch_cursor *c, double least, double most) {
+static double touch_bounded(touch_cursor *c, double min, double max) {
     double value = touch_f64(c);
-    touch_need(c, least <= value && value <= most, "a number out of its bounds");
+    touch_need(c, min <= value && value <= max, "a number out of its bounds");
     return value;
 }
 
@@ -394,7 +395,7 @@ static void touch_read_head(touch_file *f, touch_cursor *c) {
     touch_settle(c);
 }
 
-static void touch_read_story(touch_cursor *c) { /* PROV */
+static void touch_read_provenance(touch_cursor *c) { /* PROV */
     touch_bytes keys[64];
     uint64_t count = touch_u(c, 2);
     touch_need(c, count <= 64, "too many pairs in PROV");
@@ -470,9 +471,9 @@ static int touch_check_opening(touch_cursor *c, const uint8_t *data, uint64_t si
     return 1;
 }
 
-/* All records in their order; what each tells is held against the others. */
+/* All records in their order; what each states is compared with the others. */
 static void touch_walk(touch_file *f, touch_cursor *c) {
-    uint32_t previous = 0, stories = 0, segments = 0, first = 0, vibration[2] = {0, 0}, chain;
+    uint32_t previous = 0, provenance_count = 0, segments = 0, first = 0, vibration[2] = {0, 0}, chain;
     int is_behind_segment = 0, has_vibration = 0, is_chained = 0;
     uint64_t index_offset = 0;
     chain = touch_crc(0, f->data, TOUCH_OPENING);
@@ -490,8 +491,8 @@ static void touch_walk(touch_file *f, touch_cursor *c) {
             touch_need(c, r.offset == TOUCH_OPENING, "a record before HEAD");
             touch_read_head(f, &r.payload);
         } else if (r.tag == TOUCH_PROV) {
-            touch_need(c, !stories++ && !is_behind_segment, "PROV twice, or behind a segment");
-            touch_read_story(&r.payload);
+            touch_need(c, !provenance_count++ && !is_behind_segment, "PROV twice, or behind a segment");
+            touch_read_provenance(&r.payload);
         } else if (r.tag == TOUCH_OBJT) {
             touch_need(c, !is_behind_segment && f->object_count++ < 4096, "OBJT behind a segment, or too many");
             touch_read_object(&r.payload);
@@ -517,13 +518,13 @@ static void touch_walk(touch_file *f, touch_cursor *c) {
             f->index.bytes = r.payload.at, f->index.size = touch_left(&r.payload), f->segment_count = segments;
             index_offset = r.offset;
         } else {
-            uint64_t told[3];
+            uint64_t index_at, size, chained;
             touch_need(c, previous == TOUCH_INDX && r.length == 20, "TEND in another place");
-            told[0] = touch_u(&r.payload, 8), told[1] = touch_u(&r.payload, 8), told[2] = touch_u(&r.payload, 4);
+            index_at = touch_u(&r.payload, 8), size = touch_u(&r.payload, 8), chained = touch_u(&r.payload, 4);
 #ifdef FUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION
-            chain = (uint32_t)told[2];
+            chain = (uint32_t)chained;
 #endif
-            touch_need(c, told[0] == index_offset && told[1] == f->size && told[2] == chain && c->at == c->end,
+            touch_need(c, index_at == index_offset && size == f->size && chained == chain && c->at == c->end,
                        "HEAD, INDX or TEND of another file");
             return;
         }
@@ -578,7 +579,7 @@ static int touch_read_frame(touch_cursor c, const touch_grid *grid, const touch_
     touch_need(&c, order < 32 && (order & 3) < 3, "a scan order that there is not");
     p = (touch_pass *)touch_take(arena, 1, sizeof *p);
     if (!p) return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
-    for (int n = 0; n < 3; n++) p->slope[n] = (int64_t)touch_varint(&c, 0, 1u << 17);
+    for (int n = 0; n < 3; n++) p->slope[n] = (int64_t)touch_varint(&c, 0, TOUCH_SLOPE_STOP);
     if (c.code) return touch_fail(error, c.code, c.what);
     coder = touch_reading(&c, tables);
     p->coder = &coder, p->models = models, p->steps = steps, p->reference = reference, p->target = 0;
@@ -628,26 +629,28 @@ static int touch_read_spline(touch_cursor c, const touch_grid *grid, const touch
 
 static int touch_read_columns(touch_cursor c, const touch_grid *grid, const touch_tables *tables, touch_units *out,
                               touch_arena *arena, touch_cursor *error) {
-    static const int limit[7] = {17, 20, 20, 20, 14, 12, 16};
-    uint64_t first = touch_varint(&c, 0, 6), box[2][2], tiles[2], number[7];
-    touch_columns h;
-    memset(&h, 0, sizeof h), h.view = touch_view_of(grid, (int)(first >> 1), (int)(first & 1));
-    for (int n = 0; n < 2; n++) tiles[n] = (grid->shape[h.view.across[n]] + 7) >> 3;
-    for (int n = 0; n < 2; n++) box[n][0] = touch_varint(&c, 0, tiles[n]);
-    for (int n = 0; n < 2; n++) box[n][1] = touch_varint(&c, 0, tiles[n]) + 1;
-    for (int n = 0; n < 7; n++) number[n] = touch_varint(&c, 0, (uint64_t)1 << limit[n]);
-    for (int n = 0; n < 2; n++) touch_need(&c, c.code || box[n][0] + box[n][1] <= tiles[n], "a box beyond the grid");
-    touch_need(&c, h.view.depth <= 1 << 14, "columns of too many samples");
+    static const int number_bits[7] = {17, 20, 20, 20, 14, 12, 16};
+    uint64_t first = touch_varint(&c, 0, 6), range[2][2], tiles[2], number[7];
+    touch_columns columns;
+    memset(&columns, 0, sizeof columns), columns.box = touch_column_box_of(grid, (int)(first >> 1), (int)(first & 1));
+    for (int n = 0; n < 2; n++) tiles[n] = (grid->shape[columns.box.across[n]] + 7) >> 3;
+    for (int n = 0; n < 2; n++) range[n][0] = touch_varint(&c, 0, tiles[n]);
+    for (int n = 0; n < 2; n++) range[n][1] = touch_varint(&c, 0, tiles[n]) + 1;
+    for (int n = 0; n < 7; n++) number[n] = touch_varint(&c, 0, (uint64_t)1 << number_bits[n]);
+    for (int n = 0; n < 2; n++) touch_need(&c, c.code || range[n][0] + range[n][1] <= tiles[n], "a box beyond the grid");
+    touch_need(&c, columns.box.depth <= 1 << 14, "columns of too many samples");
     if (c.code) return touch_fail(error, c.code, c.what);
-    h.top = (int64_t)number[0], h.ramp = (int64_t)number[1], h.ratio[0] = (int64_t)number[2];
-    h.ratio[1] = (int64_t)number[3], h.coder = touch_reading(&c, tables);
-    for (int n = 0; n < 3; n++) h.step[n] = (int64_t)number[4 + n];
-    for (int n = 0; n < 2; n++) h.view.tile[n] = (int64_t)box[n][0], h.view.tiles[n] = (int64_t)box[n][1];
-    if (h.coder.size < touch_min_column_bytes(box[0][1] * box[1][1], 0)) return touch_fail(error, TOUCH_CUT, "a box of many tiles");
-    if (!touch_columns_make(&h, arena)) return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
-    if (!touch_code_columns(&h, error)) return 0;
-    if (!touch_fill_columns(&h, 64 + 16 * h.coder.size, out, arena, error)) return 0; /* what it took goes with the frame */
-    touch_close(&h.coder, touch_min_column_bytes(box[0][1] * box[1][1], out->list.count), error);
+    columns.top = (int64_t)number[0], columns.ramp = (int64_t)number[1], columns.ratio[0] = (int64_t)number[2];
+    columns.ratio[1] = (int64_t)number[3], columns.coder = touch_reading(&c, tables);
+    for (int n = 0; n < 3; n++) columns.step[n] = (int64_t)number[4 + n];
+    for (int n = 0; n < 2; n++) columns.box.tile[n] = (int64_t)range[n][0], columns.box.tiles[n] = (int64_t)range[n][1];
+    if (columns.coder.size < touch_min_column_bytes(range[0][1] * range[1][1], 0))
+        return touch_fail(error, TOUCH_CUT, "a box of many tiles");
+    if (!touch_columns_make(&columns, arena)) return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
+    if (!touch_code_columns(&columns, error)) return 0;
+    /* what it takes of the arena is given back with that of the frame */
+    if (!touch_fill_columns(&columns, touch_max_bricks(columns.coder.size), out, arena, error)) return 0;
+    touch_close(&columns.coder, touch_min_column_bytes(range[0][1] * range[1][1], out->list.count), error);
     return !error->code;
 }
 
@@ -663,7 +666,7 @@ static int touch_read_exact(touch_cursor c, const touch_grid *grid, const touch_
     out->book = (int)touch_u(&c, 1);
     if (before) touch_need(&c, !out->book || out->book == before->book, "another codebook than that of the frame before");
     else if (out->book) {
-        touch_need(&c, out->book <= 25, "a codebook that there is not");
+        touch_need(&c, out->book <= TOUCH_LAST_OCTA, "a codebook that there is not");
         out->level_count = (uint32_t)touch_u(&c, 2);
         touch_need(&c, out->level_count > 0, "a palette without levels");
         out->levels = touch_skip(&c, 4 * (uint64_t)out->level_count);
@@ -680,7 +683,7 @@ static int touch_read_exact(touch_cursor c, const touch_grid *grid, const touch_
     pass.coder = &coder, pass.models = m, pass.grid = grid, pass.before = before;
     if (!touch_code_list(&coder, &m->list, grid->shape, before ? before->list : none, &out->list, arena, error)) return 0;
     touch_check(&coder, error);
-    if (4 * out->list.count > 64 + 16 * coder.size) touch_fail(error, TOUCH_CUT, "bricks without bytes");
+    if (4 * out->list.count > touch_max_bricks(coder.size)) touch_fail(error, TOUCH_CUT, "bricks without bytes");
     if (error->code) return 0;
     out->own = (touch_symbols *)touch_take_zero(arena, 512 * out->list.count, sizeof *out->own);
     out->force = (float *)touch_take_zero(arena, 3 * 512 * out->list.count, 4);
@@ -690,7 +693,7 @@ static int touch_read_exact(touch_cursor c, const touch_grid *grid, const touch_
     return !error->code;
 }
 
-/* -- fields that are asked at points --------------------------------------------------------------------------------- */
+/* -- queries: forces and gradients at points ------------------------------------------------------------------------- */
 
 static uint32_t touch_brick_number(const touch_grid *g, int64_t x, int64_t y, int64_t z) {
     return (uint32_t)((x * ((g->shape[1] + 7) >> 3) + y) * ((g->shape[2] + 7) >> 3) + z);
@@ -732,7 +735,7 @@ static void touch_field_put(const touch_field *f, uint32_t *table, uint64_t key,
 /* The eight samples about a point, and where it lies between them; 0: nothing is there. */
 static int touch_corners_at(const touch_field *f, const double p[3], float c[8][3], double part[3]) {
     int64_t low[3], brick[3], last = -2;
-    uint64_t asked = ~(uint64_t)0;
+    uint64_t last_key = ~(uint64_t)0;
     int any = 0;
     for (int n = 0; n < 3; n++) {
         double at = (p[n] - f->grid.origin_m[n]) / f->grid.spacing_m[n];
@@ -749,7 +752,7 @@ static int touch_corners_at(const touch_field *f, const double p[3], float c[8][
             continue;
         for (int k = 0; k < 3; k++) brick[k] = at[k] >> 3;
         uint64_t key = touch_key(brick[0], brick[1], brick[2]);
-        if (key != asked) last = touch_field_slot(f, brick[0], brick[1], brick[2]), asked = key;
+        if (key != last_key) last = touch_field_slot(f, brick[0], brick[1], brick[2]), last_key = key;
         if (last < 0) continue;
         memcpy(c[n], f->forces_n + 3 * (512 * last + 64 * (at[0] & 7) + 8 * (at[1] & 7) + (at[2] & 7)), 12), any = 1;
     }
@@ -781,7 +784,7 @@ static void touch_slopes(const touch_field *f, const double p[3], double out[9])
         }
 }
 
-/* The force of a part, and, where asked, its slopes. */
+/* The force of a part, and its slopes unless `slopes` is NULL. */
 static void touch_part_force(const touch_frame *frame, const touch_part *part, const double p[3], double out[3],
                              double *slopes) {
     double d[3], own[3], there[3];
@@ -875,7 +878,7 @@ typedef struct { /* who decodes fields on one lattice: of the file, or of a body
 } touch_fields;
 
 typedef struct {
-    touch_object told;
+    touch_object object; /* as OBJT states it */
     const touch_field *rigid;
     const touch_field **deforming; /* of each frame of the segment */
     double position_step_m;
@@ -905,7 +908,8 @@ typedef struct touch_state {
 static int touch_check_parameters(touch_bytes b, int *is_exact, touch_cursor *error) {
     /* modes 0 to 3, and mode 0 with masking */
     static const double least[5][4] = {{0.001, 0}, {0.001, 0, 5e-324}, {5e-324}, {0}, {0.001, 0, 5e-324, 1e-6}};
-    static const double most[5][4] = {{1, 1e308}, {1, 1e308, 90}, {1e308}, {0}, {1, 1e308, 1.0000000000000002, 1.0000000000000002}};
+    static const double most[5][4] = {
+        {1, 1e308}, {1, 1e308, 90}, {1e308}, {0}, {1, 1e308, 1.0000000000000002, 1.0000000000000002}};
     static const int count[5] = {2, 3, 1, 0, 4};
     touch_cursor c = touch_cursor_of(b.bytes, b.size);
     int version, mode, rule;
@@ -949,7 +953,7 @@ static touch_frame_parts touch_read_parts(touch_cursor *c, int is_exact, int is_
     parts.layer = parts.flags & 2 ? touch_chunk(c, 1) : touch_cursor_of(c->at, 0);
     parts.payload = touch_chunk(c, 0);
     parts.outliers = parts.flags & 4 ? touch_chunk(c, 1) : touch_cursor_of(c->at, 0);
-    if (is_valid) touch_is_read(c, "a base layer, payload or outliers that are cut, or empty");
+    if (is_valid) touch_is_read(c, "a base layer, payload or outliers that end too early, or are empty");
     return parts;
 }
 
@@ -1003,8 +1007,8 @@ static int touch_begin_fields(touch_fields *f, touch_cursor *c, uint32_t frames,
     return 1;
 }
 
-/* A force that was sent as it is: from one to the next of a chunk. */
-static int touch_read_exception(touch_cursor *c, const touch_grid *grid, uint64_t *brick, int64_t *last, int32_t place[3],
+/* An outlier: from one to the next of a chunk. */
+static int touch_read_outlier(touch_cursor *c, const touch_grid *grid, uint64_t *brick, int64_t *last, int32_t place[3],
                                 float force[3]) {
     uint64_t gap = touch_varint(c, 0, touch_brick_count(grid) - *brick), coded = touch_varint(c, 0, 1024);
     uint64_t by = (grid->shape[1] + 7) >> 3, bz = (grid->shape[2] + 7) >> 3;
@@ -1024,12 +1028,12 @@ static int touch_read_exception(touch_cursor *c, const touch_grid *grid, uint64_
     return !c->code;
 }
 
-/* The field of a decoded frame in `out`, with its exceptions; `scratch` is emptied again. */
-static const touch_field *touch_make_field(const touch_fields *f, touch_cursor apart, touch_arena *out, touch_arena *scratch,
+/* The field of a decoded frame in `out`, with its outliers; `scratch` is emptied again. */
+static const touch_field *touch_make_field(const touch_fields *f, touch_cursor outliers, touch_arena *out, touch_arena *scratch,
                                            touch_cursor *error) {
     const touch_list *list = f->is_exact ? &f->exact.list : &f->units.list;
     uint64_t mark = scratch->used, count = list->count, brick = 0;
-    touch_cursor c = apart;
+    touch_cursor c = outliers;
     touch_arena end;
     touch_map map;
     touch_field *field;
@@ -1037,16 +1041,16 @@ static const touch_field *touch_make_field(const touch_fields *f, touch_cursor a
     float *forces, force[3];
     int64_t last = -1;
     int32_t place[3];
-    uint64_t bricks = 1, before = 0; /* of the exceptions; it may be that of number 0 */
-    while (c.at < c.end && touch_read_exception(&c, &f->grid, &brick, &last, place, force))
+    uint64_t bricks = 1, before = 0; /* of the outliers; it may be that of number 0 */
+    while (c.at < c.end && touch_read_outlier(&c, &f->grid, &brick, &last, place, force))
         bricks += brick != before, before = brick;
-    c = apart, brick = 0, last = -1;
+    c = outliers, brick = 0, last = -1;
     if (!touch_map_make(&map, list->count + bricks, scratch)) {
         touch_fail(error, TOUCH_MEMORY, "no room for a field");
         return 0;
     }
     for (uint64_t i = 0; i < list->count; i++) touch_map_put(&map, list->key[i], (uint32_t)i);
-    while (c.at < c.end && touch_read_exception(&c, &f->grid, &brick, &last, place, force)) {
+    while (c.at < c.end && touch_read_outlier(&c, &f->grid, &brick, &last, place, force)) {
         uint64_t key = touch_key(place[0] >> 3, place[1] >> 3, place[2] >> 3);
         if (touch_map_get(&map, key) < 0) touch_map_put(&map, key, (uint32_t)count++);
     }
@@ -1070,8 +1074,8 @@ static const touch_field *touch_make_field(const touch_fields *f, touch_cursor a
         for (int n = 0; n < 3; n++)
             forces[3 * i + (uint64_t)n] = f->is_exact ? f->exact.force[3 * i + (uint64_t)n]
                                                       : f->steps.unit_n * (float)f->units.v[i].v[n];
-    c = apart, brick = 0, last = -1;
-    while (c.at < c.end && touch_read_exception(&c, &f->grid, &brick, &last, place, force)) {
+    c = outliers, brick = 0, last = -1;
+    while (c.at < c.end && touch_read_outlier(&c, &f->grid, &brick, &last, place, force)) {
         int64_t slot = touch_map_get(&map, touch_key(place[0] >> 3, place[1] >> 3, place[2] >> 3));
         memcpy(forces + 3 * (512 * slot + 64 * (place[0] & 7) + 8 * (place[1] & 7) + (place[2] & 7)), force, 12);
     }
@@ -1134,20 +1138,20 @@ static const touch_field *touch_next_field(touch_fields *f, touch_cursor *c, con
     return field;
 }
 
-/* Numbers of a code, `stride` apart; those behind its end stay 0. */
+/* Numbers of a code, `stride` outliers; those behind its end stay 0. */
 static void touch_read_numbers(touch_coder *b, touch_numbers *models, uint64_t count, uint64_t stride, int64_t *out) {
     for (uint64_t i = 0; i < count; i++) out[stride * i] = 0;
-    for (uint64_t i = 0; i < count && b->position <= b->size + 6; i++) out[stride * i] = touch_code_number(b, models, 0);
+    for (uint64_t i = 0; i < count && !touch_is_cut(b); i++) out[stride * i] = touch_code_number(b, models, 0);
 }
 
 static int64_t touch_wrapping_sum(int64_t a, int64_t b) { return (int64_t)((uint64_t)a + (uint64_t)b); }
 
 /* Poses within their limits: positions of 2^50 steps, and unit quaternions. */
 static int touch_check_poses(const int64_t *poses, uint32_t count, int64_t one, touch_cursor *error) {
-    const int64_t longest = (int64_t)1 << 50;
+    const int64_t max_position = (int64_t)1 << 50;
     for (uint32_t i = 0; i < 7 * (uint64_t)count; i++) {
-        int64_t limit = i % 7 < 3 ? longest : one;
-        if (!touch_need(error, -limit <= poses[i] && poses[i] <= limit, "a pose beyond its limit")) return 0;
+        int64_t max = i % 7 < 3 ? max_position : one;
+        if (!touch_need(error, touch_clip_to(poses[i], max) == poses[i], "a pose beyond its limit")) return 0;
     }
     for (uint32_t i = 0; i < count; i++) {
         int64_t squares = 0;
@@ -1193,8 +1197,8 @@ static touch_cursor touch_segment_body(const touch_file *file, uint32_t n, touch
 static int touch_read_deforming(touch_decoder *d, touch_body *body, touch_cursor c, uint32_t frames, touch_cursor *error) {
     uint64_t begin = d->arena.used;
     touch_fields own;
-    memset(&own, 0, sizeof own), own.grid = body->told.grid;
-    if (!touch_check_parameters(body->told.parameters, &own.is_exact, error)) return 0;
+    memset(&own, 0, sizeof own), own.grid = body->object.grid;
+    if (!touch_check_parameters(body->object.parameters, &own.is_exact, error)) return 0;
     if (!touch_begin_fields(&own, &c, frames, &d->arena, error)) return 0;
     uint64_t mark = d->arena.used;
     for (uint32_t i = 0; i < frames; i++) {
@@ -1208,7 +1212,7 @@ static int touch_read_deforming(touch_decoder *d, touch_body *body, touch_cursor
 /* The chunks of a body in a segment; `fields` is empty for a rigid one. */
 static touch_cursor touch_body_chunks(touch_cursor *c, const touch_body *body, touch_cursor *fields) {
     touch_cursor poses = touch_chunk(c, 0);
-    *fields = body->told.is_deforming ? touch_chunk(c, 0) : touch_cursor_of(c->at, 0);
+    *fields = body->object.is_deforming ? touch_chunk(c, 0) : touch_cursor_of(c->at, 0);
     return poses;
 }
 
@@ -1228,7 +1232,7 @@ static int touch_read_body_poses(touch_decoder *d, touch_body *body, touch_curso
 }
 
 /* The bodies' part of a segment: all chunks, then poses into row `row` on, then fields of those that deform where they
-   are asked for. */
+   are requested. */
 static int touch_read_bodies(touch_decoder *d, uint32_t segment, int64_t row, int has_fields, touch_cursor *error) {
     touch_state *s = d->state;
     touch_entry e;
@@ -1250,7 +1254,7 @@ static int touch_read_bodies(touch_decoder *d, uint32_t segment, int64_t row, in
     c = first;
     for (uint32_t n = 0; n < count && has_fields; n++) {
         touch_body_chunks(&c, s->body + n, &fields);
-        if (s->body[n].told.is_deforming && !touch_read_deforming(d, s->body + n, fields, e.count, error)) return 0;
+        if (s->body[n].object.is_deforming && !touch_read_deforming(d, s->body + n, fields, e.count, error)) return 0;
     }
     return 1;
 }
@@ -1270,7 +1274,8 @@ static int touch_read_vibration(touch_cursor c, const touch_tables *tables, cons
         touch_vibrating *v = frames + i;
         if (!touch_code_set(&b, models, grid, i ? &v[-1].set : &none, &v->set, arena, error)) return 0;
         bricks += 16 + v->set.list.count;
-        if (bricks > 64 + 16 * b.size) return touch_fail(error, TOUCH_CUT, "more frames or bricks than the bytes may list");
+        if (bricks > touch_max_bricks(b.size))
+            return touch_fail(error, TOUCH_CUT, "more frames or bricks than the bytes may list");
         v->samples = 0;
         for (uint64_t k = 0; k < 512 * v->set.list.count; k++) v->samples += v->set.is_set[k];
         samples += v->samples;
@@ -1298,10 +1303,10 @@ static uint64_t touch_run_stop(const touch_list *list, uint64_t i, int bits) {
 static uint64_t touch_raster(const touch_set *set, uint64_t *key, uint32_t *index) {
     uint64_t count = 0, plane_stop, row_stop;
     for (uint64_t plane = 0; plane < set->list.count; plane = plane_stop) {
-        plane_stop = touch_run_stop(&set->list, plane, 42);
+        plane_stop = touch_run_stop(&set->list, plane, 2 * TOUCH_KEY_BITS);
         for (int x = 0; x < 8; x++)
             for (uint64_t row = plane; row < plane_stop; row = row_stop) {
-                row_stop = touch_run_stop(&set->list, row, 21);
+                row_stop = touch_run_stop(&set->list, row, TOUCH_KEY_BITS);
                 for (int y = 0; y < 8; y++)
                     for (uint64_t i = row; i < row_stop; i++) {
                         int32_t at[3];
@@ -1318,30 +1323,32 @@ static uint64_t touch_raster(const touch_set *set, uint64_t *key, uint32_t *inde
     return count;
 }
 
+enum { TOUCH_MAX_VIBRATION_STEP = 159, TOUCH_MAX_HERTZ = 10000 };
+
 /* Values in place of differences. */
 static int touch_settle_vibration(touch_vibrating *frames, uint32_t count, touch_arena *arena, touch_cursor *error) {
-    uint64_t mark = arena->used, most = 0;
+    uint64_t mark = arena->used, max_samples = 0;
     uint64_t *key[2];
     for (uint32_t i = 0; i < count; i++)
-        if (frames[i].samples > most) most = frames[i].samples;
-    key[0] = (uint64_t *)touch_take(arena, most, 8), key[1] = (uint64_t *)touch_take(arena, most, 8);
-    uint32_t *tag = (uint32_t *)touch_take(arena, most, 4);
+        max_samples = touch_larger(max_samples, frames[i].samples);
+    key[0] = (uint64_t *)touch_take(arena, max_samples, 8), key[1] = (uint64_t *)touch_take(arena, max_samples, 8);
+    uint32_t *tag = (uint32_t *)touch_take(arena, max_samples, 4);
     if (!key[0] || !key[1] || !tag) return touch_fail(error, TOUCH_MEMORY, "no room for a vibration");
     for (uint32_t frame = 0; frame < count; frame++) {
         touch_vibrating *v = frames + frame;
-        const uint64_t *own = key[frame & 1], *old = key[!(frame & 1)];
+        const uint64_t *own = key[frame & 1], *previous = key[!(frame & 1)];
         touch_raster(&v->set, key[frame & 1], tag);
         for (uint32_t n = 0; n < 2; n++) {
             uint64_t at = 0;
             for (uint64_t i = 0; i < v->samples; i++) {
                 int64_t from = i ? v->value[n][i - 1] : 0;
                 if (frame) {
-                    while (at < v[-1].samples && old[at] < own[i]) at++;
-                    if (at < v[-1].samples && old[at] == own[i]) from = v[-1].value[n][at];
+                    while (at < v[-1].samples && previous[at] < own[i]) at++;
+                    if (at < v[-1].samples && previous[at] == own[i]) from = v[-1].value[n][at];
                 }
                 v->value[n][i] = touch_wrapping_sum(v->value[n][i], from);
-                if (!touch_need(error, v->value[n][i] >= (int64_t)n && v->value[n][i] <= (n ? 10000 : 159),
-                                "a vibration beyond its limit"))
+                int64_t max = n ? TOUCH_MAX_HERTZ : TOUCH_MAX_VIBRATION_STEP, value = v->value[n][i];
+                if (!touch_need(error, value >= (int64_t)n && value <= max, "a vibration beyond its limit"))
                     return 0;
             }
         }
@@ -1378,10 +1385,10 @@ static const touch_field *touch_vibration_field(touch_decoder *d, const touch_vi
 
 /* -- the decoder ----------------------------------------------------------------------------------------------------- */
 
-/* Bricks that the fields of some frames may list at most: 16 for a byte of a code. Those of exceptions take two bytes. */
-static uint64_t touch_most_bricks(uint64_t lattice, uint64_t bytes, uint64_t frames) {
-    uint64_t most = 64 * frames + 16 * bytes;
-    return lattice < most / frames ? lattice * frames : most;
+/* Bricks that the fields of some frames may list at most: 16 for a byte of a code. Those of outliers take two bytes. */
+static uint64_t touch_bricks_of_bytes(uint64_t lattice, uint64_t bytes, uint64_t frames) {
+    uint64_t max = 64 * frames + 16 * bytes;
+    return lattice < max / frames ? lattice * frames : max;
 }
 
 /* Bytes of models; of each brick: of a field that stays, of a frame while it is decoded (vectors 6144, cells 16384, keys and
@@ -1399,7 +1406,7 @@ enum {
    before and of a base layer together are bounded by all bytes. Exact frames list 4 bricks for a byte, of less than
    TOUCH_DECODED. */
 static uint64_t touch_frames_room(uint64_t lattice, uint64_t bytes) {
-    uint64_t decoded = touch_smaller(lattice, 64 + 16 * bytes), known = 192 + 16 * bytes - decoded;
+    uint64_t decoded = touch_smaller(lattice, touch_max_bricks(bytes)), known = 192 + 16 * bytes - decoded;
     return TOUCH_DECODED * decoded + TOUCH_KNOWN * touch_smaller(known, 2 * lattice) +
            TOUCH_TILE * touch_smaller(lattice, 64 + bytes);
 }
@@ -1407,7 +1414,7 @@ static uint64_t touch_frames_room(uint64_t lattice, uint64_t bytes) {
 void touch_body_room(const touch_grid *grid, touch_bytes body, uint64_t *decoder, uint64_t *frame) {
     uint64_t lattice = touch_brick_count(grid);
     *decoder = TOUCH_FIXED + touch_frames_room(lattice, body.size);
-    *frame = 4096 + TOUCH_KEPT * touch_most_bricks(lattice, body.size, 1);
+    *frame = 4096 + TOUCH_KEPT * touch_bricks_of_bytes(lattice, body.size, 1);
 }
 
 void touch_room(const touch_file *file, uint64_t *decoder, uint64_t *frame) {
@@ -1419,19 +1426,19 @@ void touch_room(const touch_file *file, uint64_t *decoder, uint64_t *frame) {
         touch_record r = touch_read_record(&at, file->data, 0);
         if (r.tag == TOUCH_OBJT && !at.code) {
             touch_object o = touch_read_object(&r.payload);
-            uint64_t lattice = touch_brick_count(&o.grid), most = touch_most_bricks(lattice, r.length, 1);
+            uint64_t lattice = touch_brick_count(&o.grid), listed = touch_bricks_of_bytes(lattice, r.length, 1);
             if (o.is_deforming) deforming += lattice, bodies++;
-            else rigid += most, work = touch_larger(work, touch_frames_room(lattice, r.length));
+            else rigid += listed, work = touch_larger(work, touch_frames_room(lattice, r.length));
         } else if ((r.tag == TOUCH_SEGM || r.tag == TOUCH_VIBR) && !at.code) {
             touch_u(&r.payload, 4);
             uint64_t count = touch_u(&r.payload, 2);
             frames = touch_larger(frames, count);
-            if (r.tag == TOUCH_VIBR) vibrating = touch_larger(vibrating, touch_most_bricks(bricks, r.length, count));
+            if (r.tag == TOUCH_VIBR) vibrating = touch_larger(vibrating, touch_bricks_of_bytes(bricks, r.length, count));
             else if (!has_bodies) {
-                field = touch_larger(field, touch_most_bricks(bricks, r.length, 1));
+                field = touch_larger(field, touch_bricks_of_bytes(bricks, r.length, 1));
                 work = touch_larger(work, touch_frames_room(bricks, r.length));
             } else if (bodies > 1) {
-                segment = touch_larger(segment, touch_most_bricks(deforming, r.length, (bodies - 1) * count));
+                segment = touch_larger(segment, touch_bricks_of_bytes(deforming, r.length, (bodies - 1) * count));
                 work = touch_larger(work, touch_frames_room(deforming, r.length));
             }
         }
@@ -1463,19 +1470,19 @@ static int touch_start_bodies(touch_decoder *d, touch_cursor *error) {
         int is_exact;
         uint64_t end;
         if (r.tag != TOUCH_OBJT) continue;
-        n++, body->told = touch_read_object(&r.payload);
-        if (!touch_is(body->told.field_coder, "touch"))
+        n++, body->object = touch_read_object(&r.payload);
+        if (!touch_is(body->object.field_coder, "touch"))
             return touch_fail(error, TOUCH_VERSION, "a coder of fields that is not known here");
-        if (!touch_check_parameters(body->told.parameters, &is_exact, error)) return 0;
-        int position = body->told.steps.size == 2 ? (int8_t)body->told.steps.bytes[0] : 1;
-        int turn = body->told.steps.size == 2 ? (int8_t)body->told.steps.bytes[1] : 1;
+        if (!touch_check_parameters(body->object.parameters, &is_exact, error)) return 0;
+        int position = body->object.steps.size == 2 ? (int8_t)body->object.steps.bytes[0] : 1;
+        int turn = body->object.steps.size == 2 ? (int8_t)body->object.steps.bytes[1] : 1;
         touch_need(error, position >= -40 && position <= 0 && turn >= -30 && turn <= -2, "the steps of the poses");
         if (error->code) return 0;
         body->position_step_m = ldexp(1.0, position), body->one = (int64_t)1 << -turn;
-        c = body->told.field;
-        if (!touch_need(error, !body->told.is_deforming || c.at == c.end, "a field of a body that deforms")) return 0;
-        if (body->told.is_deforming) continue;
-        memset(&own, 0, sizeof own), own.grid = body->told.grid, own.is_exact = is_exact, end = d->arena.used;
+        c = body->object.field;
+        if (!touch_need(error, !body->object.is_deforming || c.at == c.end, "a field of a body that deforms")) return 0;
+        if (body->object.is_deforming) continue;
+        memset(&own, 0, sizeof own), own.grid = body->object.grid, own.is_exact = is_exact, end = d->arena.used;
         if (!touch_begin_fields(&own, &c, 1, &d->arena, error)) return 0;
         body->rigid = touch_next_field(&own, &c, &s->tables, 1, d->arena.used, &d->arena, &d->arena, error);
         if (!body->rigid) return 0;
@@ -1484,7 +1491,7 @@ static int touch_start_bodies(touch_decoder *d, touch_cursor *error) {
     return !error->code;
 }
 
-static int touch_told(touch_decoder *d, const touch_cursor *error) {
+static int touch_report_error(touch_decoder *d, const touch_cursor *error) {
     d->error = error->code ? error->what : "";
     return error->code;
 }
@@ -1509,18 +1516,18 @@ int touch_start_body(touch_decoder *decoder, const touch_grid *grid, touch_bytes
         s->mark = decoder->arena.used;
     }
     if (s && error.code) s->next = s->segment.count;
-    return touch_told(decoder, &error);
+    return touch_report_error(decoder, &error);
 }
 
 int touch_start(touch_decoder *decoder, const touch_file *file, touch_arena arena) {
     touch_cursor error = touch_cursor_of(0, 0);
     touch_state *s = touch_state_make(decoder, &file->grid, arena, &error);
     decoder->file = file;
-    if (!s) return touch_told(decoder, &error);
+    if (!s) return touch_report_error(decoder, &error);
     if (touch_is(file->coder, "objects")) touch_start_bodies(decoder, &error);
     else touch_check_parameters(file->parameters, &s->fields.is_exact, &error);
     decoder->kept = decoder->arena.used, s->full = decoder->arena.size, s->segment_number = file->segment_count;
-    return touch_told(decoder, &error);
+    return touch_report_error(decoder, &error);
 }
 
 static int touch_seek_bodies(touch_decoder *d, uint32_t segment, touch_cursor *error) {
@@ -1564,7 +1571,7 @@ int touch_seek(touch_decoder *decoder, uint32_t segment) {
     int vibrates;
     if (segment >= decoder->file->segment_count) {
         touch_fail(&error, TOUCH_ARGUMENT, "a segment that there is not");
-        return touch_told(decoder, &error);
+        return touch_report_error(decoder, &error);
     }
     decoder->arena.used = decoder->kept, decoder->arena.size = s->full;
     s->at = touch_segment_body(decoder->file, segment, &s->segment), s->next = 0, s->segment_number = segment;
@@ -1575,7 +1582,7 @@ int touch_seek(touch_decoder *decoder, uint32_t segment) {
     else if (!error.code) touch_begin_fields(&s->fields, &s->at, s->segment.count, &decoder->arena, &error);
     s->mark = decoder->arena.used;
     if (error.code) s->next = s->segment.count;
-    return touch_told(decoder, &error);
+    return touch_report_error(decoder, &error);
 }
 
 static void touch_quaternion(const touch_body *body, int64_t row, double q[4]) {
@@ -1644,7 +1651,7 @@ int touch_next(touch_decoder *decoder, touch_arena *arena, touch_frame *frame) {
     frame->number = s->segment.first + own, frame->parts = count, frame->part = part, frame->is_placed = s->body != 0;
     frame->surface_damping_n_s_per_m = s->surface_damping, frame->force_max_n = file ? file->force_max_n : 0;
     s->next = error.code ? s->segment.count : own + 1;
-    return touch_told(decoder, &error);
+    return touch_report_error(decoder, &error);
 }
 
 int touch_is_rigid(const touch_decoder *decoder, uint32_t body) {
@@ -1676,8 +1683,8 @@ static const touch_tables *touch_tables_in(touch_arena *arena) {
 
 /* Bricks of a lattice that a code of so many bytes may list. */
 static uint64_t touch_listed_bricks(const touch_grid *grid, uint64_t frames, uint64_t size) {
-    uint64_t lattice = touch_brick_count(grid), most = 64 + 16 * size;
-    return lattice < most / frames ? lattice * frames : most;
+    uint64_t lattice = touch_brick_count(grid), max = touch_max_bricks(size);
+    return lattice < max / frames ? lattice * frames : max;
 }
 
 uint64_t touch_support_room(const touch_grid *grid, uint64_t size, uint64_t bricks_before) {

@@ -51,12 +51,12 @@ TOUCH_INLINE int64_t touch_corner_of(int64_t index, int64_t i, int64_t j, int64_
 #if defined(__GNUC__)
 /* Several components at once, with the same results: a third of the time of a query is interpolation. */
 typedef float touch_float_pair __attribute__((vector_size(8)));
-typedef double touch_pair __attribute__((vector_size(16)));
+typedef double touch_double2 __attribute__((vector_size(16)));
 
-TOUCH_INLINE touch_pair touch_pair_at(const float *sample) {
+TOUCH_INLINE touch_double2 touch_pair_at(const float *sample) {
     touch_float_pair pair;
     memcpy(&pair, sample, sizeof pair);
-    return __builtin_convertvector(pair, touch_pair);
+    return __builtin_convertvector(pair, touch_double2);
 }
 
 typedef float touch_floats __attribute__((vector_size(16)));
@@ -152,9 +152,9 @@ TOUCH_INLINE touch_cell_point touch_locate(const touch_cells *cells, touch_vecto
 }
 
 #if defined(__GNUC__)
-TOUCH_INLINE touch_pair touch_interpolate_pair(const float *corner, double x, double y, double z) {
-    touch_pair a = touch_pair_at(corner), b = touch_pair_at(corner + TOUCH_NEXT_Y), c = touch_pair_at(corner + TOUCH_NEXT_X);
-    touch_pair d = touch_pair_at(corner + TOUCH_NEXT_X + TOUCH_NEXT_Y);
+TOUCH_INLINE touch_double2 touch_interpolate_pair(const float *corner, double x, double y, double z) {
+    touch_double2 a = touch_pair_at(corner), b = touch_pair_at(corner + TOUCH_NEXT_Y), c = touch_pair_at(corner + TOUCH_NEXT_X);
+    touch_double2 d = touch_pair_at(corner + TOUCH_NEXT_X + TOUCH_NEXT_Y);
     a += z * (touch_pair_at(corner + TOUCH_NEXT_Z) - a);
     b += z * (touch_pair_at(corner + TOUCH_NEXT_Y + TOUCH_NEXT_Z) - b);
     c += z * (touch_pair_at(corner + TOUCH_NEXT_X + TOUCH_NEXT_Z) - c);
@@ -170,7 +170,7 @@ TOUCH_INLINE touch_vector touch_cell_force(touch_cell_point p) {
     touch_vector f = p.fraction;
     double z = touch_interpolate(p.corner + 2, f.x, f.y, f.z);
 #if defined(__GNUC__)
-    touch_pair xy = touch_interpolate_pair(p.corner, f.x, f.y, f.z);
+    touch_double2 xy = touch_interpolate_pair(p.corner, f.x, f.y, f.z);
     return touch_vector_of(xy[0], xy[1], z);
 #else
     double x = touch_interpolate(p.corner, f.x, f.y, f.z);

@@ -4,16 +4,19 @@
                                               #include "touch_encode.h"
 
    It writes bodies of segments, and the parts of other records that need the arithmetic code. Nothing is allocated but
-   from memory that the caller gives; any number of threads may each have an encoder. touch_model.h has what the reader
-   and this writer share: here is what only a writer decides, in floating point, and never reaches a reader.
+   from memory that the caller gives; any number of threads may each have an encoder. The coding of bits is in
+   touch_model.h, shared with the reader. Here are: the quantisation steps of a segment (touch_choose_steps), the fit of
+   columns, mode decisions (touch_code_best and the functions touch_choose_...), outliers, and the check of the finished
+   body. These use floating point; a reader gets their results as bits and numbers of the body.
 
        touch_encoder encoder = {0};  touch_segment segment;
        touch_encode_start(&encoder, &grid, &options, longest_n, touch_arena_of(work, size), touch_arena_of(out, size));
        for each frame:  touch_encode_next(&encoder, &frame, 0, 0);
        touch_encode_finish(&encoder, frames, &segment);       // segment.body, segment.size
 
-   The voxel pass asks for a writer's choices (touch_choose_...): the state of a brick, its blocks, the support of a
-   voxel, whether its residual is skipped, and which residual is coded. Each is the cheapest that keeps the bound. */
+   The voxel pass calls touch_choose_...: a brick is COPY if the reference is within the bound everywhere, a residual is
+   skipped if the prediction is within it, and of 27 residuals around the force the one with the least estimated cost is
+   coded of those within it. If there is none, the nearest is coded, and the voxel becomes an outlier. */
 #ifndef TOUCH_ENCODE_H
 #define TOUCH_ENCODE_H
 
@@ -72,10 +75,10 @@ typedef struct {
     uint32_t max_error_frame, max_error_voxel[3];
 } touch_segment;
 
-typedef struct { /* samples of a frame that are to be exact: 512 times the number of a brick plus the sample, ascending */
+typedef struct { /* samples of a frame that are sent as outliers: 512 times the number of a brick plus the sample, ascending */
     uint64_t samples;
     const uint64_t *sample;
-} touch_exact_samples;
+} touch_outlier_samples;
 
 struct touch_writer;
 typedef struct {
@@ -90,7 +93,7 @@ typedef struct {
 } touch_encoder;
 
 /* Bytes of `work` that are enough for frames, and the key frame, of at most so many bricks each; bricks that only have
-   exact samples count, too. Some 50 to 80 KB a brick. */
+   outliers count, too. Some 50 to 80 KB a brick. */
 uint64_t touch_encode_room(const touch_grid *grid, const touch_options *options, uint64_t bricks);
 /* Bytes of `out` that are enough for `count` frames of so many bricks each. */
 uint64_t touch_segment_room(uint64_t bricks, uint32_t count);
@@ -112,8 +115,8 @@ int touch_is_static(const touch_grid *grid, const touch_options *options, const 
                     const touch_source *earlier, touch_arena work);
 /* A body, coded from `frames`, with the forces of some samples sent as they are; not of mode LOSSLESS. They predict
    nothing, so everything else decodes as before. */
-int touch_encode_with_exact(touch_encoder *encoder, const touch_grid *grid, const touch_options *options, touch_bytes body,
-                            const touch_source *frames, const touch_exact_samples *exact, uint32_t count,
+int touch_encode_with_outliers(touch_encoder *encoder, const touch_grid *grid, const touch_options *options, touch_bytes body,
+                            const touch_source *frames, const touch_outlier_samples *added, uint32_t count,
                             touch_arena work, touch_arena out, touch_segment *segment);
 
 /* Other parts of a file. Their bytes lie in the arena; `text` says in words what is wrong, or is empty. */
@@ -257,7 +260,7 @@ static void touch_pad(touch_sink *s, uint64_t start, uint64_t bytes) {
     while (s->size < start + bytes && s->size <= s->capacity) touch_put_u(s, 0, 1);
 }
 
-/* The bits since the last account are of a kind: 0 support, 1 amplitude, 2 direction. */
+/* The bits since the last account are of a kind (TOUCH_BITS_...). */
 static void touch_account(touch_coder *b, int kind) {
     double total = 8.0 * (double)b->position + 48.0 - log2((double)b->range);
     b->spent->bits[kind] += total - b->spent->total;
@@ -301,18 +304,18 @@ static int touch_is_within(const int32_t v[3], const double f[4], const touch_bo
 }
 
 typedef struct { /* a decoded frame compared with its original */
-    uint64_t *violation, violations; /* 512 times the number of a brick plus the sample, ascending */
+    uint64_t *outlier, outliers; /* 512 times the number of a brick plus the sample, ascending */
     double max_ratio;
     uint32_t voxel[3];
     uint64_t within, decoded; /* voxels with a force that are within the bound; decoded ones with a force */
 } touch_comparison;
 
-typedef struct { /* forces of one of the two, by keys of bricks */
+typedef struct { /* decoded forces, by keys of bricks */
     uint64_t count;
     const uint64_t *key;
     const uint32_t *slot; /* of each key, in `forces_n`; NULL: in order */
     const float *forces_n;
-} touch_side;
+} touch_brick_forces;
 
 /* The keys of a source; they ascend. */
 static uint64_t *touch_source_keys(const touch_source *s, touch_arena *arena) {
@@ -322,7 +325,7 @@ static uint64_t *touch_source_keys(const touch_source *s, touch_arena *arena) {
     return key;
 }
 
-/* One brick of both, either of them may be missing; counts, and writes violations from `c->violation` on where given. */
+/* One brick of both, either of them may be missing; counts, and writes outliers from `c->outlier` on where given. */
 static void touch_compare_brick(const float *original, const float *hidden, const float *decoded, const touch_bound *bound,
                                 const touch_grid *grid, uint64_t key, touch_comparison *c) {
     int32_t at[3];
@@ -339,8 +342,8 @@ static void touch_compare_brick(const float *original, const float *hidden, cons
         if (bound->is_exact && is_supported != is_sent) ratio2 = HUGE_VAL;
         c->decoded += (uint64_t)is_sent, c->within += (uint64_t)(is_supported && ratio2 <= 1.0);
         if (ratio2 > 1.0) {
-            if (c->violation) c->violation[c->violations] = number + (uint64_t)n;
-            c->violations++;
+            if (c->outlier) c->outlier[c->outliers] = number + (uint64_t)n;
+            c->outliers++;
         }
         if (!(ratio2 > c->max_ratio)) continue;
         c->max_ratio = ratio2;
@@ -348,14 +351,14 @@ static void touch_compare_brick(const float *original, const float *hidden, cons
     }
 }
 
-/* Compare frames in all bricks of both. Where `has_list`, the violations are listed, in `arena`. */
-static int touch_compare(const touch_source *original, const touch_side *decoded, const touch_bound *bound,
+/* Compare frames in all bricks of both. Where `has_list`, the outliers are listed, in `arena`. */
+static int touch_compare(const touch_source *original, const touch_brick_forces *decoded, const touch_bound *bound,
                          const touch_grid *grid, int has_list, touch_comparison *c, touch_arena *arena) {
     memset(c, 0, sizeof *c);
     for (int pass = 0; pass < 2; pass++) {
-        uint64_t i = 0, j = 0, mark = arena->used, *key = touch_source_keys(original, arena), *list = c->violation;
+        uint64_t i = 0, j = 0, mark = arena->used, *key = touch_source_keys(original, arena), *list = c->outlier;
         if (!key) return 0;
-        memset(c, 0, sizeof *c), c->violation = list;
+        memset(c, 0, sizeof *c), c->outlier = list;
         while (i < original->bricks || j < decoded->count) {
             int has_first = j == decoded->count || (i < original->bricks && key[i] <= decoded->key[j]);
             int has_second = i == original->bricks || (j < decoded->count && decoded->key[j] <= key[i]);
@@ -366,18 +369,18 @@ static int touch_compare(const touch_source *original, const touch_side *decoded
             i += (uint64_t)has_first, j += (uint64_t)has_second;
         }
         arena->used = mark;
-        if (pass || !has_list || !c->violations) break;
-        c->violation = (uint64_t *)touch_take(arena, c->violations, 8);
-        if (!c->violation) return 0;
+        if (pass || !has_list || !c->outliers) break;
+        c->outlier = (uint64_t *)touch_take(arena, c->outliers, 8);
+        if (!c->outlier) return 0;
     }
     c->max_ratio = sqrt(c->max_ratio);
     return 1;
 }
 
 /* Forces in newtons of vectors in units: one product each, as a reader makes it. */
-static int touch_side_of(touch_side *side, const touch_units *units, float unit_n, touch_arena *arena) {
+static int touch_newtons_of(touch_brick_forces *forces, const touch_units *units, float unit_n, touch_arena *arena) {
     float *out = (float *)touch_take(arena, 1536 * units->list.count, 4);
-    side->count = units->list.count, side->key = units->list.key, side->slot = 0, side->forces_n = out;
+    forces->count = units->list.count, forces->key = units->list.key, forces->slot = 0, forces->forces_n = out;
     for (uint64_t i = 0; out && i < 512 * units->list.count; i++)
         for (int n = 0; n < 3; n++) out[3 * i + (uint64_t)n] = unit_n * (float)units->v[i].v[n];
     return out != 0;
@@ -439,33 +442,35 @@ static int touch_choose_skip(const touch_pass *p, const touch_voxel *v) {
 
 /* The nearest whole number, within 2^40. */
 static int64_t touch_round(double x) {
-    const double limit = 1099511627776.0;
-    return (int64_t)rint(x < -limit ? -limit : x < limit ? x : limit);
+    const double max = 1099511627776.0;
+    return (int64_t)rint(x < -max ? -max : x < max ? x : max);
 }
 
 /* The residual that probably costs the fewest bits, of the points around the force that keep the bound: zeros are cheap,
    then small numbers. The nearest point if none keeps it. */
 static void touch_choose_residual(const touch_pass *p, touch_voxel *v) {
     static const int around[3] = {0, -1, 1};
-    const double *f = touch_target_at(p, v->here), larger = 0.3;
-    double along[3], best = HUGE_VAL;
+    const double *f = touch_target_at(p, v->here);
+    const double bits_a_step = 0.3; /* estimated cost of a component: 1 if it is not zero, and so much for each step */
+    double target[3], best = HUGE_VAL; /* the force along the axes of the residual */
     for (int k = 0; k < 3; k++)
-        along[k] = (f[0] * (double)v->basis[k][0] + f[1] * (double)v->basis[k][1] + f[2] * (double)v->basis[k][2]) / 16384.0;
-    int64_t level = touch_level_of(p->steps, touch_round(fabs(along[0])));
-    int64_t nearest = (int64_t)rint((double)((along[0] >= 0 ? level : -level) - v->centre_level) / 256.0);
+        target[k] = (f[0] * (double)v->basis[k][0] + f[1] * (double)v->basis[k][1] + f[2] * (double)v->basis[k][2]) /
+                    (double)TOUCH_ONE;
+    int64_t position = touch_step_position(p->steps, touch_round(fabs(target[0])));
+    int64_t nearest = (int64_t)rint((double)((target[0] >= 0 ? position : -position) - v->centre_position) / 256.0);
     v->residual[0] = v->residual[1] = v->residual[2] = 0;
     for (int i = 0; i < 3; i++) {
         int64_t r[3], low[2], step, length;
-        r[0] = nearest + around[i], length = touch_along(p, v, r[0], &step);
-        low[0] = touch_round(along[1] / (double)step), low[1] = touch_round(along[2] / (double)step);
+        r[0] = nearest + around[i], length = touch_radial_length(p, v, r[0], &step);
+        low[0] = touch_round(target[1] / (double)step), low[1] = touch_round(target[2] / (double)step);
         for (int j = 0; j < 9; j++) {
             int32_t vector[3];
             r[1] = low[0] + around[j / 3], r[2] = low[1] + around[j % 3];
             int64_t sum = touch_abs(r[0]) + touch_abs(r[1]) + touch_abs(r[2]);
             int64_t max = touch_max(touch_max(touch_abs(r[0]), touch_abs(r[1])), touch_abs(r[2]));
-            double cost = (double)((r[0] != 0) + (r[1] != 0) + (r[2] != 0)) + larger * (double)sum;
-            if (!(cost < best) || max >= 1 << 18 || !(max > 0 || v->followed)) continue;
-            touch_place(v, length, r[1] * step, r[2] * step, vector);
+            double cost = (double)((r[0] != 0) + (r[1] != 0) + (r[2] != 0)) + bits_a_step * (double)sum;
+            if (!(cost < best) || max > TOUCH_MAX_MAGNITUDE || !(max > 0 || v->predictor)) continue;
+            touch_residual_vector(v, length, r[1] * step, r[2] * step, vector);
             int is_within = touch_is_within(vector, f, &p->target->bound);
             if (is_within) best = cost;
             if (is_within || i + j == 0) memcpy(v->residual, r, sizeof v->residual);
@@ -546,7 +551,7 @@ static int touch_code_frame(const touch_grid *grid, const touch_steps *steps, co
     p->scan = touch_scan_of(order, grid), p->slope[0] = p->slope[1] = p->slope[2] = 0;
     if (!touch_code_list(&coder, &out->models->list, grid->shape, reference->list, &out->units.list, arena, error)) return 0;
     if (!touch_code_bricks(p, grid, &out->units, arena, error)) return 0;
-    touch_account(&coder, 0);
+    touch_account(&coder, TOUCH_BITS_SUPPORT);
     arena->used = mark;
     if (!touch_finish(&coder, &out->payload)) return touch_fail(error, TOUCH_MEMORY, "no room for a payload");
     touch_pad(&out->payload, 4, touch_min_bytes(frame->bricks));
@@ -570,7 +575,10 @@ struct touch_column_fit { /* the samples of a column, from outside to inside, an
     double surface[3][4]; /* numbers of the one surface, and of two; an amplitude of 0 is not known */
 };
 
-enum { TOUCH_AXIS_BRICKS = 64 };
+enum {
+    TOUCH_AXIS_BRICKS = 64,       /* so many bricks are enough to find the axis of a frame */
+    TOUCH_BRICK_PAIRS = 7 * 8 * 8 /* samples of a brick that have a next one along an axis within it */
+};
 
 /* The axis of the columns: the main axis of the force, if there is one. */
 static int touch_find_axis(const touch_source *frame, int *axis, int *is_inverted) {
@@ -585,19 +593,19 @@ static int touch_find_axis(const touch_source *frame, int *axis, int *is_inverte
     *axis = fabs(total[1]) > fabs(total[0]) ? 1 : 0;
     if (fabs(total[2]) > fabs(total[*axis])) *axis = 2;
     *is_inverted = total[*axis] > 0;
-    return !(fabs(total[*axis]) < 0.4 * size);
+    return !(fabs(total[*axis]) < 0.4 * size); /* else forces point in all directions */
 }
 
 /* The box of columns of a frame: 1; 0 if it has no main axis, few of its tiles reach the inner border of the grid (what
    the force of a solid does), or the box is too large; -1 if there is no memory. */
-static int touch_find_view(touch_view *v, const touch_grid *grid, const touch_source *frame, touch_arena *arena) {
+static int touch_find_column_box(touch_column_box *v, const touch_grid *grid, const touch_source *frame, touch_arena *arena) {
     uint64_t mark = arena->used, *key = (uint64_t *)touch_take(arena, frame->bricks, 8), tiles = 0, border = 0;
     uint32_t *tag = (uint32_t *)touch_take_zero(arena, frame->bricks, 4);
     int axis, is_inverted;
     int64_t last[2] = {0, 0};
     if (!key || !tag) return -1;
     if (!frame->bricks || !touch_find_axis(frame, &axis, &is_inverted)) return 0;
-    *v = touch_view_of(grid, axis, is_inverted);
+    *v = touch_column_box_of(grid, axis, is_inverted);
     int32_t inner = is_inverted ? 0 : (int32_t)((grid->shape[axis] + 7) >> 3) - 1;
     for (uint64_t i = 0; i < frame->bricks; i++) {
         const int32_t *b = frame->brick + 3 * i;
@@ -632,10 +640,11 @@ static uint32_t touch_ranked(const uint32_t *bits, uint64_t n, uint64_t rank, ui
 
 /* How much the force grows from sample to sample behind a surface, relative to the top: the 80th percentile, as larger
    growths are of mixed surfaces. 0: it does not grow, or the top is not above the mask; -1: no memory. */
-static double touch_find_ramp(const touch_view *v, const touch_source *frame, float unit_n, double f0, double *top,
+static double touch_find_ramp(const touch_column_box *v, const touch_source *frame, float unit_n, double f0, double *top,
                               touch_arena *arena) {
     uint64_t mark = arena->used, count = 0, rank;
-    uint32_t *ratio = (uint32_t *)touch_take(arena, 448 * frame->bricks, 4), *room = (uint32_t *)touch_take(arena, 65536, 4);
+    uint32_t *ratio = (uint32_t *)touch_take(arena, TOUCH_BRICK_PAIRS * frame->bricks, 4);
+    uint32_t *room = (uint32_t *)touch_take(arena, 65536, 4);
     int step = 64 >> 3 * v->axis;
     float longest = 0;
     if (!ratio || !room) return -1;
@@ -666,11 +675,11 @@ static double touch_find_ramp(const touch_view *v, const touch_source *frame, fl
 }
 
 /* The numbers that all columns have in common; 0: there is no solid behind a surface, -1: no memory. */
-static int touch_find_heads(touch_columns *h, const touch_source *frame, float unit_n, double k, double f0,
+static int touch_find_heads(touch_columns *columns, const touch_source *frame, float unit_n, double k, double f0,
                             touch_arena *arena) {
     static const int64_t low[7] = {1, 1, 0, 0, 16, 4, 16};
     static const int64_t limit[7] = {1 << 17, 1 << 20, 1 << 20, 1 << 20, 1 << 14, 1 << 12, 1 << 16};
-    const touch_view *v = &h->view;
+    const touch_column_box *v = &columns->box;
     const double *spacing = v->grid->spacing_m;
     double top, ramp = touch_find_ramp(v, frame, unit_n, f0, &top, arena), number[7], small;
     int64_t head[7];
@@ -684,15 +693,15 @@ static int touch_find_heads(touch_columns *h, const touch_source *frame, float u
         double clipped = number[n] > (double)low[n] ? number[n] : (double)low[n];
         head[n] = (int64_t)rint(clipped < (double)(limit[n] - 1) ? clipped : (double)(limit[n] - 1));
     }
-    h->top = head[0], h->ramp = head[1], h->ratio[0] = head[2], h->ratio[1] = head[3];
-    for (int n = 0; n < 3; n++) h->step[n] = head[4 + n];
+    columns->top = head[0], columns->ramp = head[1], columns->ratio[0] = head[2], columns->ratio[1] = head[3];
+    for (int n = 0; n < 3; n++) columns->step[n] = head[4 + n];
     return 1;
 }
 
 /* The samples of the column at (a, b) of the box; 0: there is no force at its inner end. */
-static int touch_load_column(const touch_columns *h, int64_t a, int64_t b) {
-    struct touch_column_fit *f = h->fit;
-    const touch_view *v = &h->view;
+static int touch_load_column(const touch_columns *columns, int64_t a, int64_t b) {
+    struct touch_column_fit *f = columns->fit;
+    const touch_column_box *v = &columns->box;
     int64_t at[3], brick = -1, last = v->is_inverted ? 0 : v->depth - 1;
     at[v->across[0]] = 8 * v->tile[0] + a, at[v->across[1]] = 8 * v->tile[1] + b, at[v->axis] = last;
     if (touch_map_get(&f->map, touch_key(at[0] >> 3, at[1] >> 3, at[2] >> 3)) < 0) return 0;
@@ -816,15 +825,15 @@ static int touch_fit_two(struct touch_column_fit *f, int64_t depth) {
 static double touch_residual_bits(int64_t r) { return r ? 2.5 + 2.0 * log2((double)touch_abs(r)) : 0.1; }
 
 /* Bits that the voxels of a column would still take, about; whatever is above `enough` counts as that. */
-static double touch_column_cost(const touch_columns *h, const touch_column *own, double enough) {
-    const struct touch_column_fit *f = h->fit;
+static double touch_column_cost(const touch_columns *columns, const touch_column *own, double enough) {
+    const struct touch_column_fit *f = columns->fit;
     const double miss = 6.5; /* bits, about, of a voxel that the base layer misses */
     double cost = 0.0;
     int64_t start = touch_max(0, touch_min(f->first, own->surface[0].number[TOUCH_START] >> 8));
-    for (int64_t t = start; t < h->view.depth; t++) {
+    for (int64_t t = start; t < columns->box.depth; t++) {
         double deep[2] = {0, 0}, square = 0.0;
         for (int n = 0; n < own->count; n++)
-            deep[n] = (double)(touch_ramp(h, own->surface + n, t) * own->surface[n].number[TOUCH_AMPLITUDE]);
+            deep[n] = (double)(touch_ramp(columns, own->surface + n, t) * own->surface[n].number[TOUCH_AMPLITUDE]);
         for (int n = 0; n < 3; n++) {
             double sum = deep[0] * own->surface[0].normal[n];
             if (own->count > 1) sum += deep[1] * own->surface[1].normal[n];
@@ -841,51 +850,51 @@ static double touch_column_cost(const touch_columns *h, const touch_column *own,
 
 /* Set the surfaces of a column by a choice, with its residuals, and return the bits that this takes, about. Bits 0, 1, 2
    of `fitted`: whether direction, start and amplitude of the last surface are as fitted, else as expected. */
-static double touch_try_column(touch_columns *h, const touch_column *const near[4], touch_column *own,
+static double touch_try_column(touch_columns *columns, const touch_column *const around[4], touch_column *own,
                                touch_column_choice *choice, int fitted, double best) {
     const int count = choice->count;
     double bits = 0.2 + 2.0 * (choice->mode > 0) + 3.0 * (count > 1);
     own->count = 0;
     for (int slot = 0; slot < count; slot++) {
-        const double *fit = h->fit->surface[slot + count - 1];
-        const touch_surface *side[2];
-        int64_t e[4], *r = choice->residual[slot];
-        int sides = touch_expect_surface(h, near, own, slot, choice->mode, count, e, side);
+        const double *fit = columns->fit->surface[slot + count - 1];
+        const touch_surface *continued[2];
+        int64_t expected[4], *r = choice->residual[slot];
+        int continues = touch_expect_surface(columns, around, own, slot, choice->mode, count, expected, continued);
         for (int q = 0; q < 4; q++) {
             int is_fitted = slot + 1 < count || (fitted >> (q > 1 ? q - 1 : 0) & 1);
-            int64_t step = q == TOUCH_AMPLITUDE ? touch_amplitude_step(h, e[q]) : h->step[q == TOUCH_START];
+            int64_t step = q == TOUCH_AMPLITUDE ? touch_amplitude_step(columns, expected[q]) : columns->step[q == TOUCH_START];
             r[q] = 0;
             if (is_fitted && fit[TOUCH_AMPLITUDE] + (q != TOUCH_AMPLITUDE) > 0.0) {
-                double steps = (fit[q] - (double)e[q]) / (double)step;
+                double steps = (fit[q] - (double)expected[q]) / (double)step;
                 r[q] = (int64_t)rint(steps < -1e6 ? -1e6 : steps > 1e6 ? 1e6 : steps);
             }
             bits += touch_residual_bits(r[q]);
-            if (q == TOUCH_Y) touch_turn_surface(h, own->surface + slot, e, r, side, sides);
+            if (q == TOUCH_DIRECTION_B) touch_turn_surface(columns, own->surface + slot, expected, r, continued, continues);
         }
-        touch_set_surface(h, own->surface + slot, e, r);
+        touch_set_surface(columns, own->surface + slot, expected, r);
         own->count = slot + 1;
     }
-    return bits < best ? bits + touch_column_cost(h, own, best - bits) : best;
+    return bits < best ? bits + touch_column_cost(columns, own, best - bits) : best;
 }
 
 /* One surface or two, which neighbours they continue, and what of them is sent: the fewest bits, about. Columns without
    a force at their inner end have no surface. */
-static void touch_choose_column(touch_columns *h, int64_t a, int64_t b, const touch_column *const near[4],
+static void touch_choose_column(touch_columns *columns, int64_t a, int64_t b, const touch_column *const around[4],
                                 touch_column *own, touch_column_choice *choice) {
     double best = 1e18;
-    int modes = touch_is_torn(near) ? 4 : 1, chosen[3] = {1, 0, 0};
-    if (!touch_load_column(h, a, b)) return;
-    touch_fit_one(h->fit, h->view.depth);
+    int modes = touch_is_torn(around) ? 4 : 1, chosen[3] = {1, 0, 0};
+    if (!touch_load_column(columns, a, b)) return;
+    touch_fit_one(columns->fit, columns->box.depth);
     for (int count = 1; count <= 2; count++) {
-        if (count == 2 && !touch_fit_two(h->fit, h->view.depth)) break;
+        if (count == 2 && !touch_fit_two(columns->fit, columns->box.depth)) break;
         for (int n = 0; n < 8 * modes; n++) {
             choice->count = count, choice->mode = n >> 3;
-            double bits = touch_try_column(h, near, own, choice, n & 7, best);
+            double bits = touch_try_column(columns, around, own, choice, n & 7, best);
             if (bits < best) best = bits, chosen[0] = count, chosen[1] = n >> 3, chosen[2] = n & 7;
         }
     }
     choice->count = chosen[0], choice->mode = chosen[1];
-    touch_try_column(h, near, own, choice, chosen[2], 1e18);
+    touch_try_column(columns, around, own, choice, chosen[2], 1e18);
 }
 
 /* Bricks of a base layer at most, by those of its frame: columns that reach farther are no use. */
@@ -901,36 +910,36 @@ static int touch_fit_columns(const touch_grid *grid, const touch_tables *tables,
                              double k, double f0, touch_sink *s, touch_units *out, touch_arena *arena,
                              touch_cursor *error) {
     struct touch_column_fit fit;
-    touch_columns h;
+    touch_columns columns;
     touch_spent spent;
     touch_cursor filled = touch_cursor_of(0, 0);
     uint64_t *key = touch_source_keys(frame, arena), start;
     int found;
-    memset(&fit, 0, sizeof fit), memset(&h, 0, sizeof h);
+    memset(&fit, 0, sizeof fit), memset(&columns, 0, sizeof columns);
     if (f0 < 1) f0 = 1;
-    found = touch_find_view(&h.view, grid, frame, arena);
-    if (found > 0) found = touch_find_heads(&h, frame, unit_n, k, f0, arena);
+    found = touch_find_column_box(&columns.box, grid, frame, arena);
+    if (found > 0) found = touch_find_heads(&columns, frame, unit_n, k, f0, arena);
     if (!found) return 0;
-    fit.source = frame, fit.units_per_n = (float)(1 / (double)unit_n), fit.k = k, fit.f0 = f0, fit.top = (double)h.top;
-    fit.ramp = (double)h.ramp / 65536, h.fit = &fit;
-    fit.force = (float(*)[4])touch_take(arena, (uint64_t)h.view.depth, sizeof *fit.force);
-    fit.weight = (double *)touch_take(arena, (uint64_t)h.view.depth, sizeof *fit.weight);
-    fit.rest = (double(*)[3])touch_take(arena, (uint64_t)h.view.depth, sizeof *fit.rest);
-    uint64_t tiles = (uint64_t)(h.view.tiles[0] * h.view.tiles[1]), max_bricks = touch_max_layer(frame->bricks);
+    fit.source = frame, fit.units_per_n = (float)(1 / (double)unit_n), fit.k = k, fit.f0 = f0, fit.top = (double)columns.top;
+    fit.ramp = (double)columns.ramp / 65536, columns.fit = &fit;
+    fit.force = (float(*)[4])touch_take(arena, (uint64_t)columns.box.depth, sizeof *fit.force);
+    fit.weight = (double *)touch_take(arena, (uint64_t)columns.box.depth, sizeof *fit.weight);
+    fit.rest = (double(*)[3])touch_take(arena, (uint64_t)columns.box.depth, sizeof *fit.rest);
+    uint64_t tiles = (uint64_t)(columns.box.tiles[0] * columns.box.tiles[1]), max_bricks = touch_max_layer(frame->bricks);
     if (found < 0 || !key || !fit.force || !fit.weight || !fit.rest || !touch_map_make(&fit.map, frame->bricks, arena) ||
-        !touch_columns_make(&h, arena) || !touch_sink_open(s, touch_columns_bytes(tiles, frame->bricks), arena))
+        !touch_columns_make(&columns, arena) || !touch_sink_open(s, touch_columns_bytes(tiles, frame->bricks), arena))
         return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
     for (uint64_t i = 0; i < frame->bricks; i++) touch_map_put(&fit.map, key[i], (uint32_t)i);
-    touch_put_u(s, 1, 1), touch_put_varint(s, (uint64_t)(2 * h.view.axis + h.view.is_inverted));
-    for (int n = 0; n < 2; n++) touch_put_varint(s, (uint64_t)h.view.tile[n]);
-    for (int n = 0; n < 2; n++) touch_put_varint(s, (uint64_t)h.view.tiles[n] - 1);
-    touch_put_varint(s, (uint64_t)h.top), touch_put_varint(s, (uint64_t)h.ramp);
-    for (int n = 0; n < 2; n++) touch_put_varint(s, (uint64_t)h.ratio[n]);
-    for (int n = 0; n < 3; n++) touch_put_varint(s, (uint64_t)h.step[n]);
-    start = s->size, h.coder = touch_writing(s, tables, &spent);
-    if (!touch_code_columns(&h, error)) return 0;
-    if (!touch_finish(&h.coder, s)) return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
-    if (!touch_fill_columns(&h, max_bricks, out, arena, &filled)) /* TOUCH_CUT: more bricks than it may have */
+    touch_put_u(s, 1, 1), touch_put_varint(s, (uint64_t)(2 * columns.box.axis + columns.box.is_inverted));
+    for (int n = 0; n < 2; n++) touch_put_varint(s, (uint64_t)columns.box.tile[n]);
+    for (int n = 0; n < 2; n++) touch_put_varint(s, (uint64_t)columns.box.tiles[n] - 1);
+    touch_put_varint(s, (uint64_t)columns.top), touch_put_varint(s, (uint64_t)columns.ramp);
+    for (int n = 0; n < 2; n++) touch_put_varint(s, (uint64_t)columns.ratio[n]);
+    for (int n = 0; n < 3; n++) touch_put_varint(s, (uint64_t)columns.step[n]);
+    start = s->size, columns.coder = touch_writing(s, tables, &spent);
+    if (!touch_code_columns(&columns, error)) return 0;
+    if (!touch_finish(&columns.coder, s)) return touch_fail(error, TOUCH_MEMORY, "no room for a base layer");
+    if (!touch_fill_columns(&columns, max_bricks, out, arena, &filled)) /* TOUCH_CUT: more bricks than it may have */
         return filled.code == TOUCH_CUT ? 0 : touch_fail(error, filled.code, filled.what);
     touch_pad(s, start, touch_min_column_bytes(tiles, out->list.count));
     touch_sink_close(s, arena);
@@ -994,7 +1003,7 @@ typedef struct touch_writer {
     touch_units previous;         /* the frame before, without its outliers */
     uint64_t mark;                /* of `work`, behind what stays */
     uint32_t frames;
-    int tries_base_layers, has_violations;
+    int tries_base_layers, has_outliers;
     double max_ratio; /* of the frames so far */
     uint32_t max_frame, max_voxel[3];
     touch_sink body; /* the records of the frames, behind room for what is before them */
@@ -1014,22 +1023,24 @@ static int64_t touch_below(int64_t limit, double number) {
 
 static double touch_radians(double degrees) { return degrees * (3.14159265358979323846 / 180.0); }
 
-/* Steps of a segment whose longest force is `longest_n`: a cell of the lattice lies within the ball of the mask, that of
-   mask-direction within a disc of directions and a span of lengths. The corners of a somewhat larger cell are outside,
-   and then another point is taken. */
+/* Steps of a segment whose longest force is `longest_n`, which has 65536 units. The points that residuals can reach form a
+   lattice around the centre. In mode MASK its cubes are 1.17 bounds wide: their corners lie within the ball of the bound,
+   but for a small rest of forces (half a diagonal is 1.01 bounds), for which another point is taken. In mode
+   MASK_DIRECTION the bound is a disc of directions and an interval of lengths; the steps fill each a little less. */
 static void touch_choose_steps(const touch_options *o, double longest_n, touch_steps *s) {
-    const double cell = 1.17, span = 1.8, span_floor = 1.25, disc = 0.97 * sqrt(2.0);
+    const double cube = 1.17, interval = 1.8, interval_floor = 1.25, disc = 0.97 * sqrt(2.0);
     double unit_n = longest_n / 65536;
     s->unit_n = (float)(unit_n > 1.1754943508222875e-38 ? unit_n : 1.1754943508222875e-38), unit_n = s->unit_n;
     if (o->mode == TOUCH_NMSE) {
         s->floor = s->cross_floor = touch_max(touch_below(1 << 16, o->step_n / unit_n), 21), s->rate = s->cross_rate = 0;
         return;
     }
-    s->floor = s->cross_floor = touch_below(1 << 16, cell * o->f0_n / unit_n);
-    s->rate = s->cross_rate = touch_below(1 << 17, 65536 * cell * o->k);
+    s->floor = s->cross_floor = touch_below(1 << 16, cube * o->f0_n / unit_n);
+    s->rate = s->cross_rate = touch_below(1 << 17, 65536 * cube * o->k);
     if (o->mode != TOUCH_MASK_DIRECTION) return;
     s->cross_rate = touch_below(1 << 17, 65536 * disc * sin(touch_radians(o->direction_jnd_deg)));
-    s->floor = touch_below(1 << 16, span_floor * o->f0_n / unit_n), s->rate = touch_below(1 << 17, 65536 * span * o->k);
+    s->floor = touch_below(1 << 16, interval_floor * o->f0_n / unit_n);
+    s->rate = touch_below(1 << 17, 65536 * interval * o->k);
 }
 
 /* The bound of the passes, units, less the rounding of whole units to float32 newtons. */
@@ -1060,13 +1071,13 @@ static double touch_fraction_within(const touch_writer *w, const touch_source *f
     touch_source original = *frame;
     uint64_t mark = arena->used;
     touch_comparison c;
-    touch_side side;
+    touch_brick_forces decoded;
     original.hidden_n = 0;
-    if (!touch_side_of(&side, prediction, w->steps.unit_n, arena) ||
-        !touch_compare(&original, &side, &bound, &w->grid, 0, &c, arena))
+    if (!touch_newtons_of(&decoded, prediction, w->steps.unit_n, arena) ||
+        !touch_compare(&original, &decoded, &bound, &w->grid, 0, &c, arena))
         return -1;
     arena->used = mark;
-    return c.violations ? (double)c.within / (double)(c.within + c.violations) : 1.0;
+    return c.outliers ? (double)c.within / (double)(c.within + c.outliers) : 1.0;
 }
 
 double touch_longest_n(const touch_source *frame) {
@@ -1170,8 +1181,8 @@ enum { TOUCH_RECORD_BYTES = 64, TOUCH_OUTLIER_BYTES = 32 };
 static void touch_put_forces(touch_sink *s, const touch_grid *grid, const touch_source *frame, const touch_comparison *c,
                              const uint64_t *key) {
     uint64_t previous = 0, i = 0;
-    for (uint64_t n = 0; n < c->violations; n++) {
-        uint64_t number = c->violation[n] >> 9, sample = c->violation[n] & 511, bits = 0;
+    for (uint64_t n = 0; n < c->outliers; n++) {
+        uint64_t number = c->outlier[n] >> 9, sample = c->outlier[n] & 511, bits = 0;
         uint64_t by = (grid->shape[1] + 7) >> 3, bz = (grid->shape[2] + 7) >> 3;
         uint64_t own = touch_key((int64_t)(number / (by * bz)), (int64_t)(number / bz % by), (int64_t)(number % bz));
         const float *force = 0;
@@ -1210,12 +1221,12 @@ static int touch_put_frame(touch_writer *w, const touch_source *frame, int is_in
     uint64_t *key = touch_source_keys(frame, &w->work);
     double bits[3];
     touch_comparison c;
-    touch_side side;
-    if (!key || !touch_side_of(&side, &coded->units, w->steps.unit_n, &w->work) ||
-        !touch_compare(frame, &side, &bound, &w->grid, 1, &c, &w->work))
+    touch_brick_forces decoded;
+    if (!key || !touch_newtons_of(&decoded, &coded->units, w->steps.unit_n, &w->work) ||
+        !touch_compare(frame, &decoded, &bound, &w->grid, 1, &c, &w->work))
         return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
-    int has_layer = base_layer->size > 0, has_outliers = c.violations > 0;
-    uint64_t size = base_layer->size + coded->payload.size + TOUCH_OUTLIER_BYTES * c.violations;
+    int has_layer = base_layer->size > 0, has_outliers = c.outliers > 0;
+    uint64_t size = base_layer->size + coded->payload.size + TOUCH_OUTLIER_BYTES * c.outliers;
     if (w->decoded) w->decoded[w->frames] = c.decoded;
     if (!touch_reserve(w, TOUCH_RECORD_BYTES + size, error)) return 0;
     touch_put_u(&w->body, (uint64_t)(is_inter | has_layer << 1 | has_outliers << 2), 1);
@@ -1225,7 +1236,7 @@ static int touch_put_frame(touch_writer *w, const touch_source *frame, int is_in
     touch_put_chunk(&w->body, &coded->payload);
     if (has_outliers) touch_put_outliers(w, frame, &c, key);
     if (w->body.size > w->body.capacity) return touch_fail(error, TOUCH_MEMORY, "no room for a segment");
-    w->has_violations |= c.violations > 0;
+    w->has_outliers |= c.outliers > 0;
     if (c.max_ratio > w->max_ratio) {
         w->max_ratio = c.max_ratio, w->max_frame = w->frames;
         memcpy(w->max_voxel, c.voxel, sizeof c.voxel);
@@ -1287,18 +1298,19 @@ static int touch_fit_base_layer(touch_writer *w, const touch_source *frame, cons
 static int touch_code_best(touch_writer *w, const touch_source *frame, int is_inter, double inter_fraction,
                            const touch_spline_fit *splines, touch_layer *layer, touch_coded *best, touch_cursor *error) {
     const double bit_price = 0.1, min_gain = 0.03; /* of a bit, in squared steps; of a base layer in a frame's bytes */
+    const double good_inter = 0.8, good_layer = 0.85; /* fractions of voxels within the bound: nothing else is tried */
     const touch_models *models = is_inter ? w->models : w->fresh;
     touch_units none, *references[2];
     touch_coded coded[2];
     double cost[2];
     int count = 0, index;
     memset(&none, 0, sizeof none), memset(layer, 0, sizeof *layer);
-    if (w->tries_base_layers && inter_fraction < 0.8) {
+    if (w->tries_base_layers && inter_fraction < good_inter) {
         if (!touch_fit_base_layer(w, frame, splines, layer, error)) return 0;
         if (!(layer->fraction > inter_fraction)) layer->bytes.size = 0;
     }
     if (layer->bytes.size) references[count++] = &layer->units;
-    if (!layer->bytes.size || layer->fraction < 0.85 || w->options.mode == TOUCH_NMSE)
+    if (!layer->bytes.size || layer->fraction < good_layer || w->options.mode == TOUCH_NMSE)
         references[count++] = is_inter ? &w->previous : &none;
     for (int n = 0; n < count; n++) {
         if (!touch_code_frame(&w->grid, &w->steps, &w->tables, &w->bound, frame, references[n], models, coded + n,
@@ -1325,6 +1337,7 @@ int touch_encode_next(touch_encoder *encoder, const touch_source *frame, const t
     touch_cursor error = touch_cursor_of(0, 0);
     touch_layer layer;
     touch_coded best;
+    const double min_inter = 0.1; /* fraction of voxels that the frame before predicts within the bound */
     double inter_fraction = 0.0;
     int is_inter = 0;
     const touch_source *source = coded ? coded : frame;
@@ -1334,7 +1347,7 @@ int touch_encode_next(touch_encoder *encoder, const touch_source *frame, const t
     if (w->frames && w->options.interframe == TOUCH_INTER_AUTO)
         inter_fraction = touch_fraction_within(w, source, &w->previous, &w->work);
     if (inter_fraction < 0) touch_fail(&error, TOUCH_MEMORY, "no room for a frame");
-    if (w->frames) is_inter = w->options.interframe == TOUCH_INTER_ON || inter_fraction >= 0.1;
+    if (w->frames) is_inter = w->options.interframe == TOUCH_INTER_ON || inter_fraction >= min_inter;
     if (!error.code && touch_code_best(w, source, is_inter, inter_fraction, splines, &layer, &best, &error) &&
         touch_put_frame(w, frame, is_inter, &layer.bytes, &best, &error)) {
         uint64_t count = best.units.list.count;
@@ -1377,8 +1390,8 @@ static uint32_t touch_nearest(const touch_palette *p, const float v[3]) {
         if ((double)p->points[middle].p[0] * grain < x / size) low = middle + 1;
         else high = middle;
     }
-    for (int side = 0; side < 2; side++)
-        for (int64_t j = side ? (int64_t)low : (int64_t)low - 1; j >= 0 && j < (int64_t)p->vertex_count; j += side ? 1 : -1) {
+    for (int is_above = 0; is_above < 2; is_above++)
+        for (int64_t j = (int64_t)low - !is_above; j >= 0 && j < (int64_t)p->vertex_count; j += is_above ? 1 : -1) {
             const int64_t *g = p->points[j].p;
             double a = (double)g[0] * grain, b = (double)g[1] * grain, c = (double)g[2] * grain;
             if (fabs(a - x / size) > chord) break;
@@ -1572,7 +1585,7 @@ static int touch_put_exact(touch_writer *w, touch_exact_models *models, const to
     touch_coder coder = touch_writing(&payload, &w->tables, &spent);
     pass.coder = &coder, pass.models = models, pass.grid = &w->grid, pass.before = before;
     if (!touch_code_list(&coder, &models->list, w->grid.shape, before ? before->list : none, &f->list, arena, error)) return 0;
-    touch_account(&coder, 0);
+    touch_account(&coder, TOUCH_BITS_SUPPORT);
     if (!touch_code_samples(&pass, f, arena, error)) return 0;
     if (!touch_finish(&coder, &payload)) return touch_fail(error, TOUCH_MEMORY, "no room for a payload");
     touch_pad(&payload, head, touch_min_bytes(4 * f->list.count));
@@ -1616,8 +1629,8 @@ static int touch_put_exact_frames(touch_writer *w, const touch_source *frames, t
 
 /* -- the finished segment -------------------------------------------------------------------------------------------- */
 
-/* A decoded field as a side of a comparison. */
-static int touch_side_of_field(touch_side *side, const touch_field *field, touch_arena *arena) {
+/* The forces of a decoded field, by the keys of its bricks. */
+static int touch_field_forces(touch_brick_forces *forces, const touch_field *field, touch_arena *arena) {
     uint64_t *key = (uint64_t *)touch_take(arena, field->bricks, 8), count = 0;
     uint32_t *slot = (uint32_t *)touch_take(arena, field->bricks, 4);
     uint64_t by = (field->grid.shape[1] + 7) >> 3, bz = (field->grid.shape[2] + 7) >> 3;
@@ -1629,20 +1642,21 @@ static int touch_side_of_field(touch_side *side, const touch_field *field, touch
         slot[count++] = field->table[2 * i + 1];
     }
     touch_sort(key, slot, count);
-    side->count = count, side->key = key, side->slot = slot, side->forces_n = field->forces_n;
+    forces->count = count, forces->key = key, forces->slot = slot, forces->forces_n = field->forces_n;
     return 1;
 }
 
 /* Whether a decoded field is an original, bit for bit; `decoded` is the number of its voxels with a force. */
-static int touch_is_identical(const touch_source *frame, const touch_side *side, uint64_t *decoded, touch_arena *arena) {
+static int touch_is_identical(const touch_source *frame, const touch_brick_forces *decoded_forces, uint64_t *decoded,
+                              touch_arena *arena) {
     uint64_t *key = touch_source_keys(frame, arena), i = 0, j = 0;
     static const float zero[1536] = {0};
     if (!key) return 0;
-    while (i < frame->bricks || j < side->count) {
-        int has_first = j == side->count || (i < frame->bricks && key[i] <= side->key[j]);
-        int has_second = i == frame->bricks || (j < side->count && side->key[j] <= key[i]);
+    while (i < frame->bricks || j < decoded_forces->count) {
+        int has_first = j == decoded_forces->count || (i < frame->bricks && key[i] <= decoded_forces->key[j]);
+        int has_second = i == frame->bricks || (j < decoded_forces->count && decoded_forces->key[j] <= key[i]);
         const float *original = has_first ? frame->forces_n + 1536 * i : zero;
-        const float *sent = has_second ? side->forces_n + 1536 * side->slot[j] : zero;
+        const float *sent = has_second ? decoded_forces->forces_n + 1536 * decoded_forces->slot[j] : zero;
         if (memcmp(original, sent, sizeof zero)) return 0;
         for (int n = 0; n < 1536; n += 3) *decoded += sent[n] != 0 || sent[n + 1] != 0 || sent[n + 2] != 0;
         i += (uint64_t)has_first, j += (uint64_t)has_second;
@@ -1664,19 +1678,19 @@ static int touch_check_body(touch_writer *w, const touch_source *frames, touch_c
     mark = w->work.used;
     for (uint32_t n = 0; n < w->frames; n++) {
         touch_comparison result;
-        touch_side side;
+        touch_brick_forces decoded;
         const touch_field *field = touch_next_field(&f, &c, &w->tables, !n, mark, &w->work, &w->work, error);
         uint64_t used = w->work.used;
         if (!field) return 0;
-        if (!touch_side_of_field(&side, field, &w->work)) return touch_fail(error, TOUCH_MEMORY, "no room for a decoder");
+        if (!touch_field_forces(&decoded, field, &w->work)) return touch_fail(error, TOUCH_MEMORY, "no room for a decoder");
         memset(&result, 0, sizeof result);
         if (f.is_exact)
-            touch_need(error, touch_is_identical(frames + n, &side, &result.decoded, &w->work),
+            touch_need(error, touch_is_identical(frames + n, &decoded, &result.decoded, &w->work),
                        "a frame is not decoded as it was");
-        else if (!touch_compare(frames + n, &side, &bound, &w->grid, 0, &result, &w->work))
+        else if (!touch_compare(frames + n, &decoded, &bound, &w->grid, 0, &result, &w->work))
             return touch_fail(error, TOUCH_MEMORY, "no room for a decoder");
         else {
-            touch_need(error, !result.violations, "the decoded body violates the error bound");
+            touch_need(error, !result.outliers, "the decoded body violates the error bound");
             if (result.max_ratio > w->max_ratio) {
                 w->max_ratio = result.max_ratio, w->max_frame = n;
                 memcpy(w->max_voxel, result.voxel, sizeof result.voxel);
@@ -1697,7 +1711,7 @@ int touch_encode_finish(touch_encoder *encoder, const touch_source *frames, touc
     int is_stated = w->options.mode != TOUCH_NMSE;
     memset(out, 0, sizeof *out);
     s.bytes = head, s.size = 0, s.capacity = sizeof head;
-    int is_exact = w->options.mode == TOUCH_LOSSLESS, is_checked = is_exact || w->options.is_checked || w->has_violations;
+    int is_exact = w->options.mode == TOUCH_LOSSLESS, is_checked = is_exact || w->options.is_checked || w->has_outliers;
     if (is_exact && !touch_put_exact_frames(w, frames, &error)) return touch_report(encoder, &error);
     if (is_checked && !touch_check_body(w, frames, &error)) return touch_report(encoder, &error);
     touch_put_u(&s, (uint64_t)is_stated, 1);
@@ -1717,7 +1731,7 @@ int touch_encode_finish(touch_encoder *encoder, const touch_source *frames, touc
     return touch_report(encoder, &error);
 }
 
-/* -- key frames, and segments with exact samples ---------------------------------------------------------------------- */
+/* -- key frames, and segments with more outliers ---------------------------------------------------------------------- */
 
 int touch_is_static(const touch_grid *grid, const touch_options *options, const touch_source *frame,
                     const touch_source *earlier, touch_arena work) {
@@ -1725,65 +1739,65 @@ int touch_is_static(const touch_grid *grid, const touch_options *options, const 
     touch_source original = *frame;
     touch_bound bound = {0, 0, 0, 0};
     touch_comparison c;
-    touch_side side;
+    touch_brick_forces decoded;
     if (options->mode > TOUCH_MASK_DIRECTION) return 0;
     bound.k = margin * options->k > 0.001 ? margin * options->k : 0.001, bound.f0 = margin * options->f0_n;
-    original.hidden_n = 0, side.count = earlier->bricks, side.slot = 0, side.forces_n = earlier->forces_n;
-    side.key = touch_source_keys(earlier, &work);
-    if (!side.key || !touch_compare(&original, &side, &bound, grid, 0, &c, &work)) return -1;
-    return !c.violations;
+    original.hidden_n = 0, decoded.count = earlier->bricks, decoded.slot = 0, decoded.forces_n = earlier->forces_n;
+    decoded.key = touch_source_keys(earlier, &work);
+    if (!decoded.key || !touch_compare(&original, &decoded, &bound, grid, 0, &c, &work)) return -1;
+    return !c.outliers;
 }
 
 /* The outliers of a chunk and further samples, ascending, each once. */
-static int touch_merge_outliers(touch_comparison *c, touch_cursor chunk, const touch_exact_samples *exact,
+static int touch_merge_outliers(touch_comparison *c, touch_cursor chunk, const touch_outlier_samples *added,
                                 const touch_grid *grid, touch_arena *arena, touch_cursor *error) {
     memset(c, 0, sizeof *c);
     for (int is_written = 0; is_written < 2; is_written++) { /* counted, then written */
         touch_cursor at = chunk;
         uint64_t brick = 0, next = 0, count = 0;
         int64_t last = -1;
-        while (at.at < at.end || next < exact->samples) {
+        while (at.at < at.end || next < added->samples) {
             uint64_t number = ~(uint64_t)0, own;
             int32_t position[3];
             float force[3];
             if (at.at < at.end) {
-                if (!touch_read_exception(&at, grid, &brick, &last, position, force))
+                if (!touch_read_outlier(&at, grid, &brick, &last, position, force))
                     return touch_fail(error, at.code, at.what);
                 number = 512 * brick + (uint64_t)last;
             }
-            for (; next < exact->samples && exact->sample[next] <= number; next++) {
-                own = exact->sample[next];
+            for (; next < added->samples && added->sample[next] <= number; next++) {
+                own = added->sample[next];
                 if (own == number) continue;
-                if (is_written) c->violation[count] = own;
+                if (is_written) c->outlier[count] = own;
                 count++;
             }
-            if (is_written && number != ~(uint64_t)0) c->violation[count] = number;
+            if (is_written && number != ~(uint64_t)0) c->outlier[count] = number;
             count += number != ~(uint64_t)0;
         }
-        if (!is_written) c->violation = (uint64_t *)touch_take(arena, count, 8);
-        if (!c->violation) return touch_fail(error, TOUCH_MEMORY, "no room for outliers");
-        c->violations = count;
+        if (!is_written) c->outlier = (uint64_t *)touch_take(arena, count, 8);
+        if (!c->outlier) return touch_fail(error, TOUCH_MEMORY, "no room for outliers");
+        c->outliers = count;
     }
     return 1;
 }
 
 /* Samples ascend, and lie within the grid. */
-static int touch_check_samples(const touch_grid *grid, const touch_exact_samples *exact, touch_cursor *error) {
+static int touch_check_samples(const touch_grid *grid, const touch_outlier_samples *added, touch_cursor *error) {
     uint64_t by = (grid->shape[1] + 7) >> 3, bz = (grid->shape[2] + 7) >> 3;
-    for (uint64_t i = 0; i < exact->samples; i++) {
-        uint64_t brick = exact->sample[i] >> 9, sample = exact->sample[i] & 511;
+    for (uint64_t i = 0; i < added->samples; i++) {
+        uint64_t brick = added->sample[i] >> 9, sample = added->sample[i] & 511;
         int is_inside = 8 * (brick / (by * bz)) + (sample >> 6) < grid->shape[0] &&
                         8 * (brick / bz % by) + (sample >> 3 & 7) < grid->shape[1] &&
                         8 * (brick % bz) + (sample & 7) < grid->shape[2];
         if (!is_inside) return touch_fail(error, TOUCH_ARGUMENT, "a sample beyond the grid");
-        if (i && exact->sample[i] <= exact->sample[i - 1])
+        if (i && added->sample[i] <= added->sample[i - 1])
             return touch_fail(error, TOUCH_ARGUMENT, "samples that do not ascend");
     }
     return 1;
 }
 
 /* The record of a frame with more outliers. */
-static int touch_put_record(touch_writer *w, touch_cursor *c, const touch_source *frame, const touch_exact_samples *exact,
+static int touch_put_record(touch_writer *w, touch_cursor *c, const touch_source *frame, const touch_outlier_samples *added,
                             touch_cursor *error) {
     uint64_t flags = touch_u(c, 1), fractions = touch_u(c, 2), mark = w->work.used;
     touch_cursor layer = flags & 2 ? touch_chunk(c, 1) : touch_cursor_of(c->at, 0), payload = touch_chunk(c, 0);
@@ -1791,21 +1805,21 @@ static int touch_put_record(touch_writer *w, touch_cursor *c, const touch_source
     uint64_t *key = touch_source_keys(frame, &w->work);
     touch_comparison merged;
     if (c->code) return touch_fail(error, c->code, c->what);
-    if (!touch_merge_outliers(&merged, chunk, exact, &w->grid, &w->work, error)) return 0;
+    if (!touch_merge_outliers(&merged, chunk, added, &w->grid, &w->work, error)) return 0;
     if (!key) return touch_fail(error, TOUCH_MEMORY, "no room for outliers");
-    uint64_t size = touch_left(&layer) + touch_left(&payload) + TOUCH_OUTLIER_BYTES * merged.violations;
+    uint64_t size = touch_left(&layer) + touch_left(&payload) + TOUCH_OUTLIER_BYTES * merged.outliers;
     if (!touch_reserve(w, TOUCH_RECORD_BYTES + size, error)) return 0;
-    touch_put_u(&w->body, (flags & 3) | (merged.violations ? 4 : 0), 1), touch_put_u(&w->body, fractions, 2);
+    touch_put_u(&w->body, (flags & 3) | (merged.outliers ? 4 : 0), 1), touch_put_u(&w->body, fractions, 2);
     if (flags & 2) touch_put_varint(&w->body, touch_left(&layer)), touch_put(&w->body, layer.at, touch_left(&layer));
     touch_put_varint(&w->body, touch_left(&payload)), touch_put(&w->body, payload.at, touch_left(&payload));
-    if (merged.violations) touch_put_outliers(w, frame, &merged, key);
+    if (merged.outliers) touch_put_outliers(w, frame, &merged, key);
     if (w->body.size > w->body.capacity) return touch_fail(error, TOUCH_MEMORY, "no room for a segment");
     w->work.used = mark, w->frames++;
     return 1;
 }
 
-int touch_encode_with_exact(touch_encoder *encoder, const touch_grid *grid, const touch_options *options, touch_bytes body,
-                            const touch_source *frames, const touch_exact_samples *exact, uint32_t count,
+int touch_encode_with_outliers(touch_encoder *encoder, const touch_grid *grid, const touch_options *options, touch_bytes body,
+                            const touch_source *frames, const touch_outlier_samples *added, uint32_t count,
                             touch_arena work, touch_arena out, touch_segment *segment) {
     touch_options checked = *options;
     touch_cursor error = touch_cursor_of(0, 0), c = touch_cursor_of(body.bytes, body.size);
@@ -1813,7 +1827,7 @@ int touch_encode_with_exact(touch_encoder *encoder, const touch_grid *grid, cons
     checked.is_checked = 1;
     int code = options->mode == TOUCH_LOSSLESS ? TOUCH_ARGUMENT : touch_encode_start(encoder, grid, &checked, 1, work, out);
     if (code) {
-        if (code == TOUCH_ARGUMENT) encoder->error = "every sample of mode lossless is exact";
+        if (code == TOUCH_ARGUMENT) encoder->error = "every sample of mode lossless is added";
         return code;
     }
     touch_writer *w = touch_writer_of(encoder);
@@ -1821,7 +1835,7 @@ int touch_encode_with_exact(touch_encoder *encoder, const touch_grid *grid, cons
     if (!touch_begin_fields(&f, &c, count, &w->work, &error)) return touch_report(encoder, &error);
     w->steps = f.steps, w->mark = w->work.used;
     for (uint32_t i = 0; i < count; i++)
-        if (!touch_check_samples(grid, exact + i, &error) || !touch_put_record(w, &c, frames + i, exact + i, &error))
+        if (!touch_check_samples(grid, added + i, &error) || !touch_put_record(w, &c, frames + i, added + i, &error))
             return touch_report(encoder, &error);
     touch_need(&error, c.at == c.end, "bytes behind the last frame of a segment");
     return error.code ? touch_report(encoder, &error) : touch_encode_finish(encoder, frames, segment);
@@ -1845,20 +1859,20 @@ static uint64_t touch_units_room(uint64_t bricks) { return (512 * sizeof(touch_i
 
 /* A list of bricks while it is coded: boxes of a level, and maps of them and of both lists; a reader's keys. */
 static uint64_t touch_list_room(const touch_grid *grid, uint64_t bricks, uint64_t before, uint64_t bytes) {
-    uint64_t keys = touch_smaller(touch_brick_count(grid), touch_larger(bricks, 64 + 16 * bytes)) + 1;
+    uint64_t keys = touch_smaller(touch_brick_count(grid), touch_larger(bricks, touch_max_bricks(bytes))) + 1;
     return 8 * keys + 106 * (bricks + 1) + touch_map_room(8 * bricks) + touch_map_room(bricks) + touch_map_room(before);
 }
 
 /* A pass over a frame, without its result. */
 static uint64_t touch_pass_room(const touch_grid *grid, uint64_t bricks, uint64_t reference, uint64_t bytes) {
-    uint64_t cells = 512 * sizeof(touch_cell) * bricks + 12 * bricks + 64 * reference;
+    uint64_t cells = 512 * sizeof(touch_decoded) * bricks + 12 * bricks + 64 * reference;
     return sizeof(touch_pass) + touch_list_room(grid, bricks, reference, bytes) + cells + touch_map_room(bricks) +
            touch_map_room(reference);
 }
 
 /* A base layer of columns: along any axis; `layer` is the number of its bricks. */
 static uint64_t touch_columns_room(const touch_grid *grid, uint64_t bricks, uint64_t layer) {
-    uint64_t ramp = 4 * (448 * bricks + 65536), max = 0;
+    uint64_t ramp = 4 * (TOUCH_BRICK_PAIRS * bricks + 65536), max = 0;
     for (int n = 0; n < 3; n++) {
         uint64_t a = (grid->shape[n == 0] + 7) >> 3, b = (grid->shape[n == 2 ? 1 : 2] + 7) >> 3;
         uint64_t tiles = touch_smaller(a * b, 64 + 4 * bricks), depth = touch_smaller(grid->shape[n], 1 << 14);
@@ -1887,11 +1901,11 @@ static uint64_t touch_lossy_room(const touch_grid *grid, int has_layers, uint64_
         fits = best + fit + 512 * 12 * layer + 8 * bricks;
     }
     longest = touch_larger(layer, bricks);
-    uint64_t compared = 512 * (12 + 8) * bricks + 16 * bricks; /* newtons, violations, keys */
+    uint64_t compared = 512 * (12 + 8) * bricks + 16 * bricks; /* newtons, outliers, keys */
     uint64_t coded = sizeof(struct touch_target) + sizeof(touch_models) + units + payload;
     uint64_t codes = best + (has_layers ? 2 : 1) * coded + touch_larger(touch_pass_room(grid, bricks, longest, 0), compared);
     uint64_t checks = sizeof(touch_models) + fit + units + touch_pass_room(grid, bricks, longest, payload);
-    uint64_t fixed = 3 * sizeof(touch_models) + 8 * TOUCH_MAX_BORDERS; /* one of each for a body with exact samples */
+    uint64_t fixed = 3 * sizeof(touch_models) + 8 * TOUCH_MAX_BORDERS; /* one of each for a body with more outliers */
     return fixed + units + touch_larger(touch_larger(fits, codes), checks);
 }
 
@@ -2126,7 +2140,7 @@ static int touch_choose_order(const touch_sink *s, const touch_tables *tables, t
         touch_spent spent;
         touch_coder coder = touch_writing(s, tables, &spent);
         touch_put_moves(&coder, models, numbers, count, c, n);
-        touch_account(&coder, 0);
+        touch_account(&coder, TOUCH_BITS_SUPPORT);
         if (spent.total < best) best = spent.total, order = n;
     }
     return order;

@@ -1,13 +1,18 @@
 /* touch_model.h: what a reader and a writer of coder `touch` have in common. touch.h and touch_encode.h include it.
 
-   Both walk through a frame in the same order with the same models, so that the probability of each bit is the same on
-   both sides. Each part of the format is therefore one function for both directions: a writer passes the bit that it
-   has decided on, a reader passes anything, and both go on with the bit that is returned. Choices that only a writer
-   makes (TOUCH_CHOOSE) are functions of touch_encode.h; where that is not compiled they are nothing.
+   Shared, each part as one function for both directions: the arithmetic code, lists of bricks, the voxel pass (prediction,
+   contexts, the order of all bits), base layers, the lossless mode, supports and whole numbers. Such a function takes the
+   bit or number that a writer has decided on, which a reader's call ignores, and returns the one that was coded; both
+   sides go on with that. So both have the same models, and give each bit the same probability.
+
+   Not shared: a few varints in front of each code (touch_read_frame, touch_read_spline, touch_read_columns and
+   touch_read_exact in touch.h; touch_code_frame, touch_put_spline, touch_fit_columns and touch_put_exact in
+   touch_encode.h), and the choices of a writer (touch_choose_..., in touch_encode.h). Functions here call the latter by
+   TOUCH_CHOOSE, which is 0 where touch_encode.h is not compiled.
 
    The sections follow docs/format: bits.md (arithmetic code, list of bricks, supports, whole numbers), touch.md (voxel
-   pass), touch-base-layer.md and touch-exact.md. Whole numbers decide everything that both sides must agree on.
-   Shifts of negative numbers are to be arithmetic, as with every compiler there is. */
+   pass), touch-base-layer.md and touch-exact.md. Everything that both sides must agree on is computed in whole numbers; the
+   exceptions are the vertices of codebooks, rounded to 2^-40. Shifts of negative numbers must be arithmetic. */
 #ifndef TOUCH_MODEL_H
 #define TOUCH_MODEL_H
 
@@ -71,6 +76,9 @@ static int touch_need(touch_cursor *c, int holds, const char *what) {
 
 static int64_t touch_clip(int64_t n, int64_t min, int64_t max) { return n < min ? min : n > max ? max : n; }
 
+/* Within -max to max. */
+static int64_t touch_clip_to(int64_t n, int64_t max) { return touch_clip(n, -max, max); }
+
 static int64_t touch_max(int64_t a, int64_t b) { return a > b ? a : b; }
 
 static int64_t touch_min(int64_t a, int64_t b) { return a < b ? a : b; }
@@ -121,7 +129,16 @@ static void touch_brick_samples(const touch_grid *g, const int32_t brick[3], int
 
 /* -- bits: the arithmetic code (docs/format/bits.md) ----------------------------------------------------------------- */
 
-enum { TOUCH_MAX_LOGIT = 3071, TOUCH_INITIAL_PROBABILITY = 1 << 21, TOUCH_INITIAL_WEIGHT = 14000 };
+enum {
+    TOUCH_AHEAD_BYTES = 6,             /* that a reader reads before the first bit: `low` has 48 bits */
+    TOUCH_MAX_LOGIT = 3071,            /* logistic scale: 1/256 from -12 to 12 */
+    TOUCH_ONE_PROBABILITY = 1 << 22,   /* probabilities of contexts are in 1/2^22, */
+    TOUCH_INITIAL_PROBABILITY = TOUCH_ONE_PROBABILITY / 2,
+    TOUCH_EVEN = 1 << 15,              /* those of the range coder in 1/2^16, */
+    TOUCH_MIN_PROBABILITY = 4,         /* and at least this far from 0 and 1, so that both bits can be coded */
+    TOUCH_INITIAL_WEIGHT = 14000,      /* 0.21: of each context's logit; the mixture of a few is cautious at first */
+    TOUCH_MAX_COUNT = 255              /* bits that a context counts: then it learns at a constant rate */
+};
 
 typedef struct { /* of a 1, in 1/2^22, and how many bits it has learnt from, up to 255 */
     int32_t probability, count;
@@ -130,10 +147,12 @@ typedef struct { /* of a 1, in 1/2^22, and how many bits it has learnt from, up 
 typedef struct { /* the logistic function, its inverse, and how fast a context learns by its count */
     uint16_t squash[2 * TOUCH_MAX_LOGIT + 1];
     int16_t stretch[4096];
-    int32_t rate[256];
+    int32_t rate[TOUCH_MAX_COUNT + 1];
 } touch_tables;
 
-typedef struct { /* bits that a writer has spent, by purpose: support, amplitude, direction; an estimate for people */
+enum { TOUCH_BITS_SUPPORT = 0, TOUCH_BITS_AMPLITUDE = 1, TOUCH_BITS_DIRECTION = 2 };
+
+typedef struct { /* bits that a writer has spent, by purpose; an estimate for people */
     double bits[3], total;
 } touch_spent;
 
@@ -141,7 +160,7 @@ typedef struct { /* a range coder of 48 bits, in either direction */
     const uint8_t *data; /* that is read */
     uint8_t *out;        /* that is written; NULL: this coder reads */
     uint64_t size;       /* bytes of either */
-    uint64_t position;   /* bytes read or written; above `size` + 6 they ended too early, above `size` `out` is full */
+    uint64_t position;   /* bytes read (touch_is_cut: too many) or written (above `size` `out` is full) */
     uint64_t low, range; /* the interval; a reader's `low` is how far the code lies above its low end */
     const touch_tables *tables;
     touch_spent *spent;
@@ -154,21 +173,23 @@ static void touch_fill_tables(touch_tables *t) {
         uint64_t whole = ((uint64_t)1 << 31) + power, s = (((uint64_t)1 << 47) + (whole >> 1)) / whole;
         t->squash[TOUCH_MAX_LOGIT + i] = (uint16_t)(s > 65535 ? 65535 : s);
         t->squash[TOUCH_MAX_LOGIT - i] = (uint16_t)(65536 - s);
-        power = power * 2139111403u >> 31;
+        power = power * 2139111403u >> 31; /* times 2^31 e^(-1/256) */
     }
     for (int64_t i = 0; i < 4096; i++) {
         while (t->squash[n] < 16 * i + 8) n++;
         t->stretch[i] = (int16_t)(n - TOUCH_MAX_LOGIT);
     }
-    for (int64_t i = 0; i <= 2 * TOUCH_MAX_LOGIT; i++) t->squash[i] = (uint16_t)touch_clip(t->squash[i], 4, 65532);
-    for (int64_t i = 0; i < 256; i++) t->rate[i] = (int32_t)((1 << 20) / (2 * i + 3));
+    for (int64_t i = 0; i <= 2 * TOUCH_MAX_LOGIT; i++)
+        t->squash[i] = (uint16_t)touch_clip(t->squash[i], TOUCH_MIN_PROBABILITY, (1 << 16) - TOUCH_MIN_PROBABILITY);
+    for (int64_t i = 0; i <= TOUCH_MAX_COUNT; i++) t->rate[i] = (int32_t)((1 << 20) / (2 * i + 3));
 }
 
 static touch_coder touch_reading(const touch_cursor *c, const touch_tables *tables) {
     touch_coder b;
     memset(&b, 0, sizeof b);
-    b.data = c->at, b.size = (uint64_t)(c->end - c->at), b.position = 6, b.range = (uint64_t)1 << 48, b.tables = tables;
-    for (int i = 0; i < 6; i++) b.low = b.low << 8 | ((uint64_t)i < b.size ? b.data[i] : 0);
+    b.data = c->at, b.size = (uint64_t)(c->end - c->at), b.position = TOUCH_AHEAD_BYTES;
+    b.range = (uint64_t)1 << 8 * TOUCH_AHEAD_BYTES, b.tables = tables;
+    for (int i = 0; i < TOUCH_AHEAD_BYTES; i++) b.low = b.low << 8 | ((uint64_t)i < b.size ? b.data[i] : 0);
     return b;
 }
 
@@ -202,13 +223,19 @@ static int touch_narrow(touch_coder *b, uint32_t p, int bit) {
 
 /* A context moves towards the bit: fast while it is new, then slowly. */
 static void touch_learn(touch_context *c, int bit, const touch_tables *t) {
-    c->probability += (int32_t)(((int64_t)(bit ? 4194303 - c->probability : -c->probability) * t->rate[c->count]) >> 19);
-    c->count += c->count < 255;
+    int64_t distance = bit ? TOUCH_ONE_PROBABILITY - 1 - c->probability : -c->probability;
+    c->probability += (int32_t)((distance * t->rate[c->count]) >> 19);
+    c->count += c->count < TOUCH_MAX_COUNT;
+}
+
+/* The probability of a context in 1/2^16. */
+static uint32_t touch_probability(const touch_context *c) {
+    return (uint32_t)touch_clip(c->probability >> 6, TOUCH_MIN_PROBABILITY, (1 << 16) - TOUCH_MIN_PROBABILITY);
 }
 
 /* A bit by one context. */
 static int touch_code(touch_coder *b, touch_context *c, int bit) {
-    bit = touch_narrow(b, (uint32_t)touch_clip(c->probability >> 6, 4, 65532), bit);
+    bit = touch_narrow(b, touch_probability(c), bit);
     touch_learn(c, bit, b->tables);
     return bit;
 }
@@ -220,7 +247,7 @@ static int touch_mix(touch_coder *b, touch_context *const *c, int64_t *weights, 
     int64_t sum = 0;
     int32_t logit[4];
     for (int n = 0; n < count; n++) logit[n] = t->stretch[c[n]->probability >> 10], sum += logit[n] * weights[n];
-    int32_t p = t->squash[touch_clip(sum >> 16, -TOUCH_MAX_LOGIT, TOUCH_MAX_LOGIT) + TOUCH_MAX_LOGIT];
+    int32_t p = t->squash[touch_clip_to(sum >> 16, TOUCH_MAX_LOGIT) + TOUCH_MAX_LOGIT];
     bit = touch_narrow(b, (uint32_t)p, bit);
     int64_t error = (bit ? 65536 : 0) - p;
     for (int n = 0; n < count; n++) weights[n] += (logit[n] * error + 8192) >> 14, touch_learn(c[n], bit, t);
@@ -242,34 +269,48 @@ static int touch_mix3(touch_coder *b, touch_context *c0, touch_context *c1, touc
 /* The lowest `count` bits of a number, equally probable, the highest first. */
 static int64_t touch_even(touch_coder *b, int count, int64_t value) {
     int64_t out = 0;
-    while (count-- > 0) out = out << 1 | touch_narrow(b, 32768, (int)(value >> count & 1));
+    while (count-- > 0) out = out << 1 | touch_narrow(b, TOUCH_EVEN, (int)(value >> count & 1));
     return out;
 }
 
 /* A number from 1 to below 2^(max_digits + 1) in Elias' gamma code: its digits, then those after the first. */
 static int64_t touch_gamma(touch_coder *b, int max_digits, int64_t value) {
     int digits = 0;
-    while (digits < max_digits && touch_narrow(b, 32768, value >> (digits + 1) > 0)) digits++;
+    while (digits < max_digits && touch_narrow(b, TOUCH_EVEN, value >> (digits + 1) > 0)) digits++;
     return (int64_t)1 << digits | touch_even(b, digits, value);
 }
 
-/* Reading: an error if the bytes end before the code. */
+/* Reading: whether the bytes ended before the code. */
+static int touch_is_cut(const touch_coder *b) {
+    return !TOUCH_IS_WRITING(b) && b->position > b->size + TOUCH_AHEAD_BYTES;
+}
+
 static void touch_check(const touch_coder *b, touch_cursor *c) {
-    if (!TOUCH_IS_WRITING(b) && b->position > b->size + 6) touch_fail(c, TOUCH_CUT, "a code that ends too early");
+    if (touch_is_cut(b)) touch_fail(c, TOUCH_CUT, "a code that ends too early");
 }
 
 /* As touch_need for what a code contains: behind the end of the bytes any contradiction means that the code is cut. */
 static int touch_need_coded(const touch_coder *b, touch_cursor *c, int holds, const char *what) {
-    if (!holds) touch_check(b, c);
-    return touch_need(c, holds, what);
+    if (holds) return !c->code;
+    touch_check(b, c);
+    return touch_fail(c, TOUCH_CORRUPT, what);
 }
 
-/* Bytes that a code of so many bricks has at least: a short code cannot ask for much memory. */
-static uint64_t touch_min_bytes(uint64_t bricks) { return bricks > 64 ? (bricks - 64 + 15) / 16 : 0; }
+enum { TOUCH_FREE_BRICKS = 64, TOUCH_BRICKS_PER_BYTE = 16 }; /* a code of n bytes lists at most 64 + 16 n bricks, */
+enum { TOUCH_FREE_TILES = 64 };                              /* and columns of it have at most 64 + n tiles */
+
+/* Bricks that a code of so many bytes may list: a short code cannot ask for much memory. */
+static uint64_t touch_max_bricks(uint64_t bytes) { return TOUCH_FREE_BRICKS + TOUCH_BRICKS_PER_BYTE * bytes; }
+
+/* Bytes that a code of so many bricks has at least. */
+static uint64_t touch_min_bytes(uint64_t bricks) {
+    uint64_t rounding = TOUCH_BRICKS_PER_BYTE - 1;
+    return bricks > TOUCH_FREE_BRICKS ? (bricks - TOUCH_FREE_BRICKS + rounding) / TOUCH_BRICKS_PER_BYTE : 0;
+}
 
 /* As touch_min_bytes, of columns: also by the tiles of their box. */
 static uint64_t touch_min_column_bytes(uint64_t tiles, uint64_t bricks) {
-    return touch_larger(tiles > 64 ? tiles - 64 : 0, touch_min_bytes(bricks));
+    return touch_larger(tiles > TOUCH_FREE_TILES ? tiles - TOUCH_FREE_TILES : 0, touch_min_bytes(bricks));
 }
 
 /* Reading: a code ends where its bytes do; zeros may follow until it has `min_bytes`. */
@@ -348,13 +389,17 @@ static void touch_sort(uint64_t *key, uint32_t *tag, uint64_t n) { /* ascending,
 }
 
 /* Positions of bricks, nodes or boxes as keys, in raster order; 21 bits an axis, shifted so that -1 and -2 are there. */
+enum { TOUCH_KEY_BITS = 21, TOUCH_KEY_SHIFT = 8 };
+
 static uint64_t touch_key(int64_t x, int64_t y, int64_t z) {
-    return (uint64_t)(x + 8) << 42 | (uint64_t)(y + 8) << 21 | (uint64_t)(z + 8);
+    return (uint64_t)(x + TOUCH_KEY_SHIFT) << 2 * TOUCH_KEY_BITS | (uint64_t)(y + TOUCH_KEY_SHIFT) << TOUCH_KEY_BITS |
+           (uint64_t)(z + TOUCH_KEY_SHIFT);
 }
 
 static void touch_position(uint64_t key, int32_t out[3]) {
-    out[0] = (int32_t)(key >> 42) - 8, out[1] = (int32_t)(key >> 21 & 0x1fffff) - 8;
-    out[2] = (int32_t)(key & 0x1fffff) - 8;
+    const uint64_t mask = ((uint64_t)1 << TOUCH_KEY_BITS) - 1;
+    out[0] = (int32_t)(key >> 2 * TOUCH_KEY_BITS) - TOUCH_KEY_SHIFT;
+    out[1] = (int32_t)(key >> TOUCH_KEY_BITS & mask) - TOUCH_KEY_SHIFT, out[2] = (int32_t)(key & mask) - TOUCH_KEY_SHIFT;
 }
 
 /* -- lists of bricks: an octree, coded level by level ---------------------------------------------------------------- */
@@ -383,11 +428,11 @@ typedef struct { /* boxes of one size whose parents contain bricks */
     uint8_t *state;             /* of each box: 2 not coded yet, then whether it contains bricks */
     uint8_t *remaining, *found; /* of each parent: children that are not coded yet, and those with bricks */
     touch_map index, known, target;
-} touch_level;
+} touch_octree_level;
 
 /* Which boxes of a level contain bricks, in raster order. The last child of a parent without any other is not coded. */
-static void touch_code_level(touch_coder *b, touch_list_models *m, const touch_level *l) {
-    static const int8_t side[12][3] = {{-1, 0, 0}, {0, -1, 0}, {0, 0, -1}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1},
+static void touch_code_octree_level(touch_coder *b, touch_list_models *m, const touch_octree_level *l) {
+    static const int8_t step[12][3] = {{-1, 0, 0}, {0, -1, 0}, {0, 0, -1}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1},
                                        {-1, -1, 0}, {-1, 1, 0}, {-1, 0, -1}, {-1, 0, 1}, {0, -1, -1}, {0, -1, 1}};
     for (uint64_t i = 0; i < l->count; i++) {
         int32_t at[3];
@@ -395,7 +440,7 @@ static void touch_code_level(touch_coder *b, touch_list_models *m, const touch_l
         uint32_t faces = 0, edges = 0, changed = 0, parent = l->parent[i];
         touch_position(l->key[i], at);
         for (int n = 0; n < 12; n++) {
-            uint64_t key = touch_key(at[0] + side[n][0], at[1] + side[n][1], at[2] + side[n][2]);
+            uint64_t key = touch_key(at[0] + step[n][0], at[1] + step[n][1], at[2] + step[n][2]);
             int64_t box = touch_map_get(&l->index, key);
             uint32_t state = box < 0 ? 0 : l->state[box];
             if (n < 6) faces = 3 * faces + (known ? 0 : state);
@@ -413,7 +458,7 @@ static void touch_code_level(touch_coder *b, touch_list_models *m, const touch_l
     }
 }
 
-/* Boxes of 2^level bricks on a side that contain a brick of a list. */
+/* Boxes of 2^level bricks on a step that contain a brick of a list. */
 static int touch_boxes_of(touch_map *boxes, touch_list list, int level, touch_arena *arena) {
     if (!touch_map_make(boxes, list.count, arena)) return 0;
     for (uint64_t i = 0; i < list.count; i++) {
@@ -425,8 +470,8 @@ static int touch_boxes_of(touch_map *boxes, touch_list list, int level, touch_ar
 }
 
 /* The children within the grid of `count` boxes, ascending; of a writer also which of them its list needs. */
-static int touch_level_make(touch_level *l, const uint64_t *box, uint64_t count, const uint32_t shape[3], int level,
-                            touch_list before, touch_list target, touch_arena *arena) {
+static int touch_octree_level_make(touch_octree_level *l, const uint64_t *box, uint64_t count, const uint32_t shape[3],
+                                   int level, touch_list before, touch_list target, touch_arena *arena) {
     memset(l, 0, sizeof *l);
     l->key = (uint64_t *)touch_take(arena, 8 * count, 8), l->parent = (uint32_t *)touch_take(arena, 8 * count, 4);
     l->state = (uint8_t *)touch_take(arena, 8 * count, 1), l->remaining = (uint8_t *)touch_take_zero(arena, count, 1);
@@ -455,7 +500,7 @@ static int touch_level_make(touch_level *l, const uint64_t *box, uint64_t count,
 static int touch_code_list(touch_coder *b, touch_list_models *m, const uint32_t shape[3], touch_list before,
                            touch_list *list, touch_arena *arena, touch_cursor *error) {
     uint64_t total = (uint64_t)((shape[0] + 7) >> 3) * ((shape[1] + 7) >> 3) * ((shape[2] + 7) >> 3), count = 0;
-    uint64_t max = TOUCH_IS_WRITING(b) ? list->count : 64 + 16 * b->size, *key;
+    uint64_t max = TOUCH_IS_WRITING(b) ? list->count : touch_max_bricks(b->size), *key;
     uint32_t longest = 0;
     touch_list target;
     target.key = 0, target.count = 0;
@@ -466,10 +511,10 @@ static int touch_code_list(touch_coder *b, touch_list_models *m, const uint32_t 
     if (touch_code(b, &m->context.any, target.count > 0)) key[count++] = touch_key(0, 0, 0);
     for (int level = touch_bit_length((longest - 1) >> 3) - 1; level >= 0; level--) {
         uint64_t mark = arena->used, occupied = 0;
-        touch_level l;
-        if (!touch_level_make(&l, key, count, shape, level, before, target, arena))
+        touch_octree_level l;
+        if (!touch_octree_level_make(&l, key, count, shape, level, before, target, arena))
             return touch_fail(error, TOUCH_MEMORY, "no room for a list of bricks");
-        touch_code_level(b, m, &l);
+        touch_code_octree_level(b, m, &l);
         for (uint64_t i = 0; i < l.count; i++) occupied += l.state[i] == 1;
         if (!touch_need_coded(b, error, occupied <= max, "more bricks than the bytes may list")) return 0;
         count = 0;
@@ -484,7 +529,10 @@ static int touch_code_list(touch_coder *b, touch_list_models *m, const uint32_t 
     return 1;
 }
 
-/* -- the voxel pass (docs/format/touch.md) --------------------------------------------------------------------------- */
+/* -- the voxel pass (docs/format/touch.md) ---------------------------------------------------------------------------
+
+   A brick: touch_code_brick. A voxel: touch_code_voxel, which calls in this order touch_look_around, touch_code_support,
+   touch_predict, touch_classify, touch_code_skip, touch_set_centre, touch_code_component (three times). */
 
 typedef struct {
     int32_t v[3];
@@ -495,40 +543,77 @@ typedef struct { /* vectors in units, 512 a brick, in the order of the grid; (0,
     touch_int_vector *v;
 } touch_units;
 
-typedef struct { /* a decoded voxel that has a force, in the order of the scan */
+typedef struct { /* a decoded voxel that is supported, in the order of the scan */
     int32_t vector[3], length;
     int32_t next_length[3];          /* length that the force law predicts one sample further along each axis */
-    uint8_t along_size, across_size; /* of its residual: how well it was predicted */
-} touch_cell;
+    uint8_t along_size, across_size; /* of its residual, in steps: how well it was predicted */
+} touch_decoded;
 
 enum { TOUCH_CODE = 0, TOUCH_FOLLOW = 1, TOUCH_COPY = 2 };         /* state of a brick that the reference lists */
-enum { TOUCH_NONE = 0, TOUCH_NEIGHBOUR = 1, TOUCH_REFERENCE = 2 }; /* source of a prediction */
-enum { TOUCH_FEATURES = 13, TOUCH_LIMIT = (1 << 17) - 1 /* no component of a vector is beyond it */ };
+enum { TOUCH_NONE = 0, TOUCH_NEIGHBOUR = 1, TOUCH_REFERENCE = 2 }; /* predictor of a voxel */
 
-typedef struct { /* of one component of a residual */
-    touch_context zero_near[2][256];  /* where the extrapolations along axes 0 and 1 lie; whether residuals are large */
-    touch_context zero_far[2][256];   /* the same of the extrapolation along axis 2 and of the reference */
-    touch_context zero_offset[64];    /* how far the skipped prediction lies: it was refused, so the force is elsewhere */
-    touch_context sign_near[256], sign_far[256], sign_offset[64]; /* the same; on which side the prediction lies */
-    touch_context size_group[8][16];  /* sizes of the residuals around, by the steps so far */
-    touch_context size_offset[64][16]; /* how far the prediction lies, by the steps so far */
+enum {
+    TOUCH_MAX_COMPONENT = (1 << 17) - 1, /* of a vector, units; the longest force of a segment has about 2^16 */
+    TOUCH_ONE_BITS = 14,                 /* unit vectors and ratios are in 1/2^14 */
+    TOUCH_ONE = 1 << TOUCH_ONE_BITS,
+    TOUCH_SLOPE_STOP = 1 << 17,        /* a slope is below: length that a force loses from sample to sample, units */
+    TOUCH_MAX_EXTRAPOLATION = 8 << 14, /* a neighbour grows by this ratio at most, in 1/2^14 */
+    TOUCH_MAX_MEAN_SCALE = 2 << 16,    /* and the mean of neighbours by this one, in 1/2^16 */
+    TOUCH_MIN_LENGTH_BITS = 3,         /* a force is predicted to keep 2^-3 of its length from sample to sample, or more */
+    TOUCH_LENGTH_CLASSES = 32,         /* of the predicted length, for supports; */
+    TOUCH_CLASSES_BELOW_2_16 = 28,     /* so many of them below 2^16 units, */
+    TOUCH_FIRST_LENGTH_CLASS = 3,      /* from this one on; below it are predictions below 0 */
+    TOUCH_AMPLITUDE_BITS = 12,         /* classes of the prediction's length for a skip are 2^12 units wide, */
+    TOUCH_MAX_AMPLITUDE_CLASS = 15,
+    TOUCH_NO_ALTERNATIVE = 15, /* class of an alternative prediction that is not there; */
+    TOUCH_AT_CENTRE = 7,       /* 0 to 14: along an axis of the residual; this one is at the centre */
+    TOUCH_MAX_CLASS = 7,       /* of sizes and distances in steps */
+    TOUCH_MAX_UNARY = 14,      /* a magnitude up to here is coded in unary with contexts, then an escape in gamma code */
+    TOUCH_ESCAPE_DIGITS = 17,  /* at most, */
+    TOUCH_MAX_MAGNITUDE = (1 << 18) - 1, /* which a writer keeps to */
+    TOUCH_MAX_ALONG_SIZE = 15, /* sizes of residuals, as far as they matter for contexts */
+    TOUCH_MAX_ACROSS_SIZE = 31
+};
+
+/* The adaptive prediction (LMS). Features are in 1/256 of the step, weights in 1/2^16. */
+enum {
+    TOUCH_FEATURES = 13,
+    TOUCH_FEATURE_SLOPE = 6,      /* the first of five */
+    TOUCH_FEATURE_REFERENCE = 11, /* the reference minus the mean */
+    TOUCH_FEATURE_CHANGE = 12,    /* what the neighbours have changed by since the reference */
+    TOUCH_MAX_FEATURE = 16 * 256 - 1,  /* limits keep one outlier from spoiling the weights, and products in 63 bits */
+    TOUCH_MAX_LMS_ERROR = 4 * 256 - 1, /* 1/256 steps */
+    TOUCH_LMS_REGULARISATION = 32768,  /* added to the energy of the features: small features teach little */
+    TOUCH_LMS_RATE = 1 << 27,          /* times 2^-14 2^-16: half of what would remove the error at once */
+    TOUCH_MAX_WEIGHT = 16 << 16
+};
+
+typedef struct { /* of one component of a residual. Significance: is it zero? Then the sign, and the magnitude */
+    touch_context zero_alternatives_01[2][256]; /* large residuals around?; where the extrapolations along axes 0, 1 lie */
+    touch_context zero_alternatives_23[2][256]; /* the same of the extrapolation along axis 2 and of the reference */
+    touch_context zero_disagreement[64]; /* how far the skipped prediction lies: it was refused, so the force is elsewhere */
+    touch_context sign_alternatives_01[256], sign_alternatives_23[256]; /* on which side the alternatives lie */
+    touch_context sign_disagreement[64];                                /* on which side the skipped prediction lies */
+    touch_context size_residuals[8][16];     /* magnitudes of the residuals around, by the steps so far */
+    touch_context size_disagreement[64][16]; /* how far the skipped prediction lies, by the steps so far */
 } touch_component_contexts;
 
 typedef struct { /* what a frame teaches the next one */
     struct {
-        touch_context copy[4], follow[3];  /* brick states, by that of the brick before: bricks at rest follow each other */
-        touch_context block[3][8];         /* blocks of 4 x 4 x 4 voxels: supports are connected */
+        touch_context copy[4];   /* is a brick COPY? by the state of the listed brick before: bricks at rest form groups */
+        touch_context follow[3]; /* if not, is it FOLLOW or CODE? by the same; its state 2 is COPY */
+        touch_context block[3][8]; /* is a block of 4 x 4 x 4 voxels set? by its reference, and by the three blocks before */
         touch_context support_near[32][64][8]; /* predicted length: a force that fades out ends; neighbours; reference */
         touch_context support_wide[32][64][8]; /* the shape of the support two samples around */
         touch_context support_reference[128][8][4]; /* the shape of the reference's support around */
         touch_context skip_activity[64][8]; /* where neighbours needed no residual, this one does not, either */
-        touch_context skip_offset[8][16][4]; /* whether both predictions agree; long forces are smoother */
-        touch_context skip_reference[8][8][8][8]; /* how well a reference agrees that is not followed */
+        touch_context skip_disagreement[8][16][4]; /* whether both predictions agree; long forces are smoother */
+        touch_context skip_reference[8][8][8][8]; /* how well a reference agrees that is not the predictor */
         touch_component_contexts component[3];
     } context;
     struct {
-        int64_t support[4][8][3]; /* by the number of neighbours, and what the reference says */
-        int64_t skip[8][2][3];    /* by the sizes of residuals around, and whether there is another reference */
+        int64_t support[4][8][3]; /* by the number of neighbours, and the class of the reference */
+        int64_t skip[8][2][3];    /* by the residuals around, and whether there is another reference */
         int64_t zero[3][8][3], sign[3][3], size[3][16][2];
     } weight;
     touch_list_models list;
@@ -541,12 +626,18 @@ static void touch_models_fresh(touch_models *m) {
     memset(m->adaptive, 0, sizeof m->adaptive);
 }
 
-typedef struct { /* step sizes by amplitude, the same in a segment (Weber: larger forces hide larger errors) */
+typedef struct { /* quantisation steps by amplitude, the same in a segment (Weber: larger forces hide larger errors) */
     float unit_n;
-    int64_t floor, rate, cross_floor, cross_rate;
-    int32_t *border; /* lengths in 1/256 units, one for each sixteenth of a step */
+    int64_t floor, rate;             /* the step along the centre: max(floor, rate / 2^16 times the length), units */
+    int64_t cross_floor, cross_rate; /* the step across it, likewise */
+    int32_t *border;                 /* lengths in 1/256 units at every sixteenth of a step from 0 on */
     int64_t borders;
 } touch_steps;
+
+enum {
+    TOUCH_MAX_BORDER = 1 << 26,            /* 2^18 units in 1/256 units: the last border lies above it */
+    TOUCH_MAX_SCALED_LENGTH = (1 << 18) - 1 /* no length in units is beyond it: sqrt(3) 2^17 */
+};
 
 /* Set the table of borders. */
 static int touch_step_table(touch_steps *s, touch_arena *arena) {
@@ -555,9 +646,9 @@ static int touch_step_table(touch_steps *s, touch_arena *arena) {
         if (written) s->border = (int32_t *)touch_take(arena, (uint64_t)s->borders, 4);
         if (written && !s->border) return 0;
         if (written) s->border[0] = 0;
-        for (int64_t border = 0; border <= 1 << 26; count++) {
-            int64_t step = touch_max((border * s->rate) >> 16, 256 * s->floor) >> 4;
-            border += step > 1 ? step : 1;
+        for (int64_t border = 0; border <= TOUCH_MAX_BORDER; count++) {
+            int64_t sixteenth = touch_max((border * s->rate) >> 16, 256 * s->floor) >> 4;
+            border += sixteenth > 1 ? sixteenth : 1;
             if (written) s->border[count] = (int32_t)border;
         }
         s->borders = count;
@@ -567,9 +658,10 @@ static int touch_step_table(touch_steps *s, touch_arena *arena) {
 
 static int64_t touch_step(const touch_steps *s, int64_t length) { return touch_max((length * s->rate) >> 16, s->floor); }
 
-/* A length in 1/256 steps from 0: sixteenths by the table, straight between them. */
-static int64_t touch_level_of(const touch_steps *s, int64_t length) {
-    int64_t scaled = touch_min(length, (1 << 18) - 1) << 8, low = 0, high = s->borders - 1;
+/* The position of a length on the scale of steps, 1/256 steps: sixteenths by the table, linear between them. Steps grow
+   with the length, so this is the compander of a non-uniform quantiser, and touch_length_at the expander. */
+static int64_t touch_step_position(const touch_steps *s, int64_t length) {
+    int64_t scaled = touch_min(length, TOUCH_MAX_SCALED_LENGTH) << 8, low = 0, high = s->borders - 1;
     while (high - low > 1) {
         int64_t middle = (low + high) / 2;
         if (s->border[middle] <= scaled) low = middle;
@@ -578,11 +670,11 @@ static int64_t touch_level_of(const touch_steps *s, int64_t length) {
     return 16 * low + ((scaled - s->border[low]) << 4) / (s->border[low + 1] - s->border[low]);
 }
 
-/* The inverse; a level below 0 is a force the other way. */
-static int64_t touch_length_of(const touch_steps *s, int64_t level) {
-    int64_t size = touch_min(touch_abs(level), 16 * (s->borders - 1) - 1), n = size >> 4;
+/* The inverse; a position below 0 is a force the other way. */
+static int64_t touch_length_at(const touch_steps *s, int64_t position) {
+    int64_t size = touch_min(touch_abs(position), 16 * (s->borders - 1) - 1), n = size >> 4;
     size = (s->border[n] + (((s->border[n + 1] - s->border[n]) * (size & 15)) >> 4) + 128) >> 8;
-    return level < 0 ? -size : size;
+    return position < 0 ? -size : size;
 }
 
 typedef struct { /* order of a pass: which axis of the grid each axis of the scan is, the slowest first, and which way */
@@ -629,7 +721,7 @@ static void touch_scan_inside(const touch_scan *s, const touch_grid *grid, const
 
 /* The window of a brick: its voxels and those around it, from -2 to 9 along each axis, so that all that predicts a voxel
    lies at fixed distances, also across the brick's faces. */
-enum { TOUCH_WINDOW = 12 * 12 * 12, TOUCH_DEEP = 144, TOUCH_UP = 12, TOUCH_LEFT = 1 };
+enum { TOUCH_WINDOW = 12 * 12 * 12, TOUCH_DEEP = 12 * 12, TOUCH_UP = 12, TOUCH_LEFT = 1 };
 
 struct touch_target; /* the forces that a writer codes, and its error bound (touch_encode.h) */
 
@@ -641,8 +733,8 @@ typedef struct { /* a pass over a frame */
     int64_t slope[3]; /* loss of force along each axis from sample to sample, for `next_length` */
     const touch_units *reference;
     uint64_t *has_reference; /* bits of its voxels with a force, 8 words a brick: its vectors lie far from each other */
-    touch_cell *cell;        /* 512 of each brick; of length 0: not supported */
-    int32_t cell_at[TOUCH_WINDOW], reference_at[TOUCH_WINDOW]; /* indices into `cell` and `reference`; -1: none */
+    touch_decoded *decoded;        /* 512 of each brick; of length 0: not supported */
+    int32_t decoded_at[TOUCH_WINDOW], reference_at[TOUCH_WINDOW]; /* indices into `decoded` and `reference`; -1: none */
     int32_t last_vector[3];
     int is_listed, last_state; /* whether the reference lists the brick; the state of the last brick that it lists */
     struct touch_target *target;
@@ -654,21 +746,30 @@ static const int touch_wide[5] = {-TOUCH_DEEP - TOUCH_UP, -TOUCH_DEEP - TOUCH_LE
                                   -2 * TOUCH_DEEP, -2 * TOUCH_LEFT};
 
 typedef struct { /* a voxel: what is known of it before its force, its predictions, and its residual */
-    int here;                       /* its index in the window */
-    const touch_cell *neighbour[3]; /* deep, up, left; NULL: not supported */
+    int here; /* its index in the window */
+    /* touch_look_around */
+    const touch_decoded *neighbour[3]; /* deep, up, left; NULL: not supported */
     int neighbour_count, has_reference, reference_class;
+    uint32_t neighbour_mask, wide_mask, reference_mask; /* which places around are supported; have a reference */
+    int64_t length_class;                               /* class of the length that the force law predicts */
+    /* touch_predict */
     int32_t reference[3];
     int32_t extrapolation[3][3]; /* one neighbour continued by the force law, along axes 0, 1, 2 */
     int32_t adaptive[3];         /* mean of the neighbours with a learnt correction */
     int32_t prediction[3];       /* the force if the residual is skipped */
-    int followed;                /* where the prediction is from */
+    int predictor;               /* where the prediction is from */
     int64_t feature[TOUCH_FEATURES][3], *weight, inverse_step; /* of the adaptive prediction; [3] is a component */
-    int group[3], total_class, offset_class; /* sizes of residuals around; distance between the predictions */
-    int32_t offset[3];                       /* prediction minus adaptive prediction */
-    int32_t centre[3];                       /* what the residual is relative to, and its axes, 1/16384 */
-    int64_t basis[3][3], centre_step, centre_level;
-    uint32_t sides_near[3], sides_far[3]; /* on which side of the centre other predictions lie, along each axis */
-    int64_t residual[3];                  /* in steps: along the centre, and two across it */
+    /* touch_classify */
+    int32_t disagreement[3]; /* prediction minus adaptive prediction */
+    int disagreement_class, reference_distance; /* classes: of its length; of the reference minus the prediction */
+    int residual_class[3], total_residual_class; /* classes of the residuals around: for each component; of all */
+    uint32_t activity, amplitude_class;          /* residuals of each neighbour, 2 bits; length of the prediction */
+    /* touch_set_centre */
+    int32_t centre[3];                    /* what the residual is relative to, */
+    int64_t basis[3][3];                  /* its axes along and across the centre, 1/2^14, */
+    int64_t centre_step, centre_position; /* the step there, and where the centre lies on the scale of steps */
+    uint32_t alternatives_01[3], alternatives_23[3]; /* on which side of the centre other predictions lie, for each axis */
+    int64_t residual[3];                             /* in steps: along the centre, and two across it */
     int32_t vector[3];
 } touch_voxel;
 
@@ -677,7 +778,10 @@ static int64_t touch_length(const int32_t v[3]) {
     return n ? n : 1;
 }
 
-static int32_t touch_limit(int64_t n) { return (int32_t)touch_clip(n, -TOUCH_LIMIT, TOUCH_LIMIT); }
+static int32_t touch_clip_component(int64_t n) { return (int32_t)touch_clip_to(n, TOUCH_MAX_COMPONENT); }
+
+/* A number in 1/2^14, rounded to the nearest whole number. */
+static int64_t touch_round_one(int64_t n) { return (n + TOUCH_ONE / 2) >> TOUCH_ONE_BITS; }
 
 /* A vector of the reference, permuted to the scan. */
 static void touch_reference_at(const touch_pass *p, int32_t index, int32_t out[3]) {
@@ -685,57 +789,70 @@ static void touch_reference_at(const touch_pass *p, int32_t index, int32_t out[3
     for (int n = 0; n < 3; n++) out[n] = p->scan.sign[n] * v[p->scan.axis[n]];
 }
 
-/* Store a cell. Along the force a penalty field loses `slope` of its length from sample to sample. */
-static void touch_store(touch_pass *p, int here, int32_t index, const int32_t v[3], int64_t along_size,
-                        int64_t across_size) {
-    touch_cell *cell = p->cell + index;
-    int64_t length = touch_length(v), inverse = ((int64_t)1 << 28) / length;
+/* Store a decoded voxel. Along the force a penalty field loses `slope` of its length from sample to sample. */
+static void touch_store_decoded(touch_pass *p, int here, int32_t index, const int32_t v[3], int64_t along_size,
+                                int64_t across_size) {
+    touch_decoded *decoded = p->decoded + index;
+    int64_t length = touch_length(v), inverse = ((int64_t)1 << 2 * TOUCH_ONE_BITS) / length;
     for (int n = 0; n < 3; n++) {
-        cell->vector[n] = v[n];
-        cell->next_length[n] = (int32_t)(length - ((((v[n] * inverse) >> 14) * p->slope[n]) >> 14));
+        int64_t direction = (v[n] * inverse) >> TOUCH_ONE_BITS;
+        decoded->vector[n] = v[n];
+        decoded->next_length[n] = (int32_t)(length - ((direction * p->slope[n]) >> TOUCH_ONE_BITS));
     }
-    cell->length = (int32_t)length, cell->along_size = (uint8_t)along_size, cell->across_size = (uint8_t)across_size;
-    p->cell_at[here] = index;
+    decoded->length = (int32_t)length;
+    decoded->along_size = (uint8_t)along_size, decoded->across_size = (uint8_t)across_size;
+    p->decoded_at[here] = index;
 }
 
-/* Support: does the voxel have a force? Gathers what is known of the voxel, too. Three opinions are mixed: the force
-   law (a force that fades out towards here ends here), the shape of the support around, and the reference. */
-static int touch_code_support(touch_pass *p, touch_voxel *v, int here, int bit) {
-    touch_models *m = p->models;
+/* What lies around a voxel: neighbours, the shapes of the support and of the reference's, and the predicted length. */
+static void touch_look_around(const touch_pass *p, touch_voxel *v, int here) {
     int64_t next_sum = 0;
-    uint32_t mask = 0, wide = 0, reference_mask = 0;
+    uint32_t neighbours = 0, wide = 0, reference = 0;
     int faces = 0;
     v->here = here, v->neighbour_count = 0, v->reference_class = 0, v->has_reference = p->reference_at[here] >= 0;
     for (int n = 0; n < 3; n++) {
-        int32_t at = p->cell_at[here + touch_before[n]];
-        v->neighbour[n] = at >= 0 ? p->cell + at : 0;
-        if (at >= 0) mask |= 1u << n, v->neighbour_count++, next_sum += v->neighbour[n]->next_length[n];
-        if (p->cell_at[here + touch_diagonal[n]] >= 0) mask |= 8u << n;
+        int32_t at = p->decoded_at[here + touch_before[n]];
+        v->neighbour[n] = at >= 0 ? p->decoded + at : 0;
+        if (at >= 0) neighbours |= 1u << n, v->neighbour_count++, next_sum += v->neighbour[n]->next_length[n];
+        if (p->decoded_at[here + touch_diagonal[n]] >= 0) neighbours |= 8u << n;
     }
-    for (int n = 0; n < 5; n++) wide |= (p->cell_at[here + touch_wide[n]] >= 0 ? 1u : 0u) << n;
+    for (int n = 0; n < 5; n++) wide |= (p->decoded_at[here + touch_wide[n]] >= 0 ? 1u : 0u) << n;
     if (p->is_listed) {
         for (int n = 0; n < 3; n++) {
             int before = p->reference_at[here + touch_before[n]] >= 0, after = p->reference_at[here - touch_before[n]] >= 0;
-            faces += before + after, reference_mask |= (uint32_t)before << (2 * n) | (uint32_t)after << (2 * n + 1);
+            faces += before + after, reference |= (uint32_t)before << (2 * n) | (uint32_t)after << (2 * n + 1);
         }
         v->reference_class = v->has_reference ? 4 + (faces >= 5) + (faces == 6) : 1 + (faces >= 1) + (faces >= 3);
-        reference_mask |= (uint32_t)v->has_reference << 6;
+        reference |= (uint32_t)v->has_reference << 6;
     }
-    int64_t length_class = wide;
-    if (v->neighbour_count)
-        length_class = touch_clip(((touch_div(next_sum, v->neighbour_count) * 28) >> 16) + 3, 0, 31);
-    return touch_mix3(p->coder, &m->context.support_near[length_class][mask][v->reference_class],
-                      &m->context.support_wide[wide][mask][v->reference_class],
-                      &m->context.support_reference[reference_mask][mask & 7][length_class >> 3],
+    v->neighbour_mask = neighbours, v->wide_mask = wide, v->reference_mask = reference, v->length_class = wide;
+    if (v->neighbour_count) {
+        int64_t length_class = (touch_div(next_sum, v->neighbour_count) * TOUCH_CLASSES_BELOW_2_16) >> 16;
+        v->length_class = touch_clip(length_class + TOUCH_FIRST_LENGTH_CLASS, 0, TOUCH_LENGTH_CLASSES - 1);
+    }
+}
+
+/* Support: does the voxel have a force? Three contexts are mixed: the force law (a force that fades out towards here ends
+   here), the shape of the support around, and the reference. */
+static int touch_code_support(touch_pass *p, const touch_voxel *v, int bit) {
+    touch_models *m = p->models;
+    return touch_mix3(p->coder, &m->context.support_near[v->length_class][v->neighbour_mask][v->reference_class],
+                      &m->context.support_wide[v->wide_mask][v->neighbour_mask][v->reference_class],
+                      &m->context.support_reference[v->reference_mask][v->neighbour_mask & 7][v->length_class >> 3],
                       m->weight.support[v->neighbour_count][v->reference_class], bit);
+}
+
+/* The length of a neighbour's force one sample on, as the force law predicts it. */
+static int64_t touch_next_length(const touch_decoded *neighbour, int axis) {
+    return touch_max(neighbour->next_length[axis], neighbour->length >> TOUCH_MIN_LENGTH_BITS);
 }
 
 /* Extrapolation: along the force a penalty field changes its length by the law, but not its direction. A neighbour's
    error is inherited, so that a relative error stays within a relative bound for long. */
-static void touch_extrapolate(const touch_pass *p, const touch_cell *cell, int axis, int32_t out[3]) {
-    int64_t length = touch_max(touch_max(cell->next_length[axis], cell->length >> 3), touch_max(p->steps->floor >> 1, 1));
-    int64_t ratio = touch_min((length << 14) / cell->length, 1 << 17);
-    for (int n = 0; n < 3; n++) out[n] = touch_limit((cell->vector[n] * ratio + 8192) >> 14);
+static void touch_extrapolate(const touch_pass *p, const touch_decoded *neighbour, int axis, int32_t out[3]) {
+    int64_t length = touch_max(touch_next_length(neighbour, axis), touch_max(p->steps->floor >> 1, 1));
+    int64_t ratio = touch_min((length << TOUCH_ONE_BITS) / neighbour->length, TOUCH_MAX_EXTRAPOLATION);
+    for (int n = 0; n < 3; n++) out[n] = touch_clip_component(touch_round_one(neighbour->vector[n] * ratio));
 }
 
 /* The mean of the neighbours, as long as the force law predicts; returns the step there. */
@@ -743,18 +860,18 @@ static int64_t touch_mean(const touch_pass *p, const touch_voxel *v, int64_t mea
     int64_t length_sum = 0, next_sum = 0;
     mean[0] = mean[1] = mean[2] = 0;
     for (int n = 0; n < 3; n++) {
-        const touch_cell *cell = v->neighbour[n];
-        if (!cell) continue;
-        length_sum += cell->length, next_sum += touch_max(cell->next_length[n], cell->length >> 3);
-        for (int k = 0; k < 3; k++) mean[k] += cell->vector[k];
+        const touch_decoded *neighbour = v->neighbour[n];
+        if (!neighbour) continue;
+        length_sum += neighbour->length, next_sum += touch_next_length(neighbour, n);
+        for (int k = 0; k < 3; k++) mean[k] += neighbour->vector[k];
     }
-    int64_t scale = touch_min((next_sum << 16) / (length_sum * v->neighbour_count), 1 << 17);
-    for (int k = 0; k < 3; k++) mean[k] = (mean[k] * scale + 32768) >> 16;
+    int64_t scale = touch_min((next_sum << 16) / (length_sum * v->neighbour_count), TOUCH_MAX_MEAN_SCALE);
+    for (int k = 0; k < 3; k++) mean[k] = (mean[k] * scale + (1 << 15)) >> 16;
     return touch_step(p->steps, next_sum / v->neighbour_count);
 }
 
 /* Features: what the mean may have to be corrected by, in 1/256 steps. 0 to 5: neighbours minus the mean, so that a
-   weight prefers one of them; 6 to 10: slopes between cells before, which continue to here; 11: the reference minus the
+   weight prefers one of them; 6 to 10: slopes between voxels before, which continue to here; 11: the reference minus the
    mean; 12: how the neighbours differ from their references, which this voxel is likely to do, too. */
 static void touch_features(const touch_pass *p, touch_voxel *v, const int64_t mean[3]) {
     static const int pair[5][2] = {{-TOUCH_DEEP, -2 * TOUCH_DEEP},
@@ -762,51 +879,55 @@ static void touch_features(const touch_pass *p, touch_voxel *v, const int64_t me
                                    {-TOUCH_LEFT, -TOUCH_DEEP - TOUCH_LEFT},
                                    {-TOUCH_LEFT, -TOUCH_UP - TOUCH_LEFT},
                                    {-TOUCH_UP, -TOUCH_UP - TOUCH_LEFT}};
-    int64_t(*f)[3] = v->feature;
+    int64_t(*f)[3] = v->feature, change[3] = {0, 0, 0};
     int shared = 0;
     memset(f, 0, sizeof v->feature);
     for (int n = 0; n < 6; n++) {
-        int32_t at = p->cell_at[v->here + (n < 3 ? touch_before[n] : touch_diagonal[n - 3])];
+        int32_t at = p->decoded_at[v->here + (n < 3 ? touch_before[n] : touch_diagonal[n - 3])];
         if (at >= 0)
-            for (int k = 0; k < 3; k++) f[n][k] = p->cell[at].vector[k] - mean[k];
+            for (int k = 0; k < 3; k++) f[n][k] = p->decoded[at].vector[k] - mean[k];
     }
     for (int n = 0; n < 5; n++) {
-        int32_t to = p->cell_at[v->here + pair[n][0]], from = p->cell_at[v->here + pair[n][1]];
+        int32_t to = p->decoded_at[v->here + pair[n][0]], from = p->decoded_at[v->here + pair[n][1]];
+        int64_t *slope = f[TOUCH_FEATURE_SLOPE + n];
         if (to >= 0 && from >= 0)
-            for (int k = 0; k < 3; k++) f[6 + n][k] = (int64_t)p->cell[to].vector[k] - p->cell[from].vector[k];
+            for (int k = 0; k < 3; k++) slope[k] = (int64_t)p->decoded[to].vector[k] - p->decoded[from].vector[k];
     }
     if (v->has_reference) {
         for (int n = 0; n < 3; n++) {
             int32_t at = p->reference_at[v->here + touch_before[n]], own[3];
             if (!v->neighbour[n] || at < 0) continue;
             touch_reference_at(p, at, own), shared++;
-            for (int k = 0; k < 3; k++) f[12][k] += v->neighbour[n]->vector[k] - own[k];
+            for (int k = 0; k < 3; k++) change[k] += v->neighbour[n]->vector[k] - own[k];
         }
-        for (int k = 0; k < 3; k++)
-            f[11][k] = v->reference[k] - mean[k], f[12][k] = touch_div(f[12][k], shared ? shared : 1);
+        for (int k = 0; k < 3; k++) {
+            f[TOUCH_FEATURE_REFERENCE][k] = v->reference[k] - mean[k];
+            f[TOUCH_FEATURE_CHANGE][k] = touch_div(change[k], shared ? shared : 1);
+        }
     }
     for (int n = 0; n < TOUCH_FEATURES; n++)
-        for (int k = 0; k < 3; k++) f[n][k] = touch_clip((f[n][k] * v->inverse_step) >> 24, -4095, 4095);
+        for (int k = 0; k < 3; k++) f[n][k] = touch_clip_to((f[n][k] * v->inverse_step) >> 24, TOUCH_MAX_FEATURE);
 }
 
 /* Adaptive prediction: the mean of the neighbours and a sum of features, with weights that learn (LMS) and differ by
    which neighbours there are. It averages noise away; where nothing is near it is the reference, or the last vector. */
-static void touch_predict_adaptively(touch_pass *p, touch_voxel *v) {
+static void touch_predict_adaptive(touch_pass *p, touch_voxel *v) {
     int64_t mean[3], sum[3] = {0, 0, 0}, step = 1;
     if (!v->neighbour_count) {
-        for (int k = 0; k < 3; k++) v->adaptive[k] = touch_limit(v->has_reference ? v->reference[k] : p->last_vector[k]);
+        const int32_t *nearest = v->has_reference ? v->reference : p->last_vector;
+        for (int k = 0; k < 3; k++) v->adaptive[k] = touch_clip_component(nearest[k]);
         return;
     }
     step = touch_mean(p, v, mean), v->inverse_step = ((int64_t)1 << 32) / step;
-    v->weight = p->models->adaptive[(v->neighbour[0] ? 1 : 0) | (v->neighbour[1] ? 2 : 0) | (v->neighbour[2] ? 4 : 0) |
-                                    (v->has_reference ? 8 : 0)];
+    v->weight = p->models->adaptive[(v->neighbour_mask & 7) | (v->has_reference ? 8u : 0u)];
     touch_features(p, v, mean);
     for (int n = 0; n < TOUCH_FEATURES; n++)
         for (int k = 0; k < 3; k++) sum[k] += v->weight[n] * v->feature[n][k];
-    for (int k = 0; k < 3; k++) v->adaptive[k] = touch_limit(mean[k] + (((sum[k] >> 16) * step) >> 8));
+    for (int k = 0; k < 3; k++) v->adaptive[k] = touch_clip_component(mean[k] + (((sum[k] >> 16) * step) >> 8));
 }
 
-/* Whether the reference is more than a step off at the deep neighbour: then it is off here, too. */
+/* Whether the reference is more than a step off at the deep neighbour: then it is off here, too. One neighbour is enough:
+   deep is along the slowest axis, which the scan aligns with the largest force. */
 static int touch_is_reference_off(const touch_pass *p, const touch_voxel *v) {
     int32_t at = p->reference_at[v->here - TOUCH_DEEP], own[3];
     int64_t square = 0, step;
@@ -817,162 +938,182 @@ static int touch_is_reference_off(const touch_pass *p, const touch_voxel *v) {
     return square > step * step;
 }
 
-/* All predictions of a voxel. The one that a skip stands for is the reference in a brick that follows it; else the first
-   extrapolation; else the adaptive one. */
+/* All predictions of a voxel. The one that a skip selects is the reference in a brick of state FOLLOW; else the
+   first extrapolation; else the adaptive one. */
 static void touch_predict(touch_pass *p, touch_voxel *v, int state) {
     if (v->has_reference) touch_reference_at(p, p->reference_at[v->here], v->reference);
     for (int n = 0; n < 3; n++)
         if (v->neighbour[n]) touch_extrapolate(p, v->neighbour[n], n, v->extrapolation[n]);
-    touch_predict_adaptively(p, v);
-    v->followed = TOUCH_NONE;
+    touch_predict_adaptive(p, v);
+    v->predictor = TOUCH_NONE;
     memcpy(v->prediction, v->adaptive, sizeof v->prediction);
     if (state == TOUCH_FOLLOW && v->has_reference && !touch_is_reference_off(p, v)) {
-        v->followed = TOUCH_REFERENCE;
+        v->predictor = TOUCH_REFERENCE;
         memcpy(v->prediction, v->reference, sizeof v->prediction);
         return;
     }
-    for (int n = 0; n < 3 && !v->followed; n++)
+    for (int n = 0; n < 3 && !v->predictor; n++)
         if (v->neighbour[n]) {
-            v->followed = TOUCH_NEIGHBOUR;
+            v->predictor = TOUCH_NEIGHBOUR;
             memcpy(v->prediction, v->extrapolation[n], sizeof v->prediction);
         }
 }
 
 /* The weights of the adaptive prediction move towards what would have predicted the vector (normalised LMS). */
 static void touch_learn_weights(touch_voxel *v) {
-    int64_t energy = 32768, gain[3];
+    int64_t energy = TOUCH_LMS_REGULARISATION, gain[3];
     if (!v->neighbour_count) return;
     for (int n = 0; n < TOUCH_FEATURES; n++)
         for (int k = 0; k < 3; k++) energy += v->feature[n][k] * v->feature[n][k];
     for (int k = 0; k < 3; k++) {
-        int64_t error = touch_clip(((v->vector[k] - v->adaptive[k]) * v->inverse_step) >> 24, -1023, 1023);
-        gain[k] = touch_div(error * (1 << 27), energy);
+        int64_t error = ((v->vector[k] - v->adaptive[k]) * v->inverse_step) >> 24;
+        gain[k] = touch_div(touch_clip_to(error, TOUCH_MAX_LMS_ERROR) * TOUCH_LMS_RATE, energy);
     }
     for (int k = 0; k < 3; k++)
         for (int n = 0; n < TOUCH_FEATURES; n++)
-            v->weight[n] = touch_clip(v->weight[n] + ((v->feature[n][k] * gain[k]) >> 14), -(1 << 20), 1 << 20);
+            v->weight[n] = touch_clip_to(v->weight[n] + ((v->feature[n][k] * gain[k]) >> 14), TOUCH_MAX_WEIGHT);
 }
 
-/* The number of limits, of seven, that a number reaches. */
-static int touch_class(int64_t n, const int *limits) {
+/* The number of thresholds, of seven, that a number reaches. */
+static int touch_class(int64_t n, const int thresholds[TOUCH_MAX_CLASS]) {
     int c = 0;
-    while (c < 7 && limits[c] <= n) c++;
+    while (c < TOUCH_MAX_CLASS && thresholds[c] <= n) c++;
     return c;
 }
 
 /* Class of a distance in steps: 0 below an eighth, then twice as far each, 7 from 8 steps on. */
 static int touch_distance_class(int64_t distance, int64_t step) {
     int bits = touch_bit_length((uint64_t)((distance << 3) / step));
-    return bits < 7 ? bits : 7;
+    return bits < TOUCH_MAX_CLASS ? bits : TOUCH_MAX_CLASS;
 }
 
-/* Skip: is the prediction good enough? Mixed from how neighbours were predicted, whether both predictions agree, and how
-   well a reference agrees that is not followed. */
-static int touch_code_skip(touch_pass *p, touch_voxel *v, int bit) {
-    static const int limits[7] = {1, 2, 4, 7, 11, 16, 24};
-    touch_models *m = p->models;
+/* Classes for the contexts of the skip and of the residual: how large the residuals around are, whether both predictions
+   agree, and how well a reference agrees that is not the predictor. Without a neighbour, residuals count as large. */
+static void touch_classify(const touch_pass *p, touch_voxel *v) {
+    static const int thresholds[TOUCH_MAX_CLASS] = {1, 2, 4, 7, 11, 16, 24}; /* of sums of sizes, steps times 2 to 4 */
     int64_t along = 0, across = 0, length = touch_length(v->prediction), step = touch_step(p->steps, length);
-    uint32_t activity = 0, amplitude = (uint32_t)touch_min(length >> 12, 15);
-    int count = v->neighbour_count, distance = 7;
+    int count = v->neighbour_count;
+    v->activity = 0, v->amplitude_class = (uint32_t)touch_min(length >> TOUCH_AMPLITUDE_BITS, TOUCH_MAX_AMPLITUDE_CLASS);
+    v->reference_distance = TOUCH_MAX_CLASS;
     for (int n = 0; n < 3; n++) {
         uint32_t own = 0;
         if (v->neighbour[n]) {
             along += v->neighbour[n]->along_size, across += v->neighbour[n]->across_size;
             own = 1u + v->neighbour[n]->along_size + v->neighbour[n]->across_size;
         }
-        activity = activity << 2 | (own < 3 ? own : 3);
-        v->offset[n] = v->prediction[n] - v->adaptive[n];
+        v->activity = v->activity << 2 | (own < 3 ? own : 3);
+        v->disagreement[n] = v->prediction[n] - v->adaptive[n];
     }
-    v->group[0] = count ? touch_class(4 * along / count, limits) : 7;
-    v->group[1] = v->group[2] = count ? touch_class(2 * across / count, limits) : 7;
-    v->total_class = count ? touch_class(3 * (along + across) / count, limits) : 7;
-    v->offset_class = touch_distance_class(touch_length(v->offset), step);
-    if (v->has_reference && v->followed != TOUCH_REFERENCE) {
-        int32_t off[3];
-        for (int n = 0; n < 3; n++) off[n] = v->reference[n] - v->prediction[n];
-        distance = touch_distance_class(touch_length(off), step);
+    v->residual_class[0] = count ? touch_class(4 * along / count, thresholds) : TOUCH_MAX_CLASS;
+    v->residual_class[1] = v->residual_class[2] = count ? touch_class(2 * across / count, thresholds) : TOUCH_MAX_CLASS;
+    v->total_residual_class = count ? touch_class(3 * (along + across) / count, thresholds) : TOUCH_MAX_CLASS;
+    v->disagreement_class = touch_distance_class(touch_length(v->disagreement), step);
+    if (v->has_reference && v->predictor != TOUCH_REFERENCE) {
+        int32_t difference[3];
+        for (int n = 0; n < 3; n++) difference[n] = v->reference[n] - v->prediction[n];
+        v->reference_distance = touch_distance_class(touch_length(difference), step);
     }
-    return touch_mix3(p->coder, &m->context.skip_activity[activity][v->offset_class],
-                      &m->context.skip_offset[v->offset_class][amplitude][count],
-                      &m->context.skip_reference[distance][v->reference_class][v->offset_class][v->total_class],
-                      m->weight.skip[v->total_class][distance < 7], bit);
 }
 
-/* Unit vectors along a vector of that length, and across it, 1/16384. */
-static void touch_basis(const int32_t centre[3], int64_t length, int64_t e[3][3]) {
+/* Skip: is the prediction good enough, so that the residual is zero? */
+static int touch_code_skip(touch_pass *p, const touch_voxel *v, int bit) {
+    touch_models *m = p->models;
+    int disagreement = v->disagreement_class, distance = v->reference_distance, residuals = v->total_residual_class;
+    return touch_mix3(p->coder, &m->context.skip_activity[v->activity][disagreement],
+                      &m->context.skip_disagreement[disagreement][v->amplitude_class][v->neighbour_count],
+                      &m->context.skip_reference[distance][v->reference_class][disagreement][residuals],
+                      m->weight.skip[residuals][distance < TOUCH_MAX_CLASS], bit);
+}
+
+/* Unit vectors along a vector of that length, and across it, 1/2^14. The second one is normal to the third axis, or, where
+   the vector is within 26 degrees of that axis, to the first one: neither cross product is short. */
+static void touch_basis(const int32_t centre[3], int64_t length, int64_t basis[3][3]) {
+    enum { NEAR_THIRD_AXIS = 14746 }; /* 0.9, in 1/2^14 */
     int64_t inverse = ((int64_t)1 << 44) / length;
-    int32_t h[3] = {0, 0, 0};
-    for (int n = 0; n < 3; n++) e[0][n] = (centre[n] * inverse + (1 << 29)) >> 30;
-    if (touch_abs(e[0][2]) < 14746) h[0] = (int32_t)-e[0][1], h[1] = (int32_t)e[0][0];
-    else h[1] = (int32_t)-e[0][2], h[2] = (int32_t)e[0][1];
-    inverse = ((int64_t)1 << 44) / touch_length(h);
-    for (int n = 0; n < 3; n++) e[1][n] = (h[n] * inverse + (1 << 29)) >> 30;
+    int32_t normal[3] = {0, 0, 0};
+    for (int n = 0; n < 3; n++) basis[0][n] = (centre[n] * inverse + (1 << 29)) >> 30;
+    if (touch_abs(basis[0][2]) < NEAR_THIRD_AXIS) normal[0] = (int32_t)-basis[0][1], normal[1] = (int32_t)basis[0][0];
+    else normal[1] = (int32_t)-basis[0][2], normal[2] = (int32_t)basis[0][1];
+    inverse = ((int64_t)1 << 44) / touch_length(normal);
+    for (int n = 0; n < 3; n++) basis[1][n] = (normal[n] * inverse + (1 << 29)) >> 30;
     for (int n = 0; n < 3; n++) {
         int i = (n + 1) % 3, j = (n + 2) % 3;
-        e[2][n] = (e[0][i] * e[1][j] - e[0][j] * e[1][i]) >> 14;
+        basis[2][n] = (basis[0][i] * basis[1][j] - basis[0][j] * basis[1][i]) >> TOUCH_ONE_BITS;
     }
+}
+
+/* Class of where an alternative prediction lies along an axis of the residual: 0 to 14, 7 at the centre. */
+static uint32_t touch_alternative_class(const touch_voxel *v, const int32_t alternative[3], const int64_t axis[3]) {
+    static const int thresholds[TOUCH_MAX_CLASS] = {1, 2, 3, 5, 8, 12, 20}; /* quarters of a step */
+    int64_t quarters = 0;
+    for (int n = 0; n < 3; n++) quarters += (int64_t)(alternative[n] - v->centre[n]) * axis[n];
+    quarters = touch_div(quarters >> (TOUCH_ONE_BITS - 2), v->centre_step);
+    int size = touch_class(touch_abs(quarters), thresholds);
+    return (uint32_t)(quarters < 0 ? TOUCH_AT_CENTRE - size : TOUCH_AT_CENTRE + size);
 }
 
 /* Centre and axes of the residual. It is relative to the adaptive prediction, in steps along and across it: errors of
-   both kinds have different limits. Where other predictions lie tells where the force may be. */
-static void touch_aim(const touch_pass *p, touch_voxel *v) {
-    static const int limits[7] = {1, 2, 3, 5, 8, 12, 20};
+   both kinds have different bounds. Where other predictions lie indicates where the force may be. */
+static void touch_set_centre(const touch_pass *p, touch_voxel *v) {
     memcpy(v->centre, v->adaptive, sizeof v->centre);
     if (!v->centre[0] && !v->centre[1] && !v->centre[2]) v->centre[2] = 1;
     int64_t length = touch_length(v->centre);
-    v->centre_step = touch_step(p->steps, length), v->centre_level = touch_level_of(p->steps, length);
+    v->centre_step = touch_step(p->steps, length), v->centre_position = touch_step_position(p->steps, length);
     touch_basis(v->centre, length, v->basis);
     for (int k = 0; k < 3; k++) {
-        uint32_t side[4];
+        uint32_t class_of[4];
         for (int n = 0; n < 4; n++) {
-            const int32_t *other = n < 3 ? v->extrapolation[n] : v->reference;
-            int64_t quarters = 0;
-            side[n] = 15;
-            if (!(n < 3 ? v->neighbour[n] != 0 : v->has_reference)) continue;
-            for (int i = 0; i < 3; i++) quarters += (int64_t)(other[i] - v->centre[i]) * v->basis[k][i];
-            quarters = touch_div(quarters >> 12, v->centre_step);
-            side[n] = (uint32_t)(quarters < 0 ? 7 - touch_class(-quarters, limits) : 7 + touch_class(quarters, limits));
+            int has_alternative = n < 3 ? v->neighbour[n] != 0 : v->has_reference;
+            const int32_t *alternative = n < 3 ? v->extrapolation[n] : v->reference;
+            class_of[n] = has_alternative ? touch_alternative_class(v, alternative, v->basis[k]) : TOUCH_NO_ALTERNATIVE;
         }
-        v->sides_near[k] = side[0] << 4 | side[1], v->sides_far[k] = side[2] << 4 | side[3];
+        v->alternatives_01[k] = class_of[0] << 4 | class_of[1], v->alternatives_23[k] = class_of[2] << 4 | class_of[3];
     }
 }
 
-/* Component k of the residual: is it zero, its sign, its size in steps. */
+/* Component k of the residual: significance, sign, magnitude in steps. */
 static int64_t touch_code_component(touch_pass *p, const touch_voxel *v, int k, int64_t residual) {
     touch_component_contexts *c = p->models->context.component + k;
+    const int64_t *axis = v->basis[k];
+    const int32_t *d = v->disagreement;
     int64_t target = touch_abs(residual), size = 1;
-    int64_t distance = (v->offset[0] * v->basis[k][0] + v->offset[1] * v->basis[k][1] + v->offset[2] * v->basis[k][2]) >> 14;
-    int toward = touch_distance_class(touch_abs(distance), v->centre_step), group = v->group[k];
-    int offset = toward << 3 | v->offset_class, is_large = group > 3;
-    int is_certain = k == 2 && v->followed == TOUCH_NONE && !v->residual[0] && !v->residual[1]; /* it was no skip */
-    if (!is_certain && !touch_mix3(p->coder, &c->zero_near[is_large][v->sides_near[k]],
-                                   &c->zero_far[is_large][v->sides_far[k]], &c->zero_offset[offset],
-                                   p->models->weight.zero[k][group], residual != 0))
+    int64_t distance = (d[0] * axis[0] + d[1] * axis[1] + d[2] * axis[2]) >> TOUCH_ONE_BITS;
+    int toward = touch_distance_class(touch_abs(distance), v->centre_step), residuals = v->residual_class[k];
+    int disagreement = toward << 3 | v->disagreement_class, is_large = residuals > 3;
+    /* a residual of zero would have been a skip, if both predictions are the same */
+    int is_certain = k == 2 && v->predictor == TOUCH_NONE && !v->residual[0] && !v->residual[1];
+    if (!is_certain && !touch_mix3(p->coder, &c->zero_alternatives_01[is_large][v->alternatives_01[k]],
+                                   &c->zero_alternatives_23[is_large][v->alternatives_23[k]],
+                                   &c->zero_disagreement[disagreement], p->models->weight.zero[k][residuals], residual != 0))
         return 0;
-    int is_negative = touch_mix3(p->coder, &c->sign_near[v->sides_near[k]], &c->sign_far[v->sides_far[k]],
-                                 &c->sign_offset[toward << 3 | (distance < 0) << 2 | v->neighbour_count],
+    int is_negative = touch_mix3(p->coder, &c->sign_alternatives_01[v->alternatives_01[k]],
+                                 &c->sign_alternatives_23[v->alternatives_23[k]],
+                                 &c->sign_disagreement[toward << 3 | (distance < 0) << 2 | v->neighbour_count],
                                  p->models->weight.sign[k], residual < 0);
-    while (size <= 14 && touch_mix2(p->coder, &c->size_group[group][size - 1], &c->size_offset[offset][size - 1],
-                                    p->models->weight.size[k][size - 1], target > size))
+    while (size <= TOUCH_MAX_UNARY &&
+           touch_mix2(p->coder, &c->size_residuals[residuals][size - 1], &c->size_disagreement[disagreement][size - 1],
+                      p->models->weight.size[k][size - 1], target > size))
         size++;
-    if (size > 14) size = 14 + touch_gamma(p->coder, 17, target - 14);
+    if (size > TOUCH_MAX_UNARY)
+        size = TOUCH_MAX_UNARY + touch_gamma(p->coder, TOUCH_ESCAPE_DIGITS, target - TOUCH_MAX_UNARY);
     return is_negative ? -size : size;
 }
 
 /* The length along the centre by the first component of a residual, and the steps across it there. */
-static int64_t touch_along(const touch_pass *p, const touch_voxel *v, int64_t r, int64_t *cross_step) {
-    int64_t along = touch_length_of(p->steps, v->centre_level + 256 * r);
-    *cross_step = touch_max((touch_abs(along) * p->steps->cross_rate) >> 16, p->steps->cross_floor);
-    return along;
+static int64_t touch_radial_length(const touch_pass *p, const touch_voxel *v, int64_t residual, int64_t *cross_step) {
+    int64_t length = touch_length_at(p->steps, v->centre_position + 256 * residual);
+    *cross_step = touch_max((touch_abs(length) * p->steps->cross_rate) >> 16, p->steps->cross_floor);
+    return length;
 }
 
-/* The vector of a residual: a length along the centre, and two components across it. */
-static void touch_place(const touch_voxel *v, int64_t along, int64_t b, int64_t c, int32_t out[3]) {
+/* The vector of a residual: a length along the centre, and two components across it, units. */
+static void touch_residual_vector(const touch_voxel *v, int64_t length, int64_t b, int64_t c, int32_t out[3]) {
     for (int n = 0; n < 3; n++)
-        out[n] = touch_limit((along * v->basis[0][n] + b * v->basis[1][n] + c * v->basis[2][n] + 8192) >> 14);
+        out[n] = touch_clip_component(touch_round_one(length * v->basis[0][n] + b * v->basis[1][n] + c * v->basis[2][n]));
 }
 
-#ifdef TOUCH_WRITES /* the choices of a writer (touch_encode.h) */
+#ifdef TOUCH_WRITES /* the choices of a writer, and its input (touch_encode.h) */
+static void touch_load_target(touch_pass *p, uint64_t brick);
 static int touch_choose_state(const touch_pass *p);
 static int touch_choose_blocks(const touch_pass *p);
 static int touch_choose_support(const touch_pass *p, int here);
@@ -980,33 +1121,38 @@ static int touch_choose_skip(const touch_pass *p, const touch_voxel *v);
 static void touch_choose_residual(const touch_pass *p, touch_voxel *v);
 #endif
 
-/* A voxel: support, prediction, skip or residual; `index` is that of its cell. */
+/* The residual of a voxel that is not skipped, and the vector. */
+static void touch_code_residual(touch_pass *p, touch_voxel *v) {
+    int64_t residual[3] = {0, 0, 0}, step; /* what a writer has chosen */
+    touch_set_centre(p, v);
+#ifdef TOUCH_WRITES
+    if (TOUCH_IS_WRITING(p->coder)) touch_choose_residual(p, v), memcpy(residual, v->residual, sizeof residual);
+#endif
+    for (int k = 0; k < 3; k++) {
+        v->residual[k] = touch_code_component(p, v, k, residual[k]);
+        if (!k) TOUCH_ACCOUNT(p->coder, TOUCH_BITS_AMPLITUDE);
+    }
+    TOUCH_ACCOUNT(p->coder, TOUCH_BITS_DIRECTION);
+    int64_t length = touch_radial_length(p, v, v->residual[0], &step);
+    touch_residual_vector(v, length, v->residual[1] * step, v->residual[2] * step, v->vector);
+}
+
+/* A voxel: support, prediction, skip or residual; it is stored at `index` of the decoded voxels. */
 static void touch_code_voxel(touch_pass *p, int here, int32_t index, int state) {
     touch_coder *b = p->coder;
     touch_voxel v;
-    if (!touch_code_support(p, &v, here, TOUCH_CHOOSE(b, touch_choose_support(p, here)))) return;
-    TOUCH_ACCOUNT(b, 0);
+    touch_look_around(p, &v, here);
+    if (!touch_code_support(p, &v, TOUCH_CHOOSE(b, touch_choose_support(p, here)))) return;
+    TOUCH_ACCOUNT(b, TOUCH_BITS_SUPPORT);
     touch_predict(p, &v, state);
+    touch_classify(p, &v);
     v.residual[0] = v.residual[1] = v.residual[2] = 0;
     if (touch_code_skip(p, &v, TOUCH_CHOOSE(b, touch_choose_skip(p, &v)))) {
         memcpy(v.vector, v.prediction, sizeof v.vector);
-        TOUCH_ACCOUNT(b, 1);
-    } else {
-        int64_t residual[3] = {0, 0, 0}, along, step;
-        touch_aim(p, &v);
-#ifdef TOUCH_WRITES
-        if (TOUCH_IS_WRITING(b)) touch_choose_residual(p, &v), memcpy(residual, v.residual, sizeof residual);
-#endif
-        for (int k = 0; k < 3; k++) {
-            v.residual[k] = touch_code_component(p, &v, k, residual[k]);
-            if (!k) TOUCH_ACCOUNT(b, 1);
-        }
-        TOUCH_ACCOUNT(b, 2);
-        along = touch_along(p, &v, v.residual[0], &step);
-        touch_place(&v, along, v.residual[1] * step, v.residual[2] * step, v.vector);
-    }
-    touch_store(p, here, index, v.vector, touch_min(touch_abs(v.residual[0]), 15),
-                touch_min(touch_abs(v.residual[1]) + touch_abs(v.residual[2]), 31));
+        TOUCH_ACCOUNT(b, TOUCH_BITS_AMPLITUDE);
+    } else touch_code_residual(p, &v);
+    touch_store_decoded(p, here, index, v.vector, touch_min(touch_abs(v.residual[0]), TOUCH_MAX_ALONG_SIZE),
+                        touch_min(touch_abs(v.residual[1]) + touch_abs(v.residual[2]), TOUCH_MAX_ACROSS_SIZE));
     memcpy(p->last_vector, v.vector, sizeof p->last_vector);
     touch_learn_weights(&v);
 }
@@ -1014,24 +1160,25 @@ static void touch_code_voxel(touch_pass *p, int here, int32_t index, int state) 
 static int touch_window_index(int x, int y, int z) { return (x + 2) * TOUCH_DEEP + (y + 2) * TOUCH_UP + z + 2; }
 
 /* Fill the window of a brick of the scan. */
-static void touch_enter(touch_pass *p, const int32_t brick[3], const touch_map *cells, const touch_map *references) {
-    for (int n = 0; n < TOUCH_WINDOW; n++) p->cell_at[n] = p->reference_at[n] = -1;
+static void touch_fill_pass_window(touch_pass *p, const int32_t brick[3], const touch_map *slots,
+                                   const touch_map *references) {
+    for (int n = 0; n < TOUCH_WINDOW; n++) p->decoded_at[n] = p->reference_at[n] = -1;
     for (int dx = -1; dx <= 1; dx++)
         for (int dy = -1; dy <= 1; dy++)
             for (int dz = -1; dz <= 1; dz++) {
                 uint64_t key = touch_key(brick[0] + dx, brick[1] + dy, brick[2] + dz);
                 int is_past = dx < 0 || (!dx && (dy < 0 || (!dy && dz < 0)));
-                int64_t cell = is_past ? touch_map_get(cells, key) : -1, reference = touch_map_get(references, key);
+                int64_t decoded = is_past ? touch_map_get(slots, key) : -1, reference = touch_map_get(references, key);
                 int low[3], high[3], d[3];
-                if (cell < 0 && reference < 0) continue;
+                if (decoded < 0 && reference < 0) continue;
                 d[0] = dx, d[1] = dy, d[2] = dz;
                 for (int n = 0; n < 3; n++) low[n] = d[n] < 0 ? 6 : 0, high[n] = d[n] > 0 ? 2 : 8;
                 for (int x = low[0]; x < high[0]; x++)
                     for (int y = low[1]; y < high[1]; y++)
                         for (int z = low[2]; z < high[2]; z++) {
                             int here = touch_window_index(8 * dx + x, 8 * dy + y, 8 * dz + z);
-                            int32_t index = (int32_t)(512 * cell + 64 * x + 8 * y + z);
-                            if (cell >= 0 && p->cell[index].length) p->cell_at[here] = index;
+                            int32_t index = (int32_t)(512 * decoded + 64 * x + 8 * y + z);
+                            if (decoded >= 0 && p->decoded[index].length) p->decoded_at[here] = index;
                             if (reference < 0) continue;
                             int sample = touch_grid_sample(&p->scan, x, y, z);
                             if (p->has_reference[8 * reference + (sample >> 6)] >> (sample & 63) & 1)
@@ -1045,7 +1192,7 @@ static int touch_is_side_set(const touch_pass *p, const int base[3], int axis) {
     for (int i = 0; i < 16; i++) {
         int at[3], u = (axis + 1) % 3, w = (axis + 2) % 3;
         at[axis] = -1, at[u] = base[u] + (i >> 2), at[w] = base[w] + (i & 3);
-        if (p->cell_at[touch_window_index(at[0], at[1], at[2])] >= 0) return 1;
+        if (p->decoded_at[touch_window_index(at[0], at[1], at[2])] >= 0) return 1;
     }
     return 0;
 }
@@ -1057,23 +1204,24 @@ static int touch_has_block_reference(const touch_pass *p, const int base[3]) {
     return 0;
 }
 
-/* Blocks: which of the eight blocks of 4 x 4 x 4 voxels of a brick have a force, as bits. */
+/* Blocks: which of the eight blocks of 4 x 4 x 4 voxels of a brick have a force, as bits. Supports are connected, so a
+   block is likely to be set where the block or the voxels before it along an axis are: those are its `sides`, 3 bits. */
 static int touch_code_blocks(touch_pass *p, int target) {
     int blocks = 0;
     for (int n = 0; n < 8; n++) {
-        int side = 0, base[3], reference = 0;
+        int sides = 0, base[3], reference = 0;
         base[0] = n >> 2 ? 4 : 0, base[1] = n & 2 ? 4 : 0, base[2] = n & 1 ? 4 : 0;
         for (int axis = 0; axis < 3; axis++) {
             int bit = 4 >> axis;
-            side = side << 1 | (n & bit ? blocks >> (n - bit) & 1 : touch_is_side_set(p, base, axis));
+            sides = sides << 1 | (n & bit ? blocks >> (n - bit) & 1 : touch_is_side_set(p, base, axis));
         }
         if (p->is_listed) reference = 1 + touch_has_block_reference(p, base);
-        blocks |= touch_code(p->coder, &p->models->context.block[reference][side], target >> n & 1) << n;
+        blocks |= touch_code(p->coder, &p->models->context.block[reference][sides], target >> n & 1) << n;
     }
     return blocks;
 }
 
-/* A brick at rest is as the reference has it. */
+/* A brick of state COPY: every voxel with a reference is stored with its vector. The bricks after it predict from them. */
 static void touch_copy_reference(touch_pass *p, int32_t first, const int low[3], const int high[3]) {
     for (int x = low[0]; x < high[0]; x++)
         for (int y = low[1]; y < high[1]; y++)
@@ -1082,7 +1230,7 @@ static void touch_copy_reference(touch_pass *p, int32_t first, const int low[3],
                 int32_t v[3];
                 if (p->reference_at[here] < 0) continue;
                 touch_reference_at(p, p->reference_at[here], v);
-                touch_store(p, here, first + 64 * x + 8 * y + z, v, 0, 0);
+                touch_store_decoded(p, here, first + 64 * x + 8 * y + z, v, 0, 0);
             }
 }
 
@@ -1110,17 +1258,13 @@ static void touch_code_brick(touch_pass *p, int64_t slot, const int low[3], cons
 }
 
 /* Cells of a brick as vectors of the grid. */
-static void touch_unscan(const touch_scan *s, const touch_cell *cell, touch_int_vector *out) {
+static void touch_unscan(const touch_scan *s, const touch_decoded *decoded, touch_int_vector *out) {
     for (int n = 0; n < 512; n++) {
-        if (!cell[n].length) continue;
+        if (!decoded[n].length) continue;
         touch_int_vector *v = out + touch_grid_sample(s, n >> 6, n >> 3 & 7, n & 7);
-        for (int k = 0; k < 3; k++) v->v[s->axis[k]] = s->sign[k] * cell[n].vector[k];
+        for (int k = 0; k < 3; k++) v->v[s->axis[k]] = s->sign[k] * decoded[n].vector[k];
     }
 }
-
-#ifdef TOUCH_WRITES
-static void touch_load_target(touch_pass *p, uint64_t brick);
-#endif
 
 /* The bricks of `out->list`, in the order of the scan; their vectors go to `out->v`. */
 static int touch_code_bricks(touch_pass *p, const touch_grid *grid, touch_units *out, touch_arena *arena,
@@ -1128,14 +1272,14 @@ static int touch_code_bricks(touch_pass *p, const touch_grid *grid, touch_units 
     const touch_list *before = &p->reference->list;
     uint64_t count = out->list.count, *key = (uint64_t *)touch_take(arena, count, 8);
     uint32_t *slot = (uint32_t *)touch_take(arena, count, 4);
-    touch_map cells, references;
-    p->cell = (touch_cell *)touch_take_zero(arena, 512 * count, sizeof *p->cell);
+    touch_map slots, references;
+    p->decoded = (touch_decoded *)touch_take_zero(arena, 512 * count, sizeof *p->decoded);
     p->has_reference = (uint64_t *)touch_take_zero(arena, 8 * before->count, 8);
-    if (!key || !slot || !p->cell || !p->has_reference || !touch_map_make(&cells, count, arena) ||
+    if (!key || !slot || !p->decoded || !p->has_reference || !touch_map_make(&slots, count, arena) ||
         !touch_map_make(&references, before->count, arena))
         return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
     for (uint64_t i = 0; i < count; i++)
-        key[i] = touch_scan_key(&p->scan, out->list.key[i]), slot[i] = (uint32_t)i, touch_map_put(&cells, key[i], slot[i]);
+        key[i] = touch_scan_key(&p->scan, out->list.key[i]), slot[i] = (uint32_t)i, touch_map_put(&slots, key[i], slot[i]);
     for (uint64_t i = 0; i < 512 * before->count; i++) {
         const int32_t *v = p->reference->v[i].v;
         p->has_reference[i >> 6] |= (uint64_t)(v[0] || v[1] || v[2]) << (i & 63);
@@ -1150,12 +1294,12 @@ static int touch_code_bricks(touch_pass *p, const touch_grid *grid, touch_units 
         touch_position(key[i], at);
         touch_scan_inside(&p->scan, grid, at, low, high);
         p->is_listed = touch_map_get(&references, key[i]) >= 0;
-        touch_enter(p, at, &cells, &references);
+        touch_fill_pass_window(p, at, &slots, &references);
 #ifdef TOUCH_WRITES
         if (TOUCH_IS_WRITING(p->coder)) touch_load_target(p, slot[i]);
 #endif
         touch_code_brick(p, slot[i], low, high);
-        touch_unscan(&p->scan, p->cell + 512 * (uint64_t)slot[i], out->v + 512 * (uint64_t)slot[i]);
+        touch_unscan(&p->scan, p->decoded + 512 * (uint64_t)slot[i], out->v + 512 * (uint64_t)slot[i]);
         touch_check(p->coder, error);
         if (error->code) return 0;
     }
@@ -1164,15 +1308,26 @@ static int touch_code_bricks(touch_pass *p, const touch_grid *grid, touch_units 
 
 /* -- base layers: splines (docs/format/touch-base-layer.md, kind 0) -------------------------------------------------- */
 
+enum {
+    TOUCH_NODE_DIGITS = 24,            /* of a residual at most */
+    TOUCH_NODE_CLASSES = 10,           /* of the sizes of the residuals before */
+    TOUCH_MAX_NODE = 1 << 23,          /* of a coefficient, units */
+    TOUCH_MAX_BRICK_NODES = 125,       /* that a brick needs: 5 along each axis at a spacing of 4 samples */
+    TOUCH_POTENTIAL_PER_DEPTH = 8 * 216, /* a sum over 8 corners, of B-splines whose weights have the sum 6 along an axis */
+    TOUCH_MAX_DEPTH = 1 << 16,         /* units */
+    TOUCH_MAX_GRADIENT = 1 << 20,      /* of a component of the scaled gradient */
+    TOUCH_MIN_STEEPNESS = 1 << 14      /* a smaller gradient shortens the force: there the potential has a fold */
+};
+
 typedef struct {
     touch_list_models list;
     struct {
-        touch_context length[10][24]; /* binary digits of a residual, by the sizes of those of the nodes before */
+        touch_context length[TOUCH_NODE_CLASSES][TOUCH_NODE_DIGITS]; /* binary digits of a residual, by those before */
     } node;
 } touch_spline_models;
 
 typedef struct { /* what all nodes have in common */
-    int shift[3]; /* nodes lie 2^shift samples apart */
+    int shift[3]; /* the spacing of nodes is 2^shift samples */
     int64_t step, scale[3];
 } touch_spline_head;
 
@@ -1185,9 +1340,9 @@ typedef struct { /* the nodes that any brick needs, in raster order */
 static int64_t touch_code_node_residual(touch_coder *b, touch_context *c, int64_t residual) {
     int64_t size = touch_abs(residual);
     int length = 0, is_negative;
-    while (length < 24 && touch_code(b, c + length, size >> length > 0)) length++;
+    while (length < TOUCH_NODE_DIGITS && touch_code(b, c + length, size >> length > 0)) length++;
     if (!length) return 0;
-    is_negative = touch_narrow(b, 32768, residual < 0);
+    is_negative = touch_narrow(b, TOUCH_EVEN, residual < 0);
     size = (int64_t)1 << (length - 1) | touch_even(b, length - 1, size);
     return is_negative ? -size : size;
 }
@@ -1219,19 +1374,19 @@ static int64_t touch_expected_node(const touch_nodes *nodes, uint64_t key, int64
 static void touch_code_nodes(touch_coder *b, touch_spline_models *m, touch_nodes *nodes, int64_t step) {
     for (uint64_t i = 0; i < nodes->count; i++) {
         int64_t sizes, expected = touch_expected_node(nodes, nodes->key[i], &sizes), residual = 0;
-        int row = touch_bit_length((uint64_t)sizes);
+        int size_class = (int)touch_min(touch_bit_length((uint64_t)sizes), TOUCH_NODE_CLASSES - 1);
         if (TOUCH_IS_WRITING(b)) residual = touch_div(2 * (nodes->value[i] - expected) + step, 2 * step);
-        residual = touch_code_node_residual(b, m->node.length[row < 9 ? row : 9], residual);
+        residual = touch_code_node_residual(b, m->node.length[size_class], residual);
         nodes->size[i] = (int32_t)touch_abs(residual);
-        nodes->value[i] = (int32_t)touch_clip(expected + residual * step, -(1 << 23), 1 << 23);
+        nodes->value[i] = (int32_t)touch_clip_to(expected + residual * step, TOUCH_MAX_NODE);
         touch_map_put(&nodes->map, nodes->key[i], (uint32_t)i);
     }
 }
 
 /* The nodes of some bricks. */
 static int touch_nodes_of(touch_nodes *nodes, const int shift[3], touch_list list, touch_arena *arena) {
-    uint64_t count = 0, *key = (uint64_t *)touch_take(arena, 125 * list.count, 8);
-    uint32_t *tag = (uint32_t *)touch_take_zero(arena, 125 * list.count, 4);
+    uint64_t count = 0, *key = (uint64_t *)touch_take(arena, TOUCH_MAX_BRICK_NODES * list.count, 8);
+    uint32_t *tag = (uint32_t *)touch_take_zero(arena, TOUCH_MAX_BRICK_NODES * list.count, 4);
     if (!key || !tag) return 0;
     for (uint64_t i = 0; i < list.count; i++) {
         int32_t at[3], low[3], high[3];
@@ -1250,25 +1405,25 @@ static int touch_nodes_of(touch_nodes *nodes, const int shift[3], touch_list lis
     return nodes->value && nodes->size && touch_map_make(&nodes->map, nodes->count, arena);
 }
 
-/* Weights of four nodes of a cubic B-spline at the nine corners of a brick along an axis; `cell`: the first of them. */
-static void touch_corner_weights(int shift, int32_t brick, int64_t weight[9][4], int cell[9]) {
-    int64_t h = (int64_t)1 << shift;
+/* Weights of four nodes of a cubic B-spline at the nine corners of a brick along an axis; `span`: the first of them. */
+static void touch_corner_weights(int shift, int32_t brick, int64_t weight[9][4], int span[9]) {
+    int64_t spacing = (int64_t)1 << shift, cube = spacing * spacing * spacing;
     for (int k = 0; k < 9; k++) {
-        cell[k] = (k < 7 ? k : 7) >> shift;
-        int64_t p = ((8 * brick) & (h - 1)) + k - cell[k] * h, q = h - p;
+        span[k] = (k < 7 ? k : 7) >> shift; /* the last corner belongs to the span of the last sample */
+        int64_t p = ((8 * brick) & (spacing - 1)) + k - span[k] * spacing, q = spacing - p;
         weight[k][0] = q * q * q, weight[k][3] = p * p * p;
-        weight[k][1] = 4 * h * h * h - 6 * h * p * p + 3 * p * p * p;
-        weight[k][2] = 4 * h * h * h - 6 * h * q * q + 3 * q * q * q;
+        weight[k][1] = 4 * cube - 6 * spacing * p * p + 3 * p * p * p;
+        weight[k][2] = 4 * cube - 6 * spacing * q * q + 3 * q * q * q;
     }
 }
 
 /* The potential at the corners around the samples of a brick: sums of weighted nodes along x, then y, then z. */
-static void touch_corners(const touch_nodes *nodes, const int32_t brick[3], const int e[3], int64_t v[9][9][9]) {
+static void touch_corners(const touch_nodes *nodes, const int32_t brick[3], const int shift[3], int64_t v[9][9][9]) {
     int64_t node[5][5][5], weight[3][9][4];
-    int count[3], first[3], cell[3][9];
+    int count[3], first[3], span[3][9];
     for (int n = 0; n < 3; n++) {
-        first[n] = (8 * brick[n] >> e[n]) - 1, count[n] = ((8 * brick[n] + 7) >> e[n]) + 3 - first[n];
-        touch_corner_weights(e[n], brick[n], weight[n], cell[n]);
+        first[n] = (8 * brick[n] >> shift[n]) - 1, count[n] = ((8 * brick[n] + 7) >> shift[n]) + 3 - first[n];
+        touch_corner_weights(shift[n], brick[n], weight[n], span[n]);
     }
     for (int i = 0; i < count[0]; i++)
         for (int j = 0; j < count[1]; j++)
@@ -1279,65 +1434,98 @@ static void touch_corners(const touch_nodes *nodes, const int32_t brick[3], cons
         int64_t x[5][5], y[5];
         for (int j = 0; j < count[1]; j++)
             for (int m = 0; m < count[2]; m++) {
-                x[j][m] = ((int64_t)1 << 3 * e[0]) >> 1;
-                for (int a = 0; a < 4; a++) x[j][m] += weight[0][n][a] * node[cell[0][n] + a][j][m];
-                x[j][m] >>= 3 * e[0];
+                x[j][m] = ((int64_t)1 << 3 * shift[0]) >> 1;
+                for (int a = 0; a < 4; a++) x[j][m] += weight[0][n][a] * node[span[0][n] + a][j][m];
+                x[j][m] >>= 3 * shift[0];
             }
         for (int i = 0; i < 9; i++) {
             for (int m = 0; m < count[2]; m++) {
-                y[m] = ((int64_t)1 << (3 * e[1])) >> 1;
-                for (int a = 0; a < 4; a++) y[m] += weight[1][i][a] * x[cell[1][i] + a][m];
-                y[m] >>= 3 * e[1];
+                y[m] = ((int64_t)1 << (3 * shift[1])) >> 1;
+                for (int a = 0; a < 4; a++) y[m] += weight[1][i][a] * x[span[1][i] + a][m];
+                y[m] >>= 3 * shift[1];
             }
             for (int k = 0; k < 9; k++) {
-                int64_t sum = ((int64_t)1 << (3 * e[2])) >> 1;
-                for (int a = 0; a < 4; a++) sum += weight[2][k][a] * y[cell[2][k] + a];
-                v[n][i][k] = sum >> (3 * e[2]);
+                int64_t sum = ((int64_t)1 << (3 * shift[2])) >> 1;
+                for (int a = 0; a < 4; a++) sum += weight[2][k][a] * y[span[2][k] + a];
+                v[n][i][k] = sum >> (3 * shift[2]);
             }
         }
     }
 }
 
-/* Forces of a brick: the depth against its gradient, which is limited where the potential has a fold. */
+/* Forces of a brick: the depth against its gradient, but shorter where the potential has a fold. */
 static void touch_spline_brick(int64_t v[9][9][9], const int64_t scale[3], const int high[3], touch_int_vector *out) {
     for (int x = 0; x < high[0]; x++)
         for (int y = 0; y < high[1]; y++)
             for (int z = 0; z < high[2]; z++) {
-                int64_t slope[3] = {0, 0, 0}, depth = 0, steepness = 0;
+                int64_t gradient[3] = {0, 0, 0}, depth = 0, steepness = 0;
                 for (int n = 0; n < 8; n++) {
-                    int64_t f = v[x + (n >> 2)][y + (n >> 1 & 1)][z + (n & 1)];
-                    depth += f, slope[0] += n & 4 ? f : -f, slope[1] += n & 2 ? f : -f, slope[2] += n & 1 ? f : -f;
+                    int64_t potential = v[x + (n >> 2)][y + (n >> 1 & 1)][z + (n & 1)];
+                    depth += potential;
+                    for (int k = 0; k < 3; k++) gradient[k] += n & (4 >> k) ? potential : -potential;
                 }
-                depth = touch_clip(touch_div(depth + 864, 1728), 0, 65536);
+                depth = touch_div(depth + TOUCH_POTENTIAL_PER_DEPTH / 2, TOUCH_POTENTIAL_PER_DEPTH);
+                depth = touch_clip(depth, 0, TOUCH_MAX_DEPTH);
                 for (int n = 0; n < 3; n++) {
-                    slope[n] = touch_clip((slope[n] * scale[n]) >> 20, -(1 << 20), 1 << 20);
-                    steepness += slope[n] * slope[n];
+                    gradient[n] = touch_clip_to((gradient[n] * scale[n]) >> 20, TOUCH_MAX_GRADIENT);
+                    steepness += gradient[n] * gradient[n];
                 }
-                steepness = touch_max(touch_isqrt(steepness), 16384);
+                steepness = touch_max(touch_isqrt(steepness), TOUCH_MIN_STEEPNESS);
                 for (int n = 0; n < 3; n++)
-                    out[64 * x + 8 * y + z].v[n] = (int32_t)touch_div(steepness - 2 * depth * slope[n], 2 * steepness);
+                    out[64 * x + 8 * y + z].v[n] = (int32_t)touch_div(steepness - 2 * depth * gradient[n], 2 * steepness);
             }
 }
 
 /* The forces of a spline in the bricks of `out->list`, which are zero before. */
-static void touch_fill_spline(const touch_spline_head *h, const touch_nodes *nodes, const touch_grid *grid,
+static void touch_fill_spline(const touch_spline_head *head, const touch_nodes *nodes, const touch_grid *grid,
                               touch_units *out) {
     int64_t v[9][9][9];
     for (uint64_t i = 0; i < out->list.count; i++) {
         int32_t at[3];
         int high[3];
         touch_position(out->list.key[i], at), touch_brick_samples(grid, at, high);
-        touch_corners(nodes, at, h->shift, v);
-        touch_spline_brick(v, h->scale, high, out->v + 512 * i);
+        touch_corners(nodes, at, head->shift, v);
+        touch_spline_brick(v, head->scale, high, out->v + 512 * i);
     }
 }
 
-/* -- base layers: columns (docs/format/touch-base-layer.md, kind 1) -------------------------------------------------- */
+/* -- base layers: columns (docs/format/touch-base-layer.md, kind 1) --------------------------------------------------
 
-enum { TOUCH_X = 0, TOUCH_Y = 1, TOUCH_START = 2, TOUCH_AMPLITUDE = 3 }; /* the four numbers of a surface */
+   A column runs from outside to inside through up to two surfaces. Behind a surface the force grows along a ramp up to
+   its amplitude. Each surface has four numbers, which are coded as residuals to those of the columns around. */
+
+enum { TOUCH_DIRECTION_A = 0, TOUCH_DIRECTION_B = 1, TOUCH_START = 2, TOUCH_AMPLITUDE = 3 }; /* numbers of a surface */
+enum { TOUCH_WEST = 0, TOUCH_NORTH = 1, TOUCH_CORNER = 2, TOUCH_EAST = 3 }; /* columns before: along b, along a, both; a, -b */
+
+enum {
+    TOUCH_SAMPLE = 256,                     /* starts are in 1/256 samples */
+    TOUCH_MAX_START = 1 << 24,              /* 65536 samples */
+    TOUCH_SECOND_START = 6 * TOUCH_SAMPLE,  /* a second surface is expected so far behind the first, unless one continues */
+    TOUCH_TEAR = 3 * TOUCH_SAMPLE,          /* starts that differ by more are of surfaces that do not continue each other */
+    TOUCH_MAX_RISE = 16 * TOUCH_SAMPLE,     /* from column to column */
+    TOUCH_MIN_OUTWARD = 820,                /* 0.05, in 1/2^14: a normal points outward, so that a rise stays finite */
+    TOUCH_MIN_RAMP = 16,                    /* growth of the fraction from sample to sample, in 1/2^16 */
+    TOUCH_FULL_RAMP = 1 << 16,              /* the fraction deep inside */
+    TOUCH_MIN_TOP_BITS = 4,                 /* an amplitude is expected, and its step is chosen, at 2^-4 of the top or more */
+    TOUCH_MAX_COLUMN_RESIDUAL = 1 << 30,    /* as far as it is stored */
+    TOUCH_COLUMN_UNARY = 20,                /* a magnitude up to here is coded in unary with contexts, then in gamma code, */
+    TOUCH_COLUMN_ESCAPE_DIGITS = 24         /* of so many digits at most */
+};
+
+/* Nodes: pairs of context tables with a set of weights. Each kind of number has 22 of them: significance, sign, 20 of the
+   magnitude. Kind 0 is whether a column has a surface, and two; kind 1 the mode, two bits; kinds 2 to 5 the four numbers
+   of the one surface of a column, 6 to 9 of the first of two, 10 to 13 of the second. */
+enum {
+    TOUCH_NUMBER_NODES = 2 + TOUCH_COLUMN_UNARY,
+    TOUCH_NODE_HAS_SURFACE = 0,
+    TOUCH_NODE_HAS_TWO = 1,
+    TOUCH_NODE_MODE = TOUCH_NUMBER_NODES, /* and two more for its second bit */
+    TOUCH_KIND_NUMBERS = 2,
+    TOUCH_COLUMN_NODES = 14 * TOUCH_NUMBER_NODES
+};
 
 typedef struct {
-    int32_t number[4], normal[3], residual[4]; /* the normal: along a, along b, outward, 1/16384 */
+    int32_t number[4], normal[3], residual[4]; /* the normal: along a, along b, outward, 1/2^14 */
 } touch_surface;
 
 typedef struct {
@@ -1346,7 +1534,7 @@ typedef struct {
 } touch_column;
 
 typedef struct { /* what a writer has decided of a column */
-    int count, mode; /* mode: which neighbours the first surface continues, where they are torn apart */
+    int count, mode; /* mode: which neighbours the first surface continues, where they are torn */
     int64_t residual[2][4];
 } touch_column_choice;
 
@@ -1355,13 +1543,11 @@ typedef struct { /* a box of columns along one axis, from outside to inside */
     int axis, across[2], is_inverted; /* whether the outside is at the end of the axis */
     int64_t depth;                    /* samples of a column */
     int64_t tile[2], tiles[2];        /* the first tile of 8 x 8 columns along a and b, and how many */
-} touch_view;
+} touch_column_box;
 
 typedef struct {
     touch_context first[36], second[16];
 } touch_column_contexts;
-
-enum { TOUCH_COLUMN_NODES = 14 * 22 };
 
 typedef struct { /* the code of columns */
     touch_coder coder;
@@ -1369,30 +1555,33 @@ typedef struct { /* the code of columns */
         touch_column_contexts node[TOUCH_COLUMN_NODES];
     } *context;
     int64_t (*weight)[2];
-    int64_t top, ramp, ratio[2], step[3]; /* steps of a direction, a start and an amplitude */
-    touch_view view;
+    int64_t top, ramp, ratio[2]; /* longest force; growth of the ramp; sample spacings along a and b by that of the axis */
+    int64_t step[3];             /* of a direction, a start and an amplitude */
+    touch_column_box box;
     touch_column *column; /* row by row */
     struct touch_column_fit *fit; /* of a writer */
 } touch_columns;
 
-static int touch_column_bit(touch_columns *h, int node, int first, int second, int bit) {
-    return touch_mix2(&h->coder, h->context->node[node].first + first, h->context->node[node].second + second,
-                      h->weight[node], bit);
+static int touch_column_bit(touch_columns *columns, int node, int first, int second, int bit) {
+    touch_column_contexts *c = columns->context->node + node;
+    return touch_mix2(&columns->coder, c->first + first, c->second + second, columns->weight[node], bit);
 }
 
-static int64_t touch_column_number(touch_columns *h, int kind, int first, int second, int64_t r) {
-    int64_t size = 1, target = touch_abs(r);
-    int node = 22 * kind;
-    if (!touch_column_bit(h, node, first, second, r != 0)) return 0;
-    int is_negative = touch_column_bit(h, node + 1, first, second, r < 0);
-    while (size <= 20 && touch_column_bit(h, node + 1 + (int)size, first, second, target > size)) size++;
-    if (size > 20) size = 20 + touch_gamma(&h->coder, 24, target - 20);
+static int64_t touch_column_number(touch_columns *columns, int kind, int first, int second, int64_t number) {
+    int64_t size = 1, target = touch_abs(number);
+    int node = TOUCH_NUMBER_NODES * kind;
+    if (!touch_column_bit(columns, node, first, second, number != 0)) return 0;
+    int is_negative = touch_column_bit(columns, node + 1, first, second, number < 0);
+    while (size <= TOUCH_COLUMN_UNARY && touch_column_bit(columns, node + 1 + (int)size, first, second, target > size)) size++;
+    if (size > TOUCH_COLUMN_UNARY)
+        size = TOUCH_COLUMN_UNARY +
+               touch_gamma(&columns->coder, TOUCH_COLUMN_ESCAPE_DIGITS, target - TOUCH_COLUMN_UNARY);
     return is_negative ? -size : size;
 }
 
-/* How much farther inside a surface is one column on. */
-static int64_t touch_rise(const touch_columns *h, const int32_t normal[3], int axis) {
-    return touch_clip(touch_div(normal[axis] * h->ratio[axis], normal[2]), -4096, 4096);
+/* How much farther inside a surface starts one column on. */
+static int64_t touch_rise(const touch_columns *columns, const int32_t normal[3], int axis) {
+    return touch_clip_to(touch_div(normal[axis] * columns->ratio[axis], normal[2]), TOUCH_MAX_RISE);
 }
 
 static int64_t touch_median(int64_t a, int64_t b, int64_t c) {
@@ -1400,205 +1589,225 @@ static int64_t touch_median(int64_t a, int64_t b, int64_t c) {
     return c < low ? low : c > high ? high : c;
 }
 
-/* The four numbers that a surface is expected to have by those of west and north (its sides), which it continues. */
-static int touch_expect_surface(const touch_columns *h, const touch_column *const near[4], const touch_column *own,
-                                int slot, int mode, int count, int64_t e[4], const touch_surface *side[2]) {
-    int k = slot || mode == 3, sides;
-    const touch_surface *west = near[0] && near[0]->count > k ? near[0]->surface + k : 0;
-    const touch_surface *north = near[1] && near[1]->count > k ? near[1]->surface + k : 0;
-    const touch_surface *corner = near[2] && near[2]->count > slot ? near[2]->surface + slot : 0;
-    if (!slot && mode) {
+/* A surface of a column, NULL if it has none. */
+static const touch_surface *touch_surface_of(const touch_column *column, int slot) {
+    return column && column->count > slot ? column->surface + slot : 0;
+}
+
+/* The four numbers that a surface is expected to have by the surfaces of west and north that it continues; returns how
+   many it continues. */
+static int touch_expect_surface(const touch_columns *columns, const touch_column *const around[4], const touch_column *own,
+                                int slot, int mode, int count, int64_t expected[4], const touch_surface *continued[2]) {
+    const touch_surface *west = touch_surface_of(around[TOUCH_WEST], slot || mode == 3), *first = own->surface;
+    const touch_surface *north = touch_surface_of(around[TOUCH_NORTH], slot || mode == 3);
+    const touch_surface *corner = touch_surface_of(around[TOUCH_CORNER], slot);
+    if (!slot && mode) { /* 1: west, 2: north, 3: the second surface of west, else that of north */
         if (mode == 1 || (mode == 3 && west)) north = 0;
         else west = 0;
     }
-    side[0] = west, side[1] = north, sides = (west != 0) + (north != 0);
-    if (sides) {
+    int continues = (west != 0) + (north != 0);
+    continued[0] = west, continued[1] = north;
+    if (continues) {
         for (int n = 0; n < 4; n++)
-            e[n] = touch_div((west ? west->number[n] : 0) + (int64_t)(north ? north->number[n] : 0), sides);
-        for (int n = 0; n < 2 && sides == 2 && corner; n++) { /* between their mean and the plane through all three */
+            expected[n] = touch_div((west ? west->number[n] : 0) + (int64_t)(north ? north->number[n] : 0), continues);
+        for (int n = 0; n < 2 && continues == 2 && corner; n++) { /* between their mean and the plane through all three */
             int64_t w = west->number[n], o = north->number[n];
-            e[n] = (e[n] + touch_median(w, o, w + o - corner->number[n])) >> 1;
+            expected[n] = (expected[n] + touch_median(w, o, w + o - corner->number[n])) >> 1;
         }
     } else if (slot) {
-        for (int n = 0; n < 4; n++) e[n] = own->surface[0].number[n];
-        e[TOUCH_START] += 1536;
-    } else if (near[3] && near[3]->count) {
-        for (int n = 0; n < 4; n++) e[n] = near[3]->surface[0].number[n];
-    } else e[0] = e[1] = e[2] = 0, e[TOUCH_AMPLITUDE] = h->top;
-    if (slot) e[TOUCH_AMPLITUDE] = touch_max(h->top - own->surface[0].number[TOUCH_AMPLITUDE], h->top >> 4);
-    else if (count == 2) e[TOUCH_AMPLITUDE] = h->top >> 1;
-    return sides;
+        for (int n = 0; n < 4; n++) expected[n] = first->number[n];
+        expected[TOUCH_START] += TOUCH_SECOND_START;
+    } else if (around[TOUCH_EAST] && around[TOUCH_EAST]->count) {
+        for (int n = 0; n < 4; n++) expected[n] = around[TOUCH_EAST]->surface[0].number[n];
+    } else expected[0] = expected[1] = expected[2] = 0, expected[TOUCH_AMPLITUDE] = columns->top;
+    int64_t left = columns->top - first->number[TOUCH_AMPLITUDE]; /* of the force, for the second surface */
+    if (slot) expected[TOUCH_AMPLITUDE] = touch_max(left, columns->top >> TOUCH_MIN_TOP_BITS);
+    else if (count == 2) expected[TOUCH_AMPLITUDE] = columns->top >> 1;
+    return continues;
 }
 
-/* The direction of a surface; then its sides rise up to its start. */
-static void touch_turn_surface(const touch_columns *h, touch_surface *s, int64_t e[4], const int64_t r[4],
-                               const touch_surface *const side[2], int sides) {
+/* The direction of a surface; then the start that is expected, as the surfaces that it continues rise up to it. */
+static void touch_turn_surface(const touch_columns *columns, touch_surface *s, int64_t expected[4], const int64_t residual[4],
+                               const touch_surface *const continued[2], int continues) {
     int64_t sum = 0;
-    for (int n = 0; n < 2; n++) s->number[n] = (int32_t)touch_clip(e[n] + r[n] * h->step[0], -16384, 16384);
+    for (int n = 0; n < 2; n++)
+        s->number[n] = (int32_t)touch_clip(expected[n] + residual[n] * columns->step[0], -TOUCH_ONE, TOUCH_ONE);
     int64_t x = s->number[0], y = s->number[1], inverse = ((int64_t)1 << 43) / ((1 << 28) + x * x + y * y);
-    s->normal[0] = (int32_t)((x * inverse) >> 14), s->normal[1] = (int32_t)((y * inverse) >> 14);
-    s->normal[2] = (int32_t)touch_max(inverse - 16384, 820);
-    if (!sides) return;
+    s->normal[0] = (int32_t)((x * inverse) >> TOUCH_ONE_BITS), s->normal[1] = (int32_t)((y * inverse) >> TOUCH_ONE_BITS);
+    s->normal[2] = (int32_t)touch_max(inverse - TOUCH_ONE, TOUCH_MIN_OUTWARD);
+    if (!continues) return;
     for (int n = 0; n < 2; n++) /* west is the neighbour along b, north along a */
-        if (side[n])
-            sum += side[n]->number[TOUCH_START] +
-                   ((touch_rise(h, side[n]->normal, 1 - n) + touch_rise(h, s->normal, 1 - n)) >> 1);
-    e[TOUCH_START] = touch_div(sum, sides);
+        if (continued[n])
+            sum += continued[n]->number[TOUCH_START] +
+                   ((touch_rise(columns, continued[n]->normal, 1 - n) + touch_rise(columns, s->normal, 1 - n)) >> 1);
+    expected[TOUCH_START] = touch_div(sum, continues);
 }
 
-static int64_t touch_amplitude_step(const touch_columns *h, int64_t expected) {
-    return touch_max((touch_max(expected, h->top >> 4) * h->step[2]) >> 16, 1);
+static int64_t touch_amplitude_step(const touch_columns *columns, int64_t expected) {
+    return touch_max((touch_max(expected, columns->top >> TOUCH_MIN_TOP_BITS) * columns->step[2]) >> 16, 1);
 }
 
-static void touch_set_surface(const touch_columns *h, touch_surface *s, const int64_t e[4], const int64_t r[4]) {
-    s->number[TOUCH_START] = (int32_t)touch_clip(e[2] + r[2] * h->step[1], -(1 << 24), 1 << 24);
-    s->number[TOUCH_AMPLITUDE] = (int32_t)touch_clip(e[3] + r[3] * touch_amplitude_step(h, e[3]), 1, TOUCH_LIMIT);
-    for (int q = 0; q < 4; q++) s->residual[q] = (int32_t)touch_clip(r[q], -(1 << 30), 1 << 30);
+static void touch_set_surface(const touch_columns *columns, touch_surface *s, const int64_t expected[4],
+                              const int64_t residual[4]) {
+    int64_t start = expected[TOUCH_START] + residual[TOUCH_START] * columns->step[1];
+    int64_t step = touch_amplitude_step(columns, expected[TOUCH_AMPLITUDE]);
+    int64_t amplitude = expected[TOUCH_AMPLITUDE] + residual[TOUCH_AMPLITUDE] * step;
+    s->number[TOUCH_START] = (int32_t)touch_clip_to(start, TOUCH_MAX_START);
+    s->number[TOUCH_AMPLITUDE] = (int32_t)touch_clip(amplitude, 1, TOUCH_MAX_COMPONENT);
+    for (int q = 0; q < 4; q++) s->residual[q] = (int32_t)touch_clip_to(residual[q], TOUCH_MAX_COLUMN_RESIDUAL);
 }
 
-/* Neighbours whose starts differ by three samples, or with two surfaces, may not continue one surface. */
-static int touch_is_torn(const touch_column *const near[4]) {
-    int west = near[0] ? near[0]->count : 0, north = near[1] ? near[1]->count : 0;
-    if (west > 1 || north > 1) return 1;
-    if (!west || !north) return 0;
-    return touch_abs((int64_t)near[0]->surface[0].number[TOUCH_START] - near[1]->surface[0].number[TOUCH_START]) > 768;
+/* Whether west and north may not continue one surface: their starts differ much, or one has two surfaces. */
+static int touch_is_torn(const touch_column *const around[4]) {
+    const touch_column *west = around[TOUCH_WEST], *north = around[TOUCH_NORTH];
+    if ((west && west->count > 1) || (north && north->count > 1)) return 1;
+    if (!west || !north || !west->count || !north->count) return 0;
+    return touch_abs((int64_t)west->surface[0].number[TOUCH_START] - north->surface[0].number[TOUCH_START]) > TOUCH_TEAR;
 }
 
-/* A column by its neighbours west, north, corner and east, NULL beyond the box. */
-static void touch_code_column(touch_columns *h, const touch_column *const near[4], touch_column *own,
+/* The four residuals of a surface, by the sizes of those of west and north (5: no such surface), and of the last one. */
+static void touch_code_surface(touch_columns *columns, const touch_column *const around[4], touch_column *own, int slot,
+                               int count, int mode, int some, const int64_t chosen[4]) {
+    touch_surface *s = own->surface + slot;
+    const touch_surface *continued[2];
+    int64_t expected[4], residual[4], last = 0;
+    int continues = touch_expect_surface(columns, around, own, slot, mode, count, expected, continued);
+    for (int q = 0; q < 4; q++) {
+        int64_t sizes[2];
+        for (int n = 0; n < 2; n++) {
+            const touch_surface *beside = touch_surface_of(around[n], slot);
+            sizes[n] = beside ? touch_min(touch_abs(beside->residual[q]), 4) : 5;
+        }
+        residual[q] = touch_column_number(columns, TOUCH_KIND_NUMBERS + 4 * (count - 1 + slot) + q,
+                                          (int)(6 * sizes[0] + sizes[1]), (int)(4 * last) + (some < 3 ? some : 3), chosen[q]);
+        last = touch_max(q == TOUCH_DIRECTION_B ? last : 0, touch_min(touch_abs(residual[q]), 3));
+        if (q == TOUCH_DIRECTION_B) touch_turn_surface(columns, s, expected, residual, continued, continues);
+    }
+    touch_set_surface(columns, s, expected, residual);
+    own->count = slot + 1;
+}
+
+/* A column by those around it: west, north, corner and east, NULL beyond the box. */
+static void touch_code_column(touch_columns *columns, const touch_column *const around[4], touch_column *own,
                               const touch_column_choice *choice) {
-    int here = 0, twos = 0, mode = 0, some = 0, torn = touch_is_torn(near), count;
+    int here = 0, twos = 0, mode = 0, some = 0, torn = touch_is_torn(around), count;
     for (int n = 0; n < 4; n++) {
-        int c = near[n] ? near[n]->count : 0;
-        here |= c > 0 ? 8 >> n : 0, twos |= c > 1 ? 8 >> n : 0, some += c > 0;
+        int surfaces = around[n] ? around[n]->count : 0;
+        here |= surfaces > 0 ? 8 >> n : 0, twos |= surfaces > 1 ? 8 >> n : 0, some += surfaces > 0;
     }
     own->count = 0;
-    if (!touch_column_bit(h, 0, here, twos, choice->count > 0)) return;
-    count = 1 + touch_column_bit(h, 1, 2 * twos + torn, here, choice->count > 1);
+    if (!touch_column_bit(columns, TOUCH_NODE_HAS_SURFACE, here, twos, choice->count > 0)) return;
+    count = 1 + touch_column_bit(columns, TOUCH_NODE_HAS_TWO, 2 * twos + torn, here, choice->count > 1);
     if (torn) {
-        mode = touch_column_bit(h, 22, twos >> 2, count, choice->mode >> 1);
-        mode = 2 * mode + touch_column_bit(h, 23 + mode, twos >> 2, count, choice->mode & 1);
+        mode = touch_column_bit(columns, TOUCH_NODE_MODE, twos >> 2, count, choice->mode >> 1);
+        mode = 2 * mode + touch_column_bit(columns, TOUCH_NODE_MODE + 1 + mode, twos >> 2, count, choice->mode & 1);
     }
-    for (int slot = 0; slot < count; slot++) {
-        touch_surface *s = own->surface + slot;
-        const touch_surface *side[2];
-        int64_t e[4], r[4], last = 0;
-        int sides = touch_expect_surface(h, near, own, slot, mode, count, e, side);
-        for (int q = 0; q < 4; q++) {
-            int64_t sizes[2];
-            for (int n = 0; n < 2; n++)
-                sizes[n] = near[n] && near[n]->count > slot ? touch_min(touch_abs(near[n]->surface[slot].residual[q]), 4) : 5;
-            r[q] = touch_column_number(h, 2 + 4 * (count - 1 + slot) + q, (int)(6 * sizes[0] + sizes[1]),
-                                       (int)(4 * last) + (some < 3 ? some : 3), choice->residual[slot][q]);
-            last = touch_max(q == TOUCH_Y ? last : 0, touch_min(touch_abs(r[q]), 3));
-            if (q == TOUCH_Y) touch_turn_surface(h, s, e, r, side, sides);
-        }
-        touch_set_surface(h, s, e, r);
-        own->count = slot + 1;
-    }
+    for (int slot = 0; slot < count; slot++)
+        touch_code_surface(columns, around, own, slot, count, mode, some, choice->residual[slot]);
 }
 
-static touch_view touch_view_of(const touch_grid *grid, int axis, int is_inverted) {
-    touch_view v;
+static touch_column_box touch_column_box_of(const touch_grid *grid, int axis, int is_inverted) {
+    touch_column_box box;
     int k = 0;
-    memset(&v, 0, sizeof v);
-    v.grid = grid, v.axis = axis, v.is_inverted = is_inverted, v.depth = grid->shape[axis];
+    memset(&box, 0, sizeof box);
+    box.grid = grid, box.axis = axis, box.is_inverted = is_inverted, box.depth = grid->shape[axis];
     for (int n = 0; n < 3; n++)
-        if (n != axis) v.across[k++] = n;
-    return v;
+        if (n != axis) box.across[k++] = n;
+    return box;
 }
 
 /* Fresh models, and columns without surfaces. */
-static int touch_columns_make(touch_columns *h, touch_arena *arena) {
-    h->column = (touch_column *)touch_take_zero(arena, (uint64_t)(64 * h->view.tiles[0] * h->view.tiles[1]),
-                                                sizeof *h->column);
-    *(void **)&h->context = touch_take(arena, 1, sizeof *h->context);
-    h->weight = (int64_t(*)[2])touch_take(arena, TOUCH_COLUMN_NODES, sizeof *h->weight);
-    if (!h->column || !h->context || !h->weight) return 0;
-    touch_fresh((touch_context *)(void *)h->context, sizeof *h->context / sizeof(touch_context), h->weight[0],
-                2 * TOUCH_COLUMN_NODES);
+static int touch_columns_make(touch_columns *columns, touch_arena *arena) {
+    uint64_t count = (uint64_t)(64 * columns->box.tiles[0] * columns->box.tiles[1]);
+    columns->column = (touch_column *)touch_take_zero(arena, count, sizeof *columns->column);
+    *(void **)&columns->context = touch_take(arena, 1, sizeof *columns->context);
+    columns->weight = (int64_t(*)[2])touch_take(arena, TOUCH_COLUMN_NODES, sizeof *columns->weight);
+    if (!columns->column || !columns->context || !columns->weight) return 0;
+    touch_fresh((touch_context *)(void *)columns->context, sizeof *columns->context / sizeof(touch_context),
+                columns->weight[0], 2 * TOUCH_COLUMN_NODES);
     return 1;
 }
 
 #ifdef TOUCH_WRITES
-static void touch_choose_column(touch_columns *h, int64_t a, int64_t b, const touch_column *const near[4],
+static void touch_choose_column(touch_columns *columns, int64_t a, int64_t b, const touch_column *const around[4],
                                 touch_column *own, touch_column_choice *choice);
 #endif
 
 /* All columns of the box that lie within the grid, in raster order. */
-static int touch_code_columns(touch_columns *h, touch_cursor *error) {
-    const touch_view *v = &h->view;
+static int touch_code_columns(touch_columns *columns, touch_cursor *error) {
+    const touch_column_box *v = &columns->box;
     int64_t rows = touch_min(8 * v->tiles[0], v->grid->shape[v->across[0]] - 8 * v->tile[0]), row = 8 * v->tiles[1];
-    int64_t columns = touch_min(row, v->grid->shape[v->across[1]] - 8 * v->tile[1]);
+    int64_t in_row = touch_min(row, v->grid->shape[v->across[1]] - 8 * v->tile[1]);
     for (int64_t a = 0; a < rows; a++) {
-        for (int64_t b = 0; b < columns; b++) {
-            touch_column *own = h->column + a * row + b;
+        for (int64_t b = 0; b < in_row; b++) {
+            touch_column *own = columns->column + a * row + b;
             touch_column_choice choice;
-            const touch_column *near[4];
-            near[0] = b ? own - 1 : 0, near[1] = a ? own - row : 0, near[2] = a && b ? own - row - 1 : 0;
-            near[3] = a && b + 1 < row ? own - row + 1 : 0;
+            const touch_column *around[4];
+            around[TOUCH_WEST] = b ? own - 1 : 0, around[TOUCH_NORTH] = a ? own - row : 0;
+            around[TOUCH_CORNER] = a && b ? own - row - 1 : 0;
+            around[TOUCH_EAST] = a && b + 1 < row ? own - row + 1 : 0;
             memset(&choice, 0, sizeof choice);
 #ifdef TOUCH_WRITES
-            if (TOUCH_IS_WRITING(&h->coder)) touch_choose_column(h, a, b, near, own, &choice);
+            if (TOUCH_IS_WRITING(&columns->coder)) touch_choose_column(columns, a, b, around, own, &choice);
 #endif
-            touch_code_column(h, near, own, &choice);
+            touch_code_column(columns, around, own, &choice);
         }
-        touch_check(&h->coder, error);
+        touch_check(&columns->coder, error);
         if (error->code) return 0;
     }
     return 1;
 }
 
 /* How much of the force deep inside a surface there is at sample t, 0 to 65536. */
-static int64_t touch_ramp(const touch_columns *h, const touch_surface *s, int64_t t) {
-    int64_t slope = touch_max((h->ramp * s->normal[2]) >> 14, 16);
-    return touch_clip(((256 * t - s->number[TOUCH_START]) * slope) >> 8, 0, 65536);
+static int64_t touch_ramp(const touch_columns *columns, const touch_surface *s, int64_t t) {
+    int64_t slope = touch_max((columns->ramp * s->normal[2]) >> TOUCH_ONE_BITS, TOUCH_MIN_RAMP);
+    return touch_clip(((TOUCH_SAMPLE * t - s->number[TOUCH_START]) * slope) >> 8, 0, TOUCH_FULL_RAMP);
 }
 
 /* The forces of a column, laid into the bricks of the base layer. */
-static void touch_fill_column(const touch_columns *h, const touch_column *own, int64_t a, int64_t b,
+static void touch_fill_column(const touch_columns *columns, const touch_column *own, int64_t a, int64_t b,
                               const touch_map *map, touch_units *out) {
-    const touch_view *view = &h->view;
+    const touch_column_box *box = &columns->box;
     int64_t at[3], deep[2][3], slot = -1;
-    at[view->axis] = 0, at[view->across[0]] = 8 * view->tile[0] + a, at[view->across[1]] = 8 * view->tile[1] + b;
+    at[box->axis] = 0, at[box->across[0]] = 8 * box->tile[0] + a, at[box->across[1]] = 8 * box->tile[1] + b;
     for (int s = 0; s < own->count; s++)
         for (int n = 0; n < 3; n++)
-            deep[s][n] = ((int64_t)own->surface[s].number[TOUCH_AMPLITUDE] * own->surface[s].normal[n] + 8192) >> 14;
-    for (int64_t i = 0; i < view->depth; i++) {
-        int64_t sum[3] = {32768, 32768, 32768}, t = view->is_inverted ? view->depth - 1 - i : i;
-        at[view->axis] = i;
+            deep[s][n] = touch_round_one((int64_t)own->surface[s].number[TOUCH_AMPLITUDE] * own->surface[s].normal[n]);
+    for (int64_t i = 0; i < box->depth; i++) {
+        int64_t half = TOUCH_FULL_RAMP / 2, sum[3] = {half, half, half}, t = box->is_inverted ? box->depth - 1 - i : i;
+        at[box->axis] = i;
         if (!(i & 7)) slot = touch_map_get(map, touch_key(at[0] >> 3, at[1] >> 3, at[2] >> 3));
         if (slot < 0) continue;
         for (int s = 0; s < own->count; s++) {
-            int64_t fraction = touch_ramp(h, own->surface + s, t);
+            int64_t fraction = touch_ramp(columns, own->surface + s, t);
             for (int n = 0; n < 3; n++) sum[n] += fraction * deep[s][n];
         }
         touch_int_vector *v = out->v + 512 * slot + 64 * (at[0] & 7) + 8 * (at[1] & 7) + (at[2] & 7);
-        for (int n = 0; n < 3; n++) sum[n] = touch_limit(sum[n] >> 16);
-        v->v[view->across[0]] = (int32_t)sum[0], v->v[view->across[1]] = (int32_t)sum[1];
-        v->v[view->axis] = (int32_t)(view->is_inverted ? sum[2] : -sum[2]);
+        for (int n = 0; n < 3; n++) sum[n] = touch_clip_component(sum[n] >> 16);
+        v->v[box->across[0]] = (int32_t)sum[0], v->v[box->across[1]] = (int32_t)sum[1];
+        v->v[box->axis] = (int32_t)(box->is_inverted ? sum[2] : -sum[2]);
     }
 }
 
 /* For each tile, the first sample of a column with a force. */
-static int64_t *touch_tile_starts(const touch_columns *h, touch_arena *arena) {
-    const touch_view *v = &h->view;
+static int64_t *touch_tile_starts(const touch_columns *columns, touch_arena *arena) {
+    const touch_column_box *v = &columns->box;
     int64_t row = 8 * v->tiles[1], *start = (int64_t *)touch_take(arena, (uint64_t)(v->tiles[0] * v->tiles[1]), 8);
     if (!start) return 0;
     for (int64_t i = 0; i < v->tiles[0] * v->tiles[1]; i++) start[i] = v->depth;
     for (int64_t i = 0; i < 8 * v->tiles[0] * row; i++) {
         int64_t *first = start + (i / row >> 3) * v->tiles[1] + (i % row >> 3);
-        for (int n = 0; n < h->column[i].count; n++)
-            *first = touch_min(*first, (h->column[i].surface[n].number[TOUCH_START] >> 8) + 1);
+        for (int n = 0; n < columns->column[i].count; n++)
+            *first = touch_min(*first, (columns->column[i].surface[n].number[TOUCH_START] >> 8) + 1);
     }
     return start;
 }
 
 /* The bricks and forces of columns; more than `max` bricks are an error. */
-static int touch_fill_columns(const touch_columns *h, uint64_t max, touch_units *out, touch_arena *arena,
+static int touch_fill_columns(const touch_columns *columns, uint64_t max, touch_units *out, touch_arena *arena,
                               touch_cursor *error) {
-    const touch_view *v = &h->view;
-    int64_t *start = touch_tile_starts(h, arena), row = 8 * v->tiles[1];
+    const touch_column_box *v = &columns->box;
+    int64_t *start = touch_tile_starts(columns, arena), row = 8 * v->tiles[1];
     touch_map map;
     out->list.key = 0, out->list.count = 0;
     for (int is_written = 0; start && is_written < 2; is_written++) { /* counted, then written */
@@ -1622,13 +1831,31 @@ static int touch_fill_columns(const touch_columns *h, uint64_t max, touch_units 
     touch_sort(out->list.key, tag, out->list.count);
     for (uint64_t i = 0; i < out->list.count; i++) touch_map_put(&map, out->list.key[i], (uint32_t)i);
     for (int64_t i = 0; i < 8 * v->tiles[0] * row; i++)
-        if (h->column[i].count) touch_fill_column(h, h->column + i, i / row, i % row, &map, out);
+        if (columns->column[i].count) touch_fill_column(columns, columns->column + i, i / row, i % row, &map, out);
     return 1;
 }
 
 /* -- the exact mode (docs/format/touch-exact.md) --------------------------------------------------------------------- */
 
-enum { TOUCH_EXACT_TABLE = 1 << 18 };
+enum {
+    TOUCH_EXACT_TABLE = 1 << 18,     /* contexts, found by a hash of the numbers that a symbol depends on */
+    TOUCH_HASH_MASK = (1 << 22) - 1, /* of a hash while it takes numbers */
+    TOUCH_ROWS = 14,                 /* samples around that a sample may be equal to; the last one is "not supported" */
+    TOUCH_LAST_ICO = 20,             /* codebooks: 1 to 20 are ico1 to ico20, */
+    TOUCH_LAST_OCTA = 25,            /* 21 to 25 octa1 to octa5 */
+    TOUCH_MAX_VERTICES = 4098,
+    TOUCH_MAX_POINTS = 24576 /* of a codebook, with those that are found several times */
+};
+
+/* What a context is of: first numbers of its hash. `_PLANE` is followed by the number of the plane. */
+enum {
+    TOUCH_HASH_EQUAL = 0,           /* 1 to 14: is the sample equal to that row? by which rows are equal to it */
+    TOUCH_HASH_EQUAL_NEAR = 16,     /* the same, by the first five rows, and those equal to row 2 */
+    TOUCH_HASH_SPATIAL_PLANE = 32,  /* a bit of a symbol, by the distance from an estimate in space, */
+    TOUCH_HASH_TEMPORAL_PLANE = 36, /* in time, */
+    TOUCH_HASH_LEFT_PLANE = 40,     /* by the symbol to the left, */
+    TOUCH_HASH_LAST_PLANE = 44      /* by the symbol of the plane before, and the deep one */
+};
 
 typedef struct { /* a sample: its level and vertex, or its components in the order of floats */
     uint32_t symbol[3];
@@ -1651,7 +1878,8 @@ typedef struct {
         touch_context hashed[TOUCH_EXACT_TABLE];
     } context;
     struct {
-        int64_t plane[3][32][4], copy[15][4]; /* of each bit of a symbol; of a sample that is equal to a row */
+        int64_t plane[3][32][4];            /* of each bit of a symbol */
+        int64_t equal[TOUCH_ROWS + 1][4]; /* of whether a sample is equal to a row */
     } weight;
 } touch_exact_models;
 
@@ -1660,7 +1888,9 @@ static void touch_exact_fresh(touch_exact_models *m) {
     TOUCH_FRESH(m->context, m->weight);
 }
 
-typedef struct {
+#define TOUCH_POINT_SCALE 1099511627776.0 /* 2^40: points nearer to each other than 2^-40 are the same */
+
+typedef struct { /* a unit vector in 2^-40 */
     int64_t p[3];
 } touch_point;
 
@@ -1688,7 +1918,7 @@ static void touch_unit(double v[3]) {
 }
 
 static void touch_add_point(touch_point *p, uint64_t *count, const double v[3]) {
-    for (int n = 0; n < 3; n++) p[*count].p[n] = (int64_t)floor(v[n] * 1099511627776.0 + 0.5);
+    for (int n = 0; n < 3; n++) p[*count].p[n] = (int64_t)floor(v[n] * TOUCH_POINT_SCALE + 0.5);
     (*count)++;
 }
 
@@ -1713,17 +1943,17 @@ static void touch_split(touch_point *p, uint64_t *count, const double t[3][3], i
    in 2^-40. */
 static const float *touch_codebook(int book, uint32_t *vertices, const touch_point **points, touch_arena *arena) {
     uint64_t count = 0, unique = 0;
-    touch_point *p = (touch_point *)touch_take(arena, 24576, sizeof *p);
-    float *out = (float *)touch_take(arena, 3 * 4098, 4);
+    touch_point *p = (touch_point *)touch_take(arena, TOUCH_MAX_POINTS, sizeof *p);
+    float *out = (float *)touch_take(arena, 3 * TOUCH_MAX_VERTICES, 4);
     if (!p || !out) return 0;
-    if (book > 20) {
+    if (book > TOUCH_LAST_ICO) {
         for (int n = 0; n < 8; n++) {
             double t[3][3] = {{0}};
             t[0][0] = n & 4 ? -1 : 1, t[1][1] = n & 2 ? -1 : 1, t[2][2] = n & 1 ? -1 : 1;
-            touch_split(p, &count, (const double(*)[3])t, book - 20);
+            touch_split(p, &count, (const double(*)[3])t, book - TOUCH_LAST_ICO);
         }
     } else {
-        double corner[12][3], weight[21], golden = (1 + sqrt(5.0)) / 2;
+        double corner[12][3], weight[TOUCH_LAST_ICO + 1], golden = (1 + sqrt(5.0)) / 2;
         for (int n = 0; n < 12; n++) {
             int axis = n / 4;
             corner[n][axis] = 0, corner[n][(axis + 1) % 3] = n & 2 ? -1 : 1;
@@ -1757,7 +1987,7 @@ static const float *touch_codebook(int book, uint32_t *vertices, const touch_poi
     for (uint64_t i = 0; i < count; i++)
         if (!i || touch_point_less(p + unique - 1, p + i)) {
             p[unique] = p[i];
-            for (int n = 0; n < 3; n++) out[3 * unique + (uint64_t)n] = (float)((double)p[i].p[n] / 1099511627776.0);
+            for (int n = 0; n < 3; n++) out[3 * unique + (uint64_t)n] = (float)((double)p[i].p[n] / TOUCH_POINT_SCALE);
             unique++;
         }
     *vertices = (uint32_t)unique, *points = p;
@@ -1780,8 +2010,8 @@ static float touch_level_at(const touch_exact *f, uint32_t n) {
 }
 
 static uint32_t touch_hash_value(uint32_t h, int64_t value) {
-    int64_t t = (int64_t)(((int64_t)h ^ value) & 4194303) * 0x2f0b4c47 + value;
-    return (uint32_t)((t ^ (t >> 19)) & 4194303);
+    int64_t t = (int64_t)(((int64_t)h ^ value) & TOUCH_HASH_MASK) * 0x2f0b4c47 + value;
+    return (uint32_t)((t ^ (t >> 19)) & TOUCH_HASH_MASK);
 }
 
 /* The context of a hash of up to four numbers. */
@@ -1792,31 +2022,33 @@ static touch_context *touch_hashed(touch_exact_models *m, uint32_t h, int64_t a,
     return m->context.hashed + (h & (TOUCH_EXACT_TABLE - 1));
 }
 
-/* By how far the symbol lies from an estimate, as far as its bits are known. */
-static touch_context *touch_hashed_near(touch_exact_models *m, uint32_t kind, int64_t estimate, int64_t node, int left) {
-    int64_t ahead = touch_clip(node - (estimate >> (left + 1)), -2, 2);
-    return touch_hashed(m, kind, ((ahead + 2) * 8 + (((estimate * 4) >> left) & 7)) * 32 + left, 0, 0, 1);
+/* The context of a bit of a symbol by an estimate: how far the bits so far (`prefix`) lie from those of the estimate, the
+   next three bits of the estimate, and how many bits remain after this one. */
+static touch_context *touch_hashed_near(touch_exact_models *m, uint32_t kind, int64_t estimate, int64_t prefix,
+                                        int remaining) {
+    int64_t distance = touch_clip(prefix - (estimate >> (remaining + 1)), -2, 2);
+    return touch_hashed(m, kind, ((distance + 2) * 8 + (((estimate * 4) >> remaining) & 7)) * 32 + remaining, 0, 0, 1);
 }
 
 /* The symbol of plane p by those of rows 1 to 5, -1 where there is none; bit by bit from the highest. Mixed from an
    estimate in space (the plane through three neighbours), one in time, and what followed the same symbols before. */
 static int64_t touch_code_symbol(touch_coder *b, touch_exact_models *m, int p, uint64_t size, const int64_t row[5],
                                  int64_t last, int64_t target) {
-    int64_t previous = row[0], left = row[1], up = row[2], deep = row[3], diagonal = row[4], node = 0;
+    int64_t previous = row[0], left = row[1], up = row[2], deep = row[3], diagonal = row[4], prefix = 0;
     int width = touch_bit_length(size - 1);
     int64_t spatial = left >= 0 ? left : up >= 0 ? up : deep >= 0 ? deep : previous >= 0 ? previous : 0;
     if (left >= 0 && up >= 0 && diagonal >= 0) spatial = touch_clip(left + up - diagonal, 0, (int64_t)size - 1);
     int64_t temporal = previous >= 0 ? previous : spatial;
     for (int remaining = width - 1; remaining >= 0; remaining--) {
         touch_context *c[4];
-        int64_t n = 32 * node + remaining;
-        c[0] = touch_hashed_near(m, 32u + (uint32_t)p, spatial, node, remaining);
-        c[1] = touch_hashed_near(m, 36u + (uint32_t)p, temporal, node, remaining);
-        c[2] = touch_hashed(m, 40u + (uint32_t)p, left, n, 0, 2);
-        c[3] = touch_hashed(m, 44u + (uint32_t)p, last, deep, n, 3);
-        node = 2 * node + touch_mix(b, c, m->weight.plane[p][width - 1 - remaining], 4, (int)(target >> remaining & 1));
+        int64_t n = 32 * prefix + remaining;
+        c[0] = touch_hashed_near(m, TOUCH_HASH_SPATIAL_PLANE + (uint32_t)p, spatial, prefix, remaining);
+        c[1] = touch_hashed_near(m, TOUCH_HASH_TEMPORAL_PLANE + (uint32_t)p, temporal, prefix, remaining);
+        c[2] = touch_hashed(m, TOUCH_HASH_LEFT_PLANE + (uint32_t)p, left, n, 0, 2);
+        c[3] = touch_hashed(m, TOUCH_HASH_LAST_PLANE + (uint32_t)p, last, deep, n, 3);
+        prefix = 2 * prefix + touch_mix(b, c, m->weight.plane[p][width - 1 - remaining], 4, (int)(target >> remaining & 1));
     }
-    return node;
+    return prefix;
 }
 
 static int touch_is_same(const touch_symbols *a, const touch_symbols *b, int planes) {
@@ -1826,22 +2058,23 @@ static int touch_is_same(const touch_symbols *a, const touch_symbols *b, int pla
     return 1;
 }
 
-/* A sample by the rows 1 to 14 (here from 0): is it equal to one of them (14: not supported), else its symbols. A writer
+/* A sample by the rows 1 to 14 (here from 0): is it equal to row 14 (not supported), 1, 2, 3 or 4, else its symbols. A writer
    passes it, a reader gets it. */
-static touch_symbols touch_code_sample(touch_coder *b, touch_exact_models *m, const touch_symbols row[14], int planes,
+static touch_symbols touch_code_sample(touch_coder *b, touch_exact_models *m, const touch_symbols row[TOUCH_ROWS], int planes,
                                        const uint64_t size[3], touch_symbols own, touch_cursor *error) {
-    static const int order[5] = {14, 1, 2, 3, 4};
-    uint32_t same[15], c;
+    static const int order[5] = {TOUCH_ROWS, 1, 2, 3, 4};
+    uint32_t same[TOUCH_ROWS + 1], c;
     for (int n = 0; n < 5; n++) {
         c = (uint32_t)order[n], same[c] = 0;
-        for (int k = 0; k < 14; k++) same[c] |= (uint32_t)touch_is_same(row + k, row + c - 1, planes) << k;
+        for (int k = 0; k < TOUCH_ROWS; k++) same[c] |= (uint32_t)touch_is_same(row + k, row + c - 1, planes) << k;
     }
     for (int n = 0; n < 5; n++) {
         c = (uint32_t)order[n];
-        if (c != 14 && (!row[c - 1].is_supported || same[c] & ((1u << (c - 1)) - 1))) continue;
-        int is_equal = touch_mix2(b, touch_hashed(m, c, same[c], 0, 0, 1), touch_hashed(m, 16 + c, same[c] & 31, same[2], 0, 2),
-                                  m->weight.copy[c], TOUCH_CHOOSE(b, touch_is_same(&own, row + c - 1, planes)));
-        TOUCH_ACCOUNT(b, c != 14);
+        if (c != TOUCH_ROWS && (!row[c - 1].is_supported || same[c] & ((1u << (c - 1)) - 1))) continue;
+        int is_equal = touch_mix2(b, touch_hashed(m, TOUCH_HASH_EQUAL + c, same[c], 0, 0, 1),
+                                  touch_hashed(m, TOUCH_HASH_EQUAL_NEAR + c, same[c] & 31, same[2], 0, 2),
+                                  m->weight.equal[c], TOUCH_CHOOSE(b, touch_is_same(&own, row + c - 1, planes)));
+        TOUCH_ACCOUNT(b, c == TOUCH_ROWS ? TOUCH_BITS_SUPPORT : TOUCH_BITS_AMPLITUDE);
         if (is_equal) return row[c - 1];
     }
     own.is_supported = 1;
@@ -1852,7 +2085,7 @@ static touch_symbols touch_code_sample(touch_coder *b, touch_exact_models *m, co
                                            TOUCH_CHOOSE(b, (int64_t)own.symbol[p]));
         touch_need_coded(b, error, symbol < (int64_t)size[p], "a symbol that there is not");
         own.symbol[p] = (uint32_t)symbol;
-        TOUCH_ACCOUNT(b, p ? 2 : 1);
+        TOUCH_ACCOUNT(b, p ? TOUCH_BITS_DIRECTION : TOUCH_BITS_AMPLITUDE);
         if (error->code) return own;
     }
     return own;
@@ -1869,11 +2102,11 @@ typedef struct { /* a pass over an exact frame */
 
 /* The rows of a sample: itself in the frame before, then those coded before it around it. */
 static void touch_exact_rows(const touch_exact_pass *p, const touch_exact *f, const int32_t brick[3], uint64_t slot,
-                             int64_t slot_before, int sample, touch_symbols row[14]) {
-    static const int8_t side[12][3] = {{0, 0, -1}, {0, -1, 0}, {-1, 0, 0}, {0, -1, -1}, {-1, 0, -1}, {-1, -1, 0},
+                             int64_t slot_before, int sample, touch_symbols row[TOUCH_ROWS]) {
+    static const int8_t step[12][3] = {{0, 0, -1}, {0, -1, 0}, {-1, 0, 0}, {0, -1, -1}, {-1, 0, -1}, {-1, -1, 0},
                                        {0, -1, 1}, {-1, 1, 0}, {-1, 0, 1}, {0, 0, -2}, {0, -2, 0}, {-2, 0, 0}};
     const int x = sample >> 6, y = sample >> 3 & 7, z = sample & 7;
-    memset(row, 0, 14 * sizeof *row);
+    memset(row, 0, TOUCH_ROWS * sizeof *row);
     if (slot_before >= 0) {
         uint64_t at = 512 * (uint64_t)slot_before + (uint64_t)sample;
         row[0] = p->before->own[at];
@@ -1881,7 +2114,7 @@ static void touch_exact_rows(const touch_exact_pass *p, const touch_exact *f, co
             for (int n = 0; n < 3; n++) row[0].symbol[n] = touch_ordered(p->before->force[3 * at + (uint64_t)n]);
     }
     for (int n = 0; n < 12; n++) {
-        int i = x + side[n][0], j = y + side[n][1], k = z + side[n][2];
+        int i = x + step[n][0], j = y + step[n][1], k = z + step[n][2];
         int64_t there = (int64_t)slot;
         if (i & ~7 || j & ~7 || k & ~7)
             there = touch_map_get(&p->map, touch_key(brick[0] + (i >> 3), brick[1] + (j >> 3), brick[2] + (k >> 3)));
@@ -1909,11 +2142,11 @@ static void touch_code_exact_brick(touch_exact_pass *p, touch_exact *f, uint64_t
     touch_position(f->list.key[slot], at), touch_brick_samples(p->grid, at, high);
     int64_t slot_before = p->before ? touch_map_get(&p->map_before, f->list.key[slot]) : -1;
     for (int n = 0; n < 512; n++) {
-        touch_symbols row[14], *own = f->own + 512 * slot + (uint64_t)n;
+        touch_symbols row[TOUCH_ROWS], *own = f->own + 512 * slot + (uint64_t)n;
         if (n >> 6 >= high[0] || (n >> 3 & 7) >= high[1] || (n & 7) >= high[2]) continue;
         touch_exact_rows(p, f, at, slot, slot_before, n, row);
         *own = touch_code_sample(p->coder, p->models, row, f->book ? 2 : 3, p->size,
-                                 TOUCH_IS_WRITING(p->coder) ? *own : row[13], error);
+                                 TOUCH_IS_WRITING(p->coder) ? *own : row[TOUCH_ROWS - 1], error);
         if (error->code) return;
         if (!own->is_supported) continue;
         any = 1;
@@ -1941,6 +2174,8 @@ static int touch_code_samples(touch_exact_pass *p, touch_exact *f, touch_arena *
 }
 
 /* -- supports and whole numbers (docs/format/bits.md) ---------------------------------------------------------------- */
+
+enum { TOUCH_SET_WINDOW = 12, TOUCH_SET_WINDOW_SAMPLES = 12 * 12 * 12 }; /* a brick, and two samples around it */
 
 typedef struct { /* samples of bricks that are set, a byte each */
     touch_list list;
@@ -1982,8 +2217,11 @@ static int touch_set_of(const touch_grid *grid, const touch_samples *samples, to
     return 1;
 }
 
+static int touch_set_index(int x, int y, int z) { return (x * TOUCH_SET_WINDOW + y) * TOUCH_SET_WINDOW + z; }
+
 /* Samples of a support in and around a brick: 12 x 12 x 12, the first of the brick at (2, 2, 2). */
-static void touch_fill_window(uint8_t window[1728], const touch_set *set, const touch_map *map, const int32_t at[3]) {
+static void touch_fill_window(uint8_t window[TOUCH_SET_WINDOW_SAMPLES], const touch_set *set, const touch_map *map,
+                              const int32_t at[3]) {
     static const int first[3] = {6, 0, 0}, begin[3] = {0, 2, 10}, length[3] = {2, 8, 2};
     for (int n = 0; n < 27; n++) {
         int part[3];
@@ -1993,7 +2231,7 @@ static void touch_fill_window(uint8_t window[1728], const touch_set *set, const 
         const uint8_t *from = slot < 0 ? 0 : set->is_set + 512 * slot;
         for (int x = 0; x < length[part[0]]; x++)
             for (int y = 0; y < length[part[1]]; y++) {
-                uint8_t *to = window + ((begin[part[0]] + x) * 12 + begin[part[1]] + y) * 12 + begin[part[2]];
+                uint8_t *to = window + touch_set_index(begin[part[0]] + x, begin[part[1]] + y, begin[part[2]]);
                 int row = (first[part[0]] + x) * 64 + (first[part[1]] + y) * 8 + first[part[2]];
                 if (from) memcpy(to, from + row, (size_t)length[part[2]]);
                 else memset(to, 0, (size_t)length[part[2]]);
@@ -2003,19 +2241,20 @@ static void touch_fill_window(uint8_t window[1728], const touch_set *set, const 
 
 typedef struct { /* what a brick of a support is coded by: samples around it, of the support so far and the one before */
     touch_map map, map_before;
-    uint8_t window[1728], before[1728];
+    uint8_t window[TOUCH_SET_WINDOW_SAMPLES], before[TOUCH_SET_WINDOW_SAMPLES];
 } touch_set_pass;
 
 /* The samples of a brick of a support. Whether any is set. */
 static int touch_code_set_brick(touch_coder *b, touch_set_models *m, touch_set_pass *p, uint8_t is_set[512],
                                 const int high[3]) {
-    static const int near_steps[12] = {-144, -12, -1, -143, -13, -11, -156, -288, -24, -132, -131, -2};
-    static const int before_steps[7] = {0, -1, 1, -12, 12, -144, 144};
+    enum { X = TOUCH_SET_WINDOW * TOUCH_SET_WINDOW, Y = TOUCH_SET_WINDOW, Z = 1 }; /* from sample to sample of the window */
+    static const int near_steps[12] = {-X, -Y, -Z, -X + Z, -Y - Z, -Y + Z, -X - Y, -2 * X, -2 * Y, -X + Y, -X + Y + Z, -2 * Z};
+    static const int before_steps[7] = {0, -Z, Z, -Y, Y, -X, X};
     int any = 0;
     for (int x = 0; x < high[0]; x++)
         for (int y = 0; y < high[1]; y++)
             for (int z = 0; z < high[2]; z++) {
-                uint8_t *window = p->window + ((x + 2) * 12 + y + 2) * 12 + z + 2, *own = is_set + 64 * x + 8 * y + z;
+                uint8_t *window = p->window + touch_set_index(x + 2, y + 2, z + 2), *own = is_set + 64 * x + 8 * y + z;
                 const uint8_t *before = p->before + (window - p->window);
                 uint32_t near = 0, was = 0;
                 for (int n = 0; n < 12; n++) near |= (uint32_t)window[near_steps[n]] << n;
@@ -2055,14 +2294,25 @@ static int touch_code_set(touch_coder *b, touch_set_models *m, const touch_grid 
     return !error->code;
 }
 
+enum {
+    TOUCH_NUMBER_BITS = 32,       /* bits of a number with contexts: significance, sign, 14 of the length, 16 second digits */
+    TOUCH_SECOND_DIGITS = 16,     /* the first of the latter */
+    TOUCH_MAX_LENGTH_BIT = 14,    /* longer numbers share the last of the length's contexts, */
+    TOUCH_MAX_SECOND_DIGIT = 15,  /* and of the second digit's */
+    TOUCH_MAX_NUMBER_LENGTH = 62, /* binary digits */
+    TOUCH_SMALL = 2,              /* numbers before count up to here, */
+    TOUCH_LAST_DIGITS = 10,       /* or by their binary digits: the last one up to 10, */
+    TOUCH_BEFORE_DIGITS = 3       /* the one before up to 3 */
+};
+
 typedef struct { /* a list of whole numbers */
     struct {
-        touch_context plain[32];
-        touch_context recent[125][32]; /* the three numbers before, each limited to -2 to 2 */
-        touch_context sizes[147][32];  /* signs and binary digits of the last two */
+        touch_context plain[TOUCH_NUMBER_BITS];
+        touch_context recent[5 * 5 * 5][TOUCH_NUMBER_BITS]; /* the three numbers before, each limited to -2 to 2 */
+        touch_context sizes[21 * 7][TOUCH_NUMBER_BITS];     /* signs and binary digits of the last two */
     } context;
     struct {
-        int64_t bit[32][3];
+        int64_t bit[TOUCH_NUMBER_BITS][3];
     } weight;
     int64_t last[3];
 } touch_numbers;
@@ -2077,24 +2327,26 @@ static int64_t touch_signed_digits(int64_t r, int max) { /* binary digits with t
     return r < 0 ? max - d : max + d;
 }
 
-static int touch_number_bit(touch_coder *b, touch_numbers *t, int64_t recent, int64_t sizes, int j, int bit) {
-    return touch_mix3(b, t->context.plain + j, t->context.recent[recent] + j, t->context.sizes[sizes] + j,
-                      t->weight.bit[j], bit);
+static int touch_number_bit(touch_coder *b, touch_numbers *t, int64_t recent, int64_t sizes, int index, int bit) {
+    return touch_mix3(b, t->context.plain + index, t->context.recent[recent] + index, t->context.sizes[sizes] + index,
+                      t->weight.bit[index], bit);
 }
 
 /* A number: is it zero, its sign, its binary digits one by one, the second digit, the others as they are. */
 static int64_t touch_code_number(touch_coder *b, touch_numbers *t, int64_t number) {
-    int64_t recent = 0, sizes = 7 * touch_signed_digits(t->last[0], 10) + touch_signed_digits(t->last[1], 3);
+    int64_t last_digits = touch_signed_digits(t->last[0], TOUCH_LAST_DIGITS), recent = 0;
+    int64_t sizes = 7 * last_digits + touch_signed_digits(t->last[1], TOUCH_BEFORE_DIGITS);
     int64_t target = touch_abs(number), size = 0;
-    for (int n = 0; n < 3; n++) recent = 5 * recent + touch_clip(t->last[n], -2, 2) + 2;
+    for (int n = 0; n < 3; n++) recent = 5 * recent + touch_clip_to(t->last[n], TOUCH_SMALL) + TOUCH_SMALL;
     if (touch_number_bit(b, t, recent, sizes, 0, number != 0)) {
         int is_negative = touch_number_bit(b, t, recent, sizes, 1, number < 0), length = 1;
-        while (touch_number_bit(b, t, recent, sizes, 1 + (length < 14 ? length : 14), target >> length > 0) && length < 62)
+        while (touch_number_bit(b, t, recent, sizes, 1 + (int)touch_min(length, TOUCH_MAX_LENGTH_BIT), target >> length > 0) &&
+               length < TOUCH_MAX_NUMBER_LENGTH)
             length++;
         size = 1;
         if (length > 1) {
-            int second = (int)(target >> (length - 2) & 1);
-            second = touch_number_bit(b, t, recent, sizes, 16 + (length < 15 ? length : 15), second);
+            int index = TOUCH_SECOND_DIGITS + (int)touch_min(length, TOUCH_MAX_SECOND_DIGIT);
+            int second = touch_number_bit(b, t, recent, sizes, index, (int)(target >> (length - 2) & 1));
             size = (int64_t)(2 | second) << (length - 2);
             size += touch_even(b, length - 2, target);
         }

@@ -193,15 +193,15 @@ int touch_write_start(touch_file_writer *writer, const touch_head *head, const t
     if (!touch_fits_fields(head)) return touch_write_report(writer, TOUCH_ARGUMENT, "a text that is too long, or too many");
     touch_sink s = touch_file_sink(writer);
     touch_put(&s, opening, sizeof opening), touch_put_head(&s, head, options);
-    uint64_t story = s.size;
+    uint64_t after_head = s.size;
     if (head->pairs) touch_put_pairs(&s, head);
     if (s.size > s.capacity) return touch_write_report(writer, TOUCH_MEMORY, "no room for the head of a file");
-    touch_cursor c = touch_cursor_of(s.bytes + TOUCH_OPENING, story - TOUCH_OPENING);
+    touch_cursor c = touch_cursor_of(s.bytes + TOUCH_OPENING, after_head - TOUCH_OPENING);
     touch_record r = touch_read_record(&c, s.bytes, 0);
     touch_read_head(&read, &r.payload);
     if (!r.payload.code && head->pairs) {
-        c = touch_cursor_of(s.bytes + story, s.size - story), r = touch_read_record(&c, s.bytes, 0);
-        touch_read_story(&r.payload);
+        c = touch_cursor_of(s.bytes + after_head, s.size - after_head), r = touch_read_record(&c, s.bytes, 0);
+        touch_read_provenance(&r.payload);
     }
     if (r.payload.code) return touch_write_report(writer, TOUCH_ARGUMENT, r.payload.what);
     touch_commit(writer, &s);

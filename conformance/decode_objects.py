@@ -26,7 +26,7 @@ class Body:
     frame.
     """
 
-    told: dict[str, Any]
+    record: dict[str, Any]
     position_step_m: float
     turns_of_1: int
     forces_n: list[Array] = field(default_factory=list)
@@ -44,20 +44,20 @@ class Body:
 
     def add_fields(self, coded: bytes, count: int) -> None:
         """The frames of a segment of the field coder."""
-        shape, coder = self.told["grid_shape"], self.told["field_coder"]
-        frames = CODERS[coder](coded, self.told["field_parameters"], shape, count)
+        shape, coder = self.record["grid_shape"], self.record["field_coder"]
+        frames = CODERS[coder](coded, self.record["field_parameters"], shape, count)
         self.forces_n += [laid_out(bricks, shape) for bricks in frames]
 
 
 @dataclass
 class Scene:
-    """A decoded file; `worst` has (ratio, frame in the segment, voxel) of each segment, or None."""
+    """A decoded file; `max_errors` has (ratio, frame in the segment, voxel) of each segment, or None."""
 
     head: dict[str, Any]
     surface_damping: float
     place_tolerance_m: float
     bodies: list[Body]
-    worst: list[tuple[float, int, tuple[int, ...]] | None] = field(default_factory=list)
+    max_errors: list[tuple[float, int, tuple[int, ...]] | None] = field(default_factory=list)
 
     def forces_n(self, frame: int, points_m: Array) -> Array:
         """Forces at points [n, 3], float64 [n, 3]."""
@@ -86,37 +86,39 @@ def decode_scene(head: dict[str, Any], objects: list[dict[str, Any]], segments: 
     """All bodies of a file, of its HEAD and each OBJT as dicts of their fields."""
     need(len(head["coder_parameters"]) == 20, "the parameters of the coder objects")
     count, damping, tolerance_m = struct.unpack("<Idd", head["coder_parameters"])
-    need(count == len(objects), f"{len(objects)} OBJT where {count} are told")
+    need(count == len(objects), f"{len(objects)} OBJT where {count} are stated")
     need(0 <= damping < math.inf and 0 <= tolerance_m < math.inf, "the parameters of the coder objects")
     need(count * head["frame_count"] <= 1 << 24, "too many poses")
     scene = Scene(head, damping, tolerance_m, [])
-    for told in objects:
+    for record in objects:
         need(
-            told["field_coder"] in CODERS, f"the coder of fields {told['field_coder']!r}", UnsupportedVersion
+            record["field_coder"] in CODERS,
+            f"the coder of fields {record['field_coder']!r}",
+            UnsupportedVersion,
         )
-        CHECKS[told["field_coder"]](told["field_parameters"])
-        need(len(told["pose_steps"]) == 2, "the steps of the poses")
-        position, turn = struct.unpack("bb", told["pose_steps"])
+        CHECKS[record["field_coder"]](record["field_parameters"])
+        need(len(record["pose_steps"]) == 2, "the steps of the poses")
+        position, turn = struct.unpack("bb", record["pose_steps"])
         need(-40 <= position <= 0 and -30 <= turn <= -2, "the steps of the poses")
-        scene.bodies.append(body := Body(told, 2.0**position, 1 << -turn))
-        need(not (told["is_deforming"] and told["field"]), "a field of a body that deforms")
-        if not told["is_deforming"]:
-            body.add_fields(told["field"], 1)
+        scene.bodies.append(body := Body(record, 2.0**position, 1 << -turn))
+        need(not (record["is_deforming"] and record["field"]), "a field of a body that deforms")
+        if not record["is_deforming"]:
+            body.add_fields(record["field"], 1)
     for segment in segments:
         c = Cursor(segment.body)
-        scene.worst.append(worst_of(c, segment.frame_count))
-        chunks = [(c.chunk(), c.chunk() if body.told["is_deforming"] else b"") for body in scene.bodies]
+        scene.max_errors.append(max_error_of(c, segment.frame_count))
+        chunks = [(c.chunk(), c.chunk() if body.record["is_deforming"] else b"") for body in scene.bodies]
         c.end()
         for body, (poses, _) in zip(scene.bodies, chunks):
             body.numbers += list(pose_numbers(poses, segment.frame_count, body.turns_of_1))
         for body, (_, fields) in zip(scene.bodies, chunks):
-            if body.told["is_deforming"]:
+            if body.record["is_deforming"]:
                 body.add_fields(fields, segment.frame_count)
     return scene
 
 
-def worst_of(c: Cursor, frame_count: int) -> tuple[float, int, tuple[int, ...]] | None:
-    """The worst voxel of a segment."""
+def max_error_of(c: Cursor, frame_count: int) -> tuple[float, int, tuple[int, ...]] | None:
+    """The largest error of a segment."""
     ratio = c.varint(65537)
     return (
         ((ratio - 1) / 65535, c.varint(frame_count), tuple(c.varint(1 << 20) for _ in range(3)))
@@ -157,9 +159,9 @@ def rotation_of(quaternion: Array) -> Array:
 
 def interpolated(body: Body, frame: int, points_m: Array) -> Array:
     """The body's field at points of its own frame, float64 [n, 3]."""
-    forces = body.forces_n[frame if body.told["is_deforming"] else 0]
+    forces = body.forces_n[frame if body.record["is_deforming"] else 0]
     padded = np.pad(forces.astype(np.float64), [(1, 1), (1, 1), (1, 1), (0, 0)])
-    index = (points_m - body.told["origin_m"]) / body.told["spacing_m"] + 1
+    index = (points_m - body.record["origin_m"]) / body.record["spacing_m"] + 1
     low = np.floor(index).astype(np.int64)
     inside = ((low >= 0) & (low + 1 < np.array(padded.shape[:3]))).all(axis=1)
     out, low, fraction = np.zeros(points_m.shape), low[inside], (index - low)[inside]

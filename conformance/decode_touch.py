@@ -1,7 +1,7 @@
 """Decodes coder `touch` for the conformance decoder, step by step as docs/format/touch.md says, in plain
 Python and numpy. `decoder.py` calls it.
 
-`decode_touch_guess` decodes base layers and `decode_touch_exact` the frames of the exact mode.
+`decode_touch_base_layer` decodes base layers and `decode_touch_exact` the frames of the exact mode.
 """
 
 import math
@@ -10,13 +10,13 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
+import decode_touch_base_layer as base_layers
 import decode_touch_exact as exact_mode
-import decode_touch_guess as guesses
 import numpy as np
 from reading import Bricks, Cursor, Forces, Place, UnsupportedVersion, brick_of, in_bricks, need, samples_of
 from touch_bits import Models, bricks
-from touch_frame import Frame, Memory, Units
-from touch_residual import Lattice, borders
+from touch_frame import Frame, FrameModels, Units
+from touch_residual import StepTable, borders
 
 MASK = (0.001, 1 - 2**-53), (0, sys.float_info.max)  # bounds of k, F_0
 BOUNDS = (
@@ -25,7 +25,7 @@ BOUNDS = (
     ((5e-324, sys.float_info.max),),
     (),
 )  # of the numbers of each mode
-MASKING = (5e-324, 1), (1e-6, 1)  # bounds of its share and radius
+MASKING = (5e-324, 1), (1e-6, 1)  # bounds of its weight and radius
 
 
 def is_exact(parameters: bytes) -> bool:
@@ -46,92 +46,96 @@ def decode_segment(body: bytes, parameters: bytes, shape: Place, frame_count: in
     exact, c = is_exact(parameters), Cursor(body)
     flags = c.number("B")
     need(flags <= 1, f"flags of {flags}")
-    lattice = None if exact else read_lattice(c)
-    if flags:  # the worst voxel
+    steps = None if exact else read_steps(c)
+    if flags:  # the largest error
         c.number("H")
         for limit in (frame_count, *shape):
             c.varint(limit)
     frames = []
     for i in range(frame_count):
-        how, support, amplitude = c.numbers("3B")
-        need(how <= (1 if exact else 7) and support + amplitude <= 255, "the first bytes of a frame")
-        need(i or not how & 1, "a first frame that needs the one before")
+        frame_flags, support, amplitude = c.numbers("3B")
+        need(frame_flags <= (1 if exact else 7) and support + amplitude <= 255, "the first bytes of a frame")
+        need(i or not frame_flags & 1, "a first frame that needs the one before")
         chunks = [
             c.chunk(least) if is_there else None
-            for is_there, least in ((how & 2, 1), (True, 0), (how & 4, 1))
+            for is_there, least in ((frame_flags & 2, 1), (True, 0), (frame_flags & 4, 1))
         ]
-        frames.append((how & 1, *chunks))
+        frames.append((frame_flags & 1, *chunks))
     c.end()
-    known: Any = None
-    memory, previous = Memory(Models(), {}), Units([], {})
-    for inter, guess, payload, apart in frames:
-        if lattice is None:
-            known = exact_mode.decode_exact(payload, shape, known if inter else None)
-            yield in_bricks(known.forces)
+    exact_frame: Any = None
+    models, reference = FrameModels(Models(), {}), Units([], {})
+    for inter, base_layer, payload, outliers in frames:
+        if steps is None:
+            exact_frame = exact_mode.decode_exact(payload, shape, exact_frame if inter else None)
+            yield in_bricks(exact_frame.forces)
             continue
         if not inter:
-            memory, previous = Memory(Models(), {}), Units([], {})
-        if guess:
-            need(guess[0] <= 1, f"a guess of kind {guess[0]}")
-            previous = (guesses.spline, guesses.columns)[guess[0]](guess[1:], shape)
-        previous = decode_frame(payload, shape, lattice, previous, memory)
-        made = {at: v.astype(np.float32) * np.float32(lattice.unit_n) for at, v in previous.vectors.items()}
-        put_apart(made, apart or b"", shape)
-        yield in_bricks(made)
+            models, reference = FrameModels(Models(), {}), Units([], {})
+        if base_layer:
+            need(base_layer[0] <= 1, f"a base layer of kind {base_layer[0]}")
+            decode = (base_layers.spline, base_layers.columns)[base_layer[0]]
+            reference = decode(base_layer[1:], shape)
+        reference = decode_frame(payload, shape, steps, reference, models)
+        unit_n = np.float32(steps.unit_n)
+        forces_n = {at: vector.astype(np.float32) * unit_n for at, vector in reference.vectors.items()}
+        put_outliers(forces_n, outliers or b"", shape)
+        yield in_bricks(forces_n)
 
 
-def read_lattice(c: Cursor) -> Lattice:
+def read_steps(c: Cursor) -> StepTable:
     unit_n = c.number("f")
     need(2.0**-126 <= unit_n <= 2.0**104, f"a unit of {unit_n} N")
     floor, rate = c.varint(1 << 16, 1), c.varint(1 << 17)
     cross_floor, cross_rate = c.varint(1 << 16, 1), c.varint(1 << 17)
     need(floor >= 21 or rate >= 64, f"a floor of {floor} with a rate of {rate}")
-    return Lattice(unit_n, floor, rate, cross_floor, cross_rate, borders(floor, rate))
+    return StepTable(unit_n, floor, rate, cross_floor, cross_rate, borders(floor, rate))
 
 
-def decode_frame(payload: bytes, shape: Place, lattice: Lattice, reference: Units, memory: Memory) -> Units:
-    """A frame, by what both sides know before it; `memory` takes what it teaches."""
+def decode_frame(
+    payload: bytes, shape: Place, steps: StepTable, reference: Units, models: FrameModels
+) -> Units:
+    """A frame, given its reference; `models` learn from it."""
     c = Cursor(payload)
-    course = c.number("B")
-    need(course < 32 and course & 3 < 3, f"a course of {course}")
-    axes = [course & 3, *(n for n in range(3) if n != course & 3)]
-    down = [n for n in range(3) if course >> 2 + n & 1]
-    signs = np.array([-1 if n in down else 1 for n in range(3)], object)
+    scan_order = c.number("B")
+    need(scan_order < 32 and scan_order & 3 < 3, f"a scan order of {scan_order}")
+    axes = [scan_order & 3, *(n for n in range(3) if n != scan_order & 3)]
+    reversed_axes = [n for n in range(3) if scan_order >> 2 + n & 1]
+    signs = np.array([-1 if n in reversed_axes else 1 for n in range(3)], object)
     slope = [c.varint(1 << 17) for _ in range(3)]
-    frame, ends = Frame(c.rest(), memory, lattice, slope), [-(-n // 8) * 8 - 1 for n in shape]
+    frame, last = Frame(c.rest(), models, steps, slope), [-(-n // 8) * 8 - 1 for n in shape]
 
-    def turned(at: Place) -> Place:
+    def in_scan(at: Place) -> Place:
         """The place of a sample in the scan."""
-        return tuple(ends[a] - at[a] if n in down else at[a] for n, a in enumerate(axes))
+        return tuple(last[a] - at[a] if n in reversed_axes else at[a] for n, a in enumerate(axes))
 
-    def scanned(brick: Place) -> Place:
+    def brick_in_scan(brick: Place) -> Place:
         """The place of a brick in the scan."""
-        return brick_of(turned((8 * brick[0], 8 * brick[1], 8 * brick[2])))
+        return brick_of(in_scan((8 * brick[0], 8 * brick[1], 8 * brick[2])))
 
-    frame.known = set(map(scanned, reference.bricks))
-    frame.old = {turned(at): vector[axes] * signs for at, vector in reference.vectors.items()}
+    frame.listed = set(map(brick_in_scan, reference.bricks))
+    frame.reference = {in_scan(at): vector[axes] * signs for at, vector in reference.vectors.items()}
     out = Units(bricks(frame.bits, shape, reference.bricks), {})
-    for brick in sorted(out.bricks, key=scanned):
-        samples = sorted((turned(at), at) for at in samples_of(brick, shape))
-        frame.brick(scanned(brick), [place for place, _ in samples])
+    for brick in sorted(out.bricks, key=brick_in_scan):
+        samples = sorted((in_scan(at), at) for at in samples_of(brick, shape))
+        frame.brick(brick_in_scan(brick), [place for place, _ in samples])
         for place, at in samples:
-            if place in frame.cells and frame.cells[place].vector.any():
+            if place in frame.decoded and frame.decoded[place].vector.any():
                 out.vectors[at] = np.empty(3, object)
-                out.vectors[at][axes] = frame.cells[place].vector * signs
+                out.vectors[at][axes] = frame.decoded[place].vector * signs
     frame.bits.end(len(out.bricks))
     return out
 
 
-def put_apart(forces: Forces, data: bytes, shape: Place) -> None:
-    """Replace single forces by those that were sent as they are."""
-    c, key, place = Cursor(data), 0, -1
+def put_outliers(forces: Forces, data: bytes, shape: Place) -> None:
+    """Replace the forces of outliers."""
+    c, number, sample = Cursor(data), 0, -1
     count = [-(-n // 8) for n in shape]
     while c.at < len(data):
-        gap, coded = c.varint(math.prod(count) - key), c.varint(1024)
-        need(gap or coded >> 1 > place, "samples that do not ascend")
-        key, place = key + gap, coded >> 1
+        gap, coded = c.varint(math.prod(count) - number), c.varint(1024)
+        need(gap or coded >> 1 > sample, "samples that do not ascend")
+        number, sample = number + gap, coded >> 1
         force = np.zeros(3, np.float32) if coded & 1 else np.frombuffer(c.take(12), "<f4")
-        brick, step = np.unravel_index(key, count), (place >> 6, place >> 3 & 7, place & 7)
+        brick, step = np.unravel_index(number, count), (sample >> 6, sample >> 3 & 7, sample & 7)
         at = tuple(8 * int(b) + n for b, n in zip(brick, step))
         need(np.isfinite(force).all(), "a force that is not finite")
         need(all(n < m for n, m in zip(at, shape)), "a sample beyond the grid")

@@ -11,14 +11,14 @@ from reading import Array, Cursor, Forces, Place, TruncatedFile, moved, need, sa
 from touch_bits import Bits, Models, bricks
 
 CODEBOOKS = [f"ico{n}" for n in range(1, 21)] + [f"octa{n}" for n in range(1, 6)]
-BESIDE = [(0, 0, -1), (0, -1, 0), (-1, 0, 0), (0, -1, -1), (-1, 0, -1), (-1, -1, 0), (0, -1, 1), (-1, 1, 0),
+PLACES = [(0, 0, -1), (0, -1, 0), (-1, 0, 0), (0, -1, -1), (-1, 0, -1), (-1, -1, 0), (0, -1, 1), (-1, 1, 0),
           (-1, 0, 1), (0, 0, -2), (0, -2, 0), (-2, 0, 0)]  # fmt: skip
-NONE = 14
+NOT_SUPPORTED = 14
 
 Symbols = tuple[int, ...]
 
 
-class Known(NamedTuple):
+class ExactFrame(NamedTuple):
     """A frame: forces, bricks, codebook, levels and vertices, symbols by place, and the models as it left
     them.
     """
@@ -46,34 +46,41 @@ def context(h: int, *values: int) -> int:
     return h & 262143
 
 
-def about(kind: int, guess: int, node: int, left: int) -> int:
-    """The context by how far the bits so far are from a guess."""
-    ahead = min(max(node - (guess >> left + 1), -2), 2)
-    return context(kind, ((ahead + 2) * 8 + (guess << 2 >> left & 7)) * 32 + left)
+def about(kind: int, estimate: int, prefix: int, remaining: int) -> int:
+    """The context by how far the bits so far are from an estimate."""
+    distance = min(max(prefix - (estimate >> remaining + 1), -2), 2)
+    return context(kind, ((distance + 2) * 8 + (estimate << 2 >> remaining & 7)) * 32 + remaining)
 
 
 def symbol(bits: Bits, p: int, size: int, rows: list[int], last: int) -> int:
-    """Read a symbol of plane p, given those of the plane before the sample, and its own of plane p - 1."""
-    t, z, y, x, zy = rows
-    guess = next((n for n in (z, y, x, t) if n >= 0), 0)
-    if min(z, y, zy) >= 0:
-        guess = min(max(z + y - zy, 0), size - 1)
-    late, width, node = t if t >= 0 else guess, (size - 1).bit_length(), 0
-    above, beside = hashed(40 + p, z), hashed(hashed(44 + p, last), x)
-    for left in reversed(range(width)):
-        contexts = [about(32 + p, guess, node, left), about(36 + p, late, node, left)]
-        contexts += [hashed(h, node << 5 | left) & 262143 for h in (above, beside)]
-        node = 2 * node + bits.mix(contexts, 32 * p + width - 1 - left)
-    bits.need(node < size, "a symbol that there is not")
-    return node
+    """Decode a symbol of plane p, given those of rows 1 to 5 in it, and the sample's own of plane p - 1."""
+    previous, left, up, deep, diagonal = rows
+    spatial = next((n for n in (left, up, deep, previous) if n >= 0), 0)
+    if min(left, up, diagonal) >= 0:
+        spatial = min(max(left + up - diagonal, 0), size - 1)
+    temporal, width, prefix = previous if previous >= 0 else spatial, (size - 1).bit_length(), 0
+    by_left, by_last = hashed(40 + p, left), hashed(hashed(44 + p, last), deep)
+    for remaining in reversed(range(width)):
+        contexts = [
+            about(32 + p, spatial, prefix, remaining),
+            about(36 + p, temporal, prefix, remaining),
+            *(hashed(h, prefix << 5 | remaining) & 262143 for h in (by_left, by_last)),
+        ]
+        prefix = 2 * prefix + bits.mix(contexts, 32 * p + width - 1 - remaining)
+    bits.need(prefix < size, "a symbol that there is not")
+    return prefix
 
 
 def sample(bits: Bits, sizes: list[int], rows: list[Symbols]) -> Symbols:
-    """Read a sample, given the rows 1 to 14."""
-    same = {c: sum((row == rows[c - 1]) << n for n, row in enumerate(rows)) for c in (NONE, 1, 2, 3, 4)}
-    for c, alike in same.items():
-        new = c == NONE or (rows[c - 1] != rows[-1] and not alike & (1 << c - 1) - 1)
-        if new and bits.mix([context(c, alike), context(16 + c, alike & 31, same[2])], 96 + c):
+    """Decode a sample, given the rows 1 to 14."""
+    same = {
+        c: sum((row == rows[c - 1]) << n for n, row in enumerate(rows)) for c in (NOT_SUPPORTED, 1, 2, 3, 4)
+    }
+    for c, equal_rows in same.items():
+        is_candidate = c == NOT_SUPPORTED or (rows[c - 1] != rows[-1] and not equal_rows & (1 << c - 1) - 1)
+        if is_candidate and bits.mix(
+            [context(c, equal_rows), context(16 + c, equal_rows & 31, same[2])], 96 + c
+        ):
             return rows[c - 1]
     own: list[int] = []
     for p, size in enumerate(sizes):
@@ -98,7 +105,7 @@ def force_of(own: Symbols, levels: Array, vertices: Array) -> Array:
     return in_order((np.array(own) - (1 << 31)).astype(np.int32)).view(np.float32)
 
 
-def decode_exact(data: bytes, shape: Place, before: Known | None) -> Known:
+def decode_exact(data: bytes, shape: Place, before: ExactFrame | None) -> ExactFrame:
     """A frame of a grid of so many samples, to the bit."""
     c = Cursor(data)
     book, (levels, vertices) = c.number("B"), np.zeros((2, 0, 3), np.float32)
@@ -116,10 +123,10 @@ def decode_exact(data: bytes, shape: Place, before: Known | None) -> Known:
         known = {at: components(force) for at, force in before.forces.items()}
     absent, symbols, forces = (-1,) * len(sizes), dict[Place, Symbols](), Forces()
     listed = bricks(bits, shape, before.bricks if before else ())
-    need(4 * len(listed) <= bits.most, "more bricks than the bytes may tell", TruncatedFile)
+    need(4 * len(listed) <= bits.max_bricks, "more bricks than the bytes may list", TruncatedFile)
     for brick in listed:
         for at in samples_of(brick, shape):
-            rows = [known.get(at, absent), *(symbols.get(moved(at, step), absent) for step in BESIDE), absent]
+            rows = [known.get(at, absent), *(symbols.get(moved(at, step), absent) for step in PLACES), absent]
             own = sample(bits, sizes, rows)
             if own != absent:
                 symbols[at], forces[at] = own, force_of(own, levels, vertices)
@@ -127,4 +134,4 @@ def decode_exact(data: bytes, shape: Place, before: Known | None) -> Known:
                 bits.need(sound, "a force of zero, or one that is not finite")
         bits.need(any(at in forces for at in samples_of(brick, shape)), "a brick without force")
     bits.end(4 * len(listed))
-    return Known(forces, listed, book, levels, vertices, symbols, bits.models)
+    return ExactFrame(forces, listed, book, levels, vertices, symbols, bits.models)

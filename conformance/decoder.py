@@ -169,8 +169,8 @@ def read_segments(records: list[Record], frame_count: int) -> list[Segment]:
         if tag == "VIBR":
             vibration = payload
             continue
-        told = (*own, offset, len(payload) + 20, int.from_bytes(crc, "little"))
-        need(entries.numbers("IHQQI") == told, "an entry of INDX")
+        expected = (*own, offset, len(payload) + 20, int.from_bytes(crc, "little"))
+        need(entries.numbers("IHQQI") == expected, "an entry of INDX")
         need(vibration is None or vibration[:6] == payload[:6], "a VIBR of other frames than its segment")
         segments.append(Segment(own[1], payload[6:], vibration and vibration[6:]))
         first, vibration = first + own[1], None
@@ -189,14 +189,15 @@ def read_file(data: bytes) -> TouchFile:
     c = Cursor(records[0].payload, CorruptFile)
     head = read_fields(c, HEAD)
     c.end()
-    told = [r for r in records if r.tag == "OBJT"]
-    need((len(told) > 0) == (head["coder"] == "objects") and len(told) <= 4096, f"{len(told)} objects")
-    chain = zlib.crc32(data[:14] + b"".join(r.crc for r in (records[0], *told, records[-2])))
+    object_records = [r for r in records if r.tag == "OBJT"]
+    count = len(object_records)
+    need((count > 0) == (head["coder"] == "objects") and count <= 4096, f"{count} objects")
+    chain = zlib.crc32(data[:14] + b"".join(r.crc for r in (records[0], *object_records, records[-2])))
     end = struct.pack("<QQI", records[-2].offset, len(data), chain)
     need(records[0].offset == 14 and records[-1].payload == end, "HEAD or TEND does not fit to the file")
     for record in (r for r in records if r.tag == "PROV"):
         check_provenance(Cursor(record.payload, CorruptFile))
-    bodies = [Cursor(r.payload, CorruptFile) for r in told]
+    bodies = [Cursor(r.payload, CorruptFile) for r in object_records]
     objects = [{**read_fields(c, OBJECT), "field": c.rest()} for c in bodies]
     return TouchFile(head, objects, read_segments(records, head["frame_count"]))
 

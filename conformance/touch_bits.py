@@ -12,50 +12,50 @@ from operator import mul
 
 from reading import Place, TruncatedFile, moved, need
 
-REACH = 3071
+MAX_LOGIT = 3071
 
 
-def limited(p: int) -> int:
-    """A chance that leaves room for both bits."""
+def limited_probability(p: int) -> int:
+    """A probability at which both bits can be coded."""
     return max(4, min(p, 65532))
 
 
 def tables() -> tuple[list[int], list[int]]:
     """The logistic function from -12 to 12 in 1/256, and its inverse at the middle of each 1/4096."""
     power, half = 1 << 31, []
-    for _ in range(REACH + 1):
+    for _ in range(MAX_LOGIT + 1):
         whole = (1 << 31) + power
         half.append(((1 << 47) + (whole >> 1)) // whole)
         power = power * 2139111403 >> 31
     squash = [65536 - p for p in reversed(half[1:])] + half
-    return [limited(p) for p in squash], [bisect_left(squash, 16 * n + 8) - REACH for n in range(4096)]
+    return [limited_probability(p) for p in squash], [
+        bisect_left(squash, 16 * n + 8) - MAX_LOGIT for n in range(4096)
+    ]
 
 
 SQUASH, STRETCH = tables()
-RATES = [(1 << 20) // (2 * n + 3) for n in range(256)]  # of a chance that learnt n times
+RATES = [(1 << 20) // (2 * n + 3) for n in range(256)]  # of a context with count n
 
 
 class Models:
-    """Chances, of 2^22, with how often they learnt, and sets of weights;
-    there when they are first asked for.
-    """
+    """Contexts (a probability, in 1/2^22, and a count) and sets of weights; each is made at its first use."""
 
     def __init__(self) -> None:
-        self.chances = defaultdict[Hashable, list[int]](lambda: [1 << 21, 0])
+        self.probabilities = defaultdict[Hashable, list[int]](lambda: [1 << 21, 0])
         self.weights = dict[Hashable, list[int]]()
 
 
 class Bits:
-    """Bits of a code, behind whose end there are zeros."""
+    """Bits of a code; zeros follow its end."""
 
     def __init__(self, data: bytes, models: Models | None = None) -> None:
         self.data, self.place, self.range = data, 6, 1 << 48
         self.x = int.from_bytes(data[:6].ljust(6, b"\0"), "big")
         self.models = models or Models()
-        self.most = 64 + 16 * len(data)  # bricks that may be listed
+        self.max_bricks = 64 + 16 * len(data)  # bricks that may be listed
 
     def narrow(self, p: int) -> int:
-        """A bit that is 1 with chance p / 65536."""
+        """A bit that is 1 with probability p / 65536."""
         bound = (self.range >> 16) * p
         bit = int(self.x < bound)
         self.x, self.range = (self.x, bound) if bit else (self.x - bound, self.range - bound)
@@ -66,30 +66,30 @@ class Bits:
         return bit
 
     def learn(self, seen: list[list[int]], bit: int) -> None:
-        """Move chances towards a bit."""
+        """Move probabilities towards a bit."""
         for own in seen:
-            chance, times = own
-            own[0] = chance + ((bit * 4194303 - chance) * RATES[times] >> 19)
+            probability, times = own
+            own[0] = probability + ((bit * 4194303 - probability) * RATES[times] >> 19)
             if times < 255:
                 own[1] = times + 1
 
     def code(self, context: Hashable) -> int:
         """A bit by one context."""
-        own = self.models.chances[context]
-        bit = self.narrow(limited(own[0] >> 6))
+        own = self.models.probabilities[context]
+        bit = self.narrow(limited_probability(own[0] >> 6))
         self.learn([own], bit)
         return bit
 
     def mix(self, contexts: Sequence[Hashable], chosen: Hashable) -> int:
         """A bit by several contexts, mixed by a set of weights."""
-        chances, weights = (
-            self.models.chances,
+        probabilities, weights = (
+            self.models.probabilities,
             self.models.weights.setdefault(chosen, [14000] * len(contexts)),
         )
-        seen = [chances[context] for context in contexts]
+        seen = [probabilities[context] for context in contexts]
         logits = [STRETCH[own[0] >> 10] for own in seen]
         total = sum(map(mul, logits, weights)) >> 16
-        p = SQUASH[max(-REACH, min(total, REACH)) + REACH]
+        p = SQUASH[max(-MAX_LOGIT, min(total, MAX_LOGIT)) + MAX_LOGIT]
         bit = self.narrow(p)
         error = (bit << 16) - p
         for n, logit in enumerate(logits):
@@ -104,10 +104,10 @@ class Bits:
             out = out << 1 | self.narrow(32768)
         return out
 
-    def gamma(self, most: int) -> int:
-        """A number above 0 in Elias' gamma code, of `most` digits behind the first."""
+    def gamma(self, max_digits: int) -> int:
+        """A number above 0 in Elias' gamma code, of `max_digits` digits behind the first."""
         digits = 0
-        while digits < most and self.even(1):
+        while digits < max_digits and self.even(1):
             digits += 1
         return 1 << digits | self.even(digits)
 
@@ -127,8 +127,8 @@ class Bits:
         It lists `bricks` bricks, and has columns of `tiles` tiles.
         """
         self.check()
-        most = max(self.place, -(-(bricks - 64) // 16), tiles - 64)
-        need(len(self.data) <= most and not any(self.data[self.place :]), "bytes behind the code")
+        max_size = max(self.place, -(-(bricks - 64) // 16), tiles - 64)
+        need(len(self.data) <= max_size and not any(self.data[self.place :]), "bytes behind the code")
 
 
 # -- lists of bricks ---------------------------------------------------------------------------------------
@@ -137,11 +137,11 @@ FACES = [(-1, 0, 0), (0, -1, 0), (0, 0, -1), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
 EDGES = [(-1, -1, 0), (-1, 1, 0), (-1, 0, -1), (-1, 0, 1), (0, -1, -1), (0, -1, 1)]
 
 
-def marks(held: Collection[Place], at: Place, steps: Iterable[Place]) -> int:
-    """Which places beside one are held, the first the lowest bit."""
+def mask_of(places: Collection[Place], at: Place, steps: Iterable[Place]) -> int:
+    """Which places at some steps from `at` are among `places`, the first the lowest bit."""
     (x, y, z), out = at, 0
     for n, (i, j, k) in enumerate(steps):
-        if (x + i, y + j, z + k) in held:
+        if (x + i, y + j, z + k) in places:
             out |= 1 << n
     return out
 
@@ -155,15 +155,15 @@ def bricks(bits: Bits, shape: Place, before: Collection[Place] = ()) -> list[Pla
         family = {box: parent for box, parent in children if all(n <= m for n, m in zip(box, last))}
         left, found, state = Counter(family.values()), Counter[Place](), dict.fromkeys(family, 2)
         for box, parent in family.items():
-            old, places = box in known, [moved(box, step) for step in FACES]
+            is_known, places = box in known, [moved(box, step) for step in FACES]
             faces = [state.get(at, 0) for at in places]
             edges = faces[:3] + [state.get(moved(box, step), 0) for step in EDGES]
             changed = [near ^ (at in family and at in known) for near, at in zip(faces[:3], places)]
-            contexts = [("faces", *(0 if old else near for near in faces)), ("edges", *edges)]
-            contexts += [("changed", old, *changed), ("found", old, found[parent] > 0)]
+            contexts = [("faces", *(0 if is_known else near for near in faces)), ("edges", *edges)]
+            contexts += [("changed", is_known, *changed), ("found", is_known, found[parent] > 0)]
             left[parent] -= 1
-            state[box] = bits.mix(contexts, ("list", old)) if found[parent] or left[parent] else 1
+            state[box] = bits.mix(contexts, ("list", is_known)) if found[parent] or left[parent] else 1
             found[parent] += state[box]
         boxes = [box for box in family if state[box]]
-        bits.need(len(boxes) <= bits.most, "more bricks than the bytes may list")
+        bits.need(len(boxes) <= bits.max_bricks, "more bricks than the bytes may list")
     return boxes

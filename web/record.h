@@ -4,9 +4,9 @@
 #ifndef TOUCH_RECORD_H
 #define TOUCH_RECORD_H
 
-enum { RECORD_STORE_BYTES = 1 << 28, RECORD_STORY_BYTES = 1 << 19, RECORD_OUT_BYTES = 1 << 20 };
+enum { RECORD_STORE_BYTES = 1 << 28, RECORD_PROVENANCE_BYTES = 1 << 19, RECORD_OUT_BYTES = 1 << 20 };
 
-static uint8_t record_story[RECORD_STORY_BYTES]; /* the payload of PROV, from the page */
+static uint8_t record_provenance[RECORD_PROVENANCE_BYTES]; /* the payload of PROV, from the page */
 static touch_bytes record_tag[TOUCH_MAX_TAGS];
 static touch_pair record_pair[TOUCH_MAX_PAIRS];
 static touch_file_writer record_writer;
@@ -18,7 +18,48 @@ typedef struct { /* the largest frame of a range, and where its parts lie in mem
 } record_plan;
 
 static int record_fail(int code, const char *text) {
-    words = text;
+    message = text;
+    return code;
+}
+
+/* The provenance from the page. */
+static int record_provenance_of(touch_head *h) {
+    touch_cursor provenance = touch_cursor_of(record_provenance, sizeof record_provenance);
+    h->pairs = (uint32_t)touch_u(&provenance, 2), h->pair = record_pair;
+    for (uint32_t n = 0; n < h->pairs && n < TOUCH_MAX_PAIRS; n++)
+        record_pair[n].key = touch_text(&provenance, 1, 64, 0), record_pair[n].value = touch_text(&provenance, 0, 4096, 1);
+    return provenance.code ? record_fail(TOUCH_ARGUMENT, "a provenance that is too long") : TOUCH_OK;
+}
+
+/* Start a file at an address, behind all that is in use. */
+static int record_begin(touch_head *head, const touch_options *options, uint64_t out_at) {
+    int code = record_provenance_of(head);
+    if (code) return code;
+    if (!reach(out_at + RECORD_OUT_BYTES)) return record_fail(TOUCH_MEMORY, "not enough memory in the page");
+    code = touch_write_start(&record_writer, head, options, touch_arena_of((void *)(uintptr_t)out_at, RECORD_OUT_BYTES));
+    return code ? record_fail(code, record_writer.error) : TOUCH_OK;
+}
+
+/* Write frames as one segment; the file gets more memory as long as there is some. */
+static int record_put(const touch_source *frames, const touch_vibration_samples *vibration, uint32_t count, touch_arena work,
+                      uint64_t out_at) {
+    int code;
+    while ((code = touch_write_segment(&record_writer, frames, vibration, count, work)) == TOUCH_MEMORY) {
+        uint64_t size = 2 * record_writer.out.size;
+        if (!reach(out_at + size)) return record_fail(code, "not enough memory in the page");
+        touch_write_grow(&record_writer, (void *)(uintptr_t)out_at, size);
+    }
+    return code ? record_fail(code, record_writer.error) : TOUCH_OK;
+}
+
+/* Write what ends a file. */
+static int record_end(uint32_t count, uint64_t out_at) {
+    touch_bytes bytes;
+    uint64_t size = record_writer.out.size + 4096 + 26 * (uint64_t)count;
+    if (!reach(out_at + size)) return record_fail(TOUCH_MEMORY, "not enough memory in the page");
+    touch_write_grow(&record_writer, (void *)(uintptr_t)out_at, size);
+    int code = touch_write_finish(&record_writer, &bytes);
+    message = record_writer.error;
     return code;
 }
 
@@ -26,7 +67,7 @@ static int record_fail(int code, const char *text) {
 static int record_decode(uint32_t n) {
     int code;
     while ((code = decode(n, 0)) == TOUCH_MEMORY) {
-        each *= 2;
+        decoder_bytes *= 2;
         if ((code = lay()) != 0) return code;
     }
     return code;
@@ -56,9 +97,9 @@ static int record_scan(uint32_t from, uint32_t count, const touch_options *optio
     uint64_t work = touch_encode_room(&file.grid, options, p->bricks), part = 0;
     if (p->vibrating) part = touch_part_room(p->length * p->vibrating_bricks, 2 * p->length * p->vibrating, p->length);
     part += 64 * p->length * p->vibrating + 32768 * p->length * p->vibrating_bricks;
-    p->store_at = (place_of(4) + 15) & ~(uint64_t)15, p->work_at = p->store_at + p->length * own;
+    p->store_at = (address_of(4) + 15) & ~(uint64_t)15, p->work_at = p->store_at + p->length * own;
     p->out_at = (p->work_at + touch_larger(work, part) + 15) & ~(uint64_t)15;
-    return reach(p->out_at + RECORD_OUT_BYTES) ? TOUCH_OK : record_fail(TOUCH_MEMORY, "it needs more memory than the page takes");
+    return reach(p->out_at + RECORD_OUT_BYTES) ? TOUCH_OK : record_fail(TOUCH_MEMORY, "not enough memory in the page");
 }
 
 /* The bricks of a field in ascending order; those without a force are left out. */
@@ -74,7 +115,7 @@ static int record_field(const touch_field *f, touch_source *out, touch_arena *ar
         int any = 0;
         if (!f->table[2 * entry]) continue;
         for (int k = 0; k < 1536 && !any; k++) any = v[k] != 0;
-        surface_place(f, entry, at);
+        surface_position(f, entry, at);
         if (any) key[count] = touch_key(at[0], at[1], at[2]), tag[count++] = f->table[2 * entry + 1];
     }
     touch_sort(key, tag, count);
@@ -97,7 +138,7 @@ static int record_vibration(const touch_field *f, touch_vibration_samples *out, 
         int64_t at[3];
         uint32_t slot = f->table[2 * entry + 1];
         if (!f->table[2 * entry]) continue;
-        surface_place(f, entry, at);
+        surface_position(f, entry, at);
         for (uint32_t k = 0; k < 512; k++) {
             if (!(f->forces_n[3 * (512 * (uint64_t)slot + k)] > 0)) continue;
             key[n] = touch_key(8 * at[0] + (k >> 6), 8 * at[1] + (k >> 3 & 7), 8 * at[2] + (k & 7));
@@ -113,7 +154,7 @@ static int record_vibration(const touch_field *f, touch_vibration_samples *out, 
     return 1;
 }
 
-/* The next frames as one segment; the file gets more memory as long as there is some. */
+/* The next frames as one segment. */
 static int record_segment(uint32_t from, uint32_t count, const record_plan *p) {
     static touch_source frames[64];
     static touch_vibration_samples vibration[64];
@@ -122,22 +163,17 @@ static int record_segment(uint32_t from, uint32_t count, const record_plan *p) {
     int code;
     for (uint32_t n = 0; n < count; n++) {
         if ((code = record_decode(from + n)) != 0) return code;
-        if (place_of(4) > p->store_at || !record_field(frame[0].part[0].field, frames + n, &store) ||
+        if (address_of(4) > p->store_at || !record_field(frame[0].part[0].field, frames + n, &store) ||
             !record_vibration(frame[0].vibration, vibration + n, &store))
-            return record_fail(TOUCH_MEMORY, "no room for the frames of a segment");
+            return record_fail(TOUCH_MEMORY, "not enough memory for the frames of a segment");
     }
-    while ((code = touch_write_segment(&record_writer, frames, vibration, count, work)) == TOUCH_MEMORY) {
-        uint64_t size = 2 * record_writer.out.size;
-        if (!reach(p->out_at + size)) return record_fail(code, "it needs more memory than the page takes");
-        touch_write_grow(&record_writer, (void *)(uintptr_t)p->out_at, size);
-    }
-    return code ? record_fail(code, record_writer.error) : TOUCH_OK;
+    return record_put(frames, vibration, count, work, p->out_at);
 }
 
-/* What HEAD of the open file states, and the statements about its origin from the page. */
+/* What HEAD of the open file states. */
 static int record_head(uint32_t count, touch_head *h) {
     touch_cursor at = touch_cursor_of(file.data + TOUCH_OPENING, file.size - TOUCH_OPENING);
-    touch_cursor c = touch_read_record(&at, file.data, 0).payload, story = touch_cursor_of(record_story, sizeof record_story);
+    touch_cursor c = touch_read_record(&at, file.data, 0).payload;
     memset(h, 0, sizeof *h);
     h->grid = file.grid, h->rate_hz = file.rate_hz, h->frame_count = count, h->axes = file.axes;
     h->device_name = file.device_name, h->device_type = file.device_type, h->force_max_n = file.force_max_n;
@@ -146,39 +182,28 @@ static int record_head(uint32_t count, touch_head *h) {
     touch_skip(&c, 72), touch_text(&c, 0, 256, 0), touch_text(&c, 0, 256, 0), touch_skip(&c, 1 + 9 * 8);
     h->tags = (uint32_t)touch_u(&c, 2), h->tag = record_tag;
     for (uint32_t n = 0; n < h->tags && n < TOUCH_MAX_TAGS; n++) record_tag[n] = touch_text(&c, 0, 64, 0);
-    h->pairs = (uint32_t)touch_u(&story, 2), h->pair = record_pair;
-    for (uint32_t n = 0; n < h->pairs && n < TOUCH_MAX_PAIRS; n++)
-        record_pair[n].key = touch_text(&story, 1, 64, 0), record_pair[n].value = touch_text(&story, 0, 4096, 1);
-    return c.code || story.code ? record_fail(TOUCH_ARGUMENT, "a statement about its origin that is too long") : TOUCH_OK;
+    return c.code ? record_fail(TOUCH_ARGUMENT, "a head that is not readable") : TOUCH_OK;
 }
 
 /* Where the page writes the payload of PROV, before it calls `record`. */
-EXPORT(story) uint8_t *story(uint32_t size) { return size <= RECORD_STORY_BYTES ? record_story : 0; }
+EXPORT(provenance) uint8_t *provenance(uint32_t size) { return size <= RECORD_PROVENANCE_BYTES ? record_provenance : 0; }
 
 /* Write `count` frames from a first one with the bound max(F_0, k |F|): a code of touch.h. */
 EXPORT(record) int record(uint32_t from, uint32_t count, double k, double f0_n) {
     touch_options options = {TOUCH_MASK, 0, TOUCH_INTER_AUTO, 1, 1, 0, 0, 0, 0};
     touch_head head;
     record_plan plan;
-    touch_bytes bytes;
     int code;
     if (file.object_count || !touch_is(file.coder, "touch"))
         return record_fail(TOUCH_ARGUMENT, "the page saves files of coder touch only, and this one has the coder objects");
     if (!count || from >= file.frame_count || count > file.frame_count - from)
-        return record_fail(TOUCH_ARGUMENT, "frames that there are not");
+        return record_fail(TOUCH_ARGUMENT, "frames after the last one");
     options.k = k, options.f0_n = f0_n;
     if ((code = record_head(count, &head)) != 0 || (code = record_scan(from, count, &options, &plan)) != 0) return code;
-    code = touch_write_start(&record_writer, &head, &options, touch_arena_of((void *)(uintptr_t)plan.out_at, RECORD_OUT_BYTES));
-    if (code) return record_fail(code, record_writer.error);
+    code = record_begin(&head, &options, plan.out_at);
     for (uint32_t n = 0; n < count && !code; n += plan.length)
         code = record_segment(from + n, count - n < plan.length ? count - n : plan.length, &plan);
-    if (code) return code;
-    if (!reach(plan.out_at + record_writer.out.size + 4096 + 26 * (uint64_t)count))
-        return record_fail(TOUCH_MEMORY, "it needs more memory than the page takes");
-    touch_write_grow(&record_writer, (void *)(uintptr_t)plan.out_at, record_writer.out.size + 4096 + 26 * (uint64_t)count);
-    code = touch_write_finish(&record_writer, &bytes);
-    words = record_writer.error;
-    return code;
+    return code ? code : record_end(count, plan.out_at);
 }
 
 /* The file that is written: its address, its bytes, and its largest error as a fraction of the bound. */

@@ -24,7 +24,7 @@ typedef struct {
     int32_t cell[SURFACE_CELLS * SURFACE_CELLS * SURFACE_CELLS]; /* vertex of each; -1: none yet */
     surface_mesh *mesh;
     int is_written, takes_all;
-    uint64_t squares, kept;
+    uint64_t squares, outward;
 } surface_work;
 
 static const int surface_step[3] = {SURFACE_PAD * SURFACE_PAD, SURFACE_PAD, 1};
@@ -177,7 +177,7 @@ static void surface_edge(surface_work *w, int x, int y, int z, int axis) {
     if (is_in == (w->size[there] > w->threshold_n)) return;
     w->squares++;
     if (!w->takes_all && !surface_pushes(w, inside, axis, is_in ? 1 : -1)) return;
-    w->kept++;
+    w->outward++;
     for (n = 0; n < 4; n++) { /* cells about it, in turn */
         int q[3], b = (axis + 1) % 3, c = (axis + 2) % 3;
         q[0] = x + 1, q[1] = y + 1, q[2] = z + 1;
@@ -207,12 +207,12 @@ static void surface_of_brick(surface_work *w, const int64_t brick[3]) {
                 for (p[2] = axis == 2 ? low[2] : 0; p[2] < 8; p[2]++) surface_edge(w, p[0], p[1], p[2], axis);
 }
 
-static void surface_place(const touch_field *f, uint32_t entry, int64_t brick[3]) {
+static void surface_position(const touch_field *f, uint32_t entry, int64_t brick[3]) {
     uint32_t number = f->table[2 * entry] - 1, ny = (f->grid.shape[1] + 7) >> 3, nz = (f->grid.shape[2] + 7) >> 3;
     brick[0] = number / nz / ny, brick[1] = number / nz % ny, brick[2] = number % nz;
 }
 
-/* Count what there is, or, with memory, write it: `mesh` tells the counts then. */
+/* Count what there is, or, with memory, write it: `mesh` has the counts then. */
 static void surface_make(const touch_field *f, double threshold_n, double depth_m, uint8_t *memory, surface_mesh *mesh) {
     static surface_work w;
     surface_mesh counted = *mesh;
@@ -221,14 +221,14 @@ static void surface_make(const touch_field *f, double threshold_n, double depth_
     if (memory) mesh->vertex = (float *)memory, mesh->index = (uint32_t *)(mesh->vertex + 7 * (uint64_t)counted.vertices);
     else w.takes_all = 0;
     do {
-        mesh->vertices = mesh->indices = 0, w.squares = w.kept = 0;
+        mesh->vertices = mesh->indices = 0, w.squares = w.outward = 0;
         for (entry = 0; entry <= f->mask; entry++)
             if (f->table[2 * entry]) {
                 int64_t brick[3];
-                surface_place(f, entry, brick);
+                surface_position(f, entry, brick);
                 surface_of_brick(&w, brick);
             }
-    } while (!memory && !w.takes_all && 4 * w.kept < w.squares && (w.takes_all = 1));
+    } while (!memory && !w.takes_all && 4 * w.outward < w.squares && (w.takes_all = 1));
 }
 
 /* The largest |F| of a field, and where. */
@@ -243,7 +243,7 @@ static void surface_largest(const touch_field *f, double out[4]) {
             double square = (double)v[0] * v[0] + (double)v[1] * v[1] + (double)v[2] * v[2];
             int64_t brick[3];
             if (!(square > best)) continue;
-            best = square, surface_place(f, entry, brick);
+            best = square, surface_position(f, entry, brick);
             out[1] = f->grid.origin_m[0] + f->grid.spacing_m[0] * (double)(8 * brick[0] + (k >> 6));
             out[2] = f->grid.origin_m[1] + f->grid.spacing_m[1] * (double)(8 * brick[1] + (k >> 3 & 7));
             out[3] = f->grid.origin_m[2] + f->grid.spacing_m[2] * (double)(8 * brick[2] + (k & 7));

@@ -458,7 +458,7 @@ static inline PyObject *native_is_static(PyObject *module, PyObject *arguments) 
 }
 
 /* Samples of each frame, uint64 [m]; `total` is the number of all. 0: an error is raised. */
-static inline int read_samples(PyObject *samples, uint64_t count, touch_exact_samples *exact, buffer_list *arrays,
+static inline int read_samples(PyObject *samples, uint64_t count, touch_outlier_samples *exact, buffer_list *arrays,
                                uint64_t *total) {
     if (PySequence_Size(samples) != (Py_ssize_t)count)
         return PyErr_Occurred() ? 0 : refuse(TOUCH_ARGUMENT, "samples of another number of frames");
@@ -473,8 +473,8 @@ static inline int read_samples(PyObject *samples, uint64_t count, touch_exact_sa
     return 1;
 }
 
-/* The body with exact samples, of an encoder that has the frames and memory; NULL: an error is raised. */
-static inline PyObject *encode_exact(segment_encoder *self, touch_bytes body, const touch_exact_samples *exact,
+/* The body with more outliers, of an encoder that has the frames and memory; NULL: an error is raised. */
+static inline PyObject *encode_exact(segment_encoder *self, touch_bytes body, const touch_outlier_samples *exact,
                                      uint64_t total) {
     touch_segment segment;
     uint64_t size = 4096 + body.size + TOUCH_OUTLIER_BYTES * total + TOUCH_RECORD_BYTES * self->frames.count;
@@ -483,7 +483,7 @@ static inline PyObject *encode_exact(segment_encoder *self, touch_bytes body, co
     self->out = malloc((size_t)size);
     self->encoder.decoded = self->frames.decoded, self->encoder.grow = grow_out, self->encoder.self = self;
     if (!code && self->out)
-        code = touch_encode_with_exact(&self->encoder, &self->grid, &self->options, body, self->frames.source, exact,
+        code = touch_encode_with_outliers(&self->encoder, &self->grid, &self->options, body, self->frames.source, exact,
                                        (uint32_t)self->frames.count, self->work, touch_arena_of(self->out, size), &segment);
     PyEval_RestoreThread(state);
     if (!self->out) return fail_for_memory();
@@ -493,7 +493,7 @@ static inline PyObject *encode_exact(segment_encoder *self, touch_bytes body, co
 static inline PyObject *native_add_exact_samples(PyObject *module, PyObject *arguments) {
     PyObject *shape, *spacing_m, *options, *body, *frames, *samples, *result = NULL;
     segment_encoder self;
-    touch_exact_samples *exact = NULL;
+    touch_outlier_samples *exact = NULL;
     touch_bytes bytes;
     uint64_t total = 0;
     int64_t size = -1;
@@ -503,7 +503,7 @@ static inline PyObject *native_add_exact_samples(PyObject *module, PyObject *arg
     if (!read_shape(shape, &self.grid) || !read_options(spacing_m, options, &self.grid, &self.options)) return NULL;
     bytes.bytes = (const uint8_t *)add_array(&self.frames.arrays, body, 1, &size), bytes.size = (uint64_t)size;
     if (bytes.bytes && add_frames(&self.frames, frames)) {
-        exact = (touch_exact_samples *)calloc((size_t)self.frames.count + 1, sizeof *exact);
+        exact = (touch_outlier_samples *)calloc((size_t)self.frames.count + 1, sizeof *exact);
         if (!exact) fail_for_memory();
         else if (read_samples(samples, self.frames.count, exact, &self.frames.arrays, &total))
             result = encode_exact(&self, bytes, exact, total);

@@ -21,7 +21,7 @@ from touchfield.compute.jit import inner, kernel
 from touchfield.compute.numba_internals import KernelFiles
 
 ROOT = Path(__file__).parents[2]
-DECORATORS = {"njit", "kernel", "inner", "uncounted", "entry", "lean", "inlined"}
+DECORATORS = {"njit", "kernel", "inner", "entry", "lean", "inlined"}
 
 
 def test_concurrently_saved_variants_have_separate_files(tmp_path: Path) -> None:
@@ -147,19 +147,19 @@ def test_python_calls_no_function_without_a_wrapper(folder: str) -> None:
 
 
 def test_calls_of_functions_without_a_wrapper_are_detected() -> None:
-    function_import = "from touchfield.render.kernels.vectors import dot\n"
-    module_import = "from touchfield.render.kernels import vectors\n"
+    function_import = "from touchfield.medium.kernels import lower_bound\n"
+    module_import = "from touchfield.medium import kernels\n"
     calls = [
-        f"{function_import}dot(a, b)",
-        f"{function_import}def f():\n    return dot",
-        f"{module_import}vectors.dot(a, b)",
+        f"{function_import}lower_bound(a, b)",
+        f"{function_import}def f():\n    return lower_bound",
+        f"{module_import}kernels.lower_bound(a, b)",
     ]
     assert [inner_functions_that_python_names(ast.parse(text)) for text in calls] == [
-        ["touchfield.render.kernels.vectors.dot"]
+        ["touchfield.medium.kernels.lower_bound"]
     ] * 3
     assert (
         inner_functions_that_python_names(
-            ast.parse(f"{function_import}@njit\ndef f(a):\n    return dot(a, a)")
+            ast.parse(f"{function_import}@njit\ndef f(a):\n    return lower_bound(a, a)")
         )
         == []
     )

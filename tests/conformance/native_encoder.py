@@ -114,7 +114,7 @@ class CVibrationSteps(ctypes.Structure):
 
 
 class CExact(ctypes.Structure):
-    """`touch_exact_samples`."""
+    """`touch_outlier_samples`."""
 
     _fields_ = [("samples", ctypes.c_uint64), ("sample", ctypes.c_void_p)]
 
@@ -331,7 +331,7 @@ class NativeEncoder:
         out = memory(self.c.touch_segment_room(bricks, len(frames)))
         arenas = (CArena(a.ctypes.data, a.size, 0, 0) for a in (work, out))
         data = CBytes(ctypes.cast(ctypes.c_char_p(body), ctypes.c_void_p), len(body))
-        code = self.c.touch_encode_with_exact(
+        code = self.c.touch_encode_with_outliers(
             ctypes.byref(encoder), ctypes.byref(own), ctypes.byref(c_options(spec)), data,
             (CSource * len(sources))(*(s.c for s in sources)),
             (CExact * len(lists))(*(CExact(len(s), _pointer(s)) for s in lists)),

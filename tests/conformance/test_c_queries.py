@@ -116,8 +116,8 @@ def objects_at(scene: Any, frame: int, points: np.ndarray) -> tuple[np.ndarray, 
     for body in scene.bodies:
         rotation = decode_objects.rotation_of(body.quaternions[frame])
         arm = points - body.positions_m[frame]
-        samples = body.forces_n[frame if body.told["is_deforming"] else 0]
-        local_forces, local_slopes = Lattice(samples, body.told).at(arm @ rotation)
+        samples = body.forces_n[frame if body.record["is_deforming"] else 0]
+        local_forces, local_slopes = Lattice(samples, body.record).at(arm @ rotation)
         total += local_forces @ rotation.T
         slopes += rotation @ local_slopes @ rotation.T
         if scene.surface_damping > 0:
@@ -176,7 +176,7 @@ def lattices_of(path: Path) -> list[tuple[dict[str, Any], np.ndarray, np.ndarray
     if file.objects:
         scene = decode_objects.decode_scene(file.head, file.objects, file.segments)
         for body in scene.bodies:
-            out.append((body.told, decode_objects.rotation_of(body.quaternions[0]), body.positions_m[0]))
+            out.append((body.record, decode_objects.rotation_of(body.quaternions[0]), body.positions_m[0]))
     return out
 
 
@@ -214,8 +214,8 @@ def is_plain(path: Path, points: np.ndarray) -> np.ndarray:
     out = np.ones((file.head["frame_count"], len(points)), bool)
     for frame, body in itertools.product(range(len(out)), scene.bodies):
         rotation = decode_objects.rotation_of(body.quaternions[frame])
-        indices = (points - body.positions_m[frame]) @ rotation - body.told["origin_m"]
-        indices = indices / np.array(body.told["spacing_m"])
+        indices = (points - body.positions_m[frame]) @ rotation - body.record["origin_m"]
+        indices = indices / np.array(body.record["spacing_m"])
         out[frame] &= (np.abs(indices - np.round(indices)) > 1e-4).all(axis=1)
     return out
 

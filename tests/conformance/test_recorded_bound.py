@@ -173,7 +173,7 @@ static const touch_field *touch_wrong(const touch_field *field, uint32_t frame) 
     return field;
 }
 """
-CHECKED = "touch_side_of_field(&side, field, "
+CHECKED = "touch_field_forces(&decoded, field, "
 
 
 @pytest.fixture(scope="module")
@@ -184,7 +184,7 @@ def wrong_encoder(tmp_path_factory: pytest.TempPathFactory) -> NativeEncoder:
     section = text.index("/* -- the finished segment")
     assert text.count(CHECKED) == 1
     text = text[:section] + WRONG + text[section:]
-    text = text.replace(CHECKED, "touch_side_of_field(&side, touch_wrong(field, n), ")
+    text = text.replace(CHECKED, "touch_field_forces(&decoded, touch_wrong(field, n), ")
     (folder / "touch_encode.h").write_text(text)
     (folder / "wrong.c").write_text('#define TOUCH_ENCODE_IMPLEMENTATION\n#include "touch_encode.h"\n')
     return NativeEncoder(build(folder, "-O1", source=folder / "wrong.c"))

@@ -62,14 +62,14 @@ FAST = """(() => {
   const speed = document.getElementById("speed");
   speed.add(new Option("fast", "240"));
   speed.value = "240";
-  window.told = [];
+  window.samples = [];
   let played = 0, last = 0;
   setInterval(() => {
     const now = touchfield.state();
     played += (now.time - last + 60) % 60;
     last = now.time;
     gc();
-    told.push([played, performance.memory.usedJSHeapSize, now.memory, now.kept]);
+    samples.push([played, performance.memory.usedJSHeapSize, now.memory, now.graphicsObjects]);
   }, 100);
 })()"""
 
@@ -87,7 +87,7 @@ def hour_played(folder: Path, page: str) -> np.ndarray:
     tf.encode(medium, folder / "minute.touch")
     steps = [{"do": "goto", "url": page}, {"do": "open", "file": str(folder / "minute.touch")}]
     steps += [{"do": "click", "id": "play"}, {"do": "run", "code": FAST}]
-    steps += [{"do": "until", "code": "told.at(-1)?.[0] >= 3600"}, {"do": "run", "code": "told"}]
+    steps += [{"do": "until", "code": "samples.at(-1)?.[0] >= 3600"}, {"do": "run", "code": "samples"}]
     result = drive(folder, *steps)
     assert result.errors == []
     return np.array(result.answers[5])

@@ -16,20 +16,30 @@ page.on("request", (request) => requests.push(request.url().slice(0, 200)));
 page.on("pageerror", (error) => errors.push(String(error)));
 page.on("console", (message) => message.type() === "error" && errors.push(message.text()));
 
+const choosers = []; // a listener from the start: Chromium would otherwise close a dialog before it is reported
+page.on("filechooser", (chooser) => choosers.push(chooser));
+
 const settled = () => page.waitForFunction(() => /^(ready|fault|empty)$/.test(document.documentElement.dataset.state ?? ""));
 const state = () => page.evaluate(() => window.touchfield.state());
-const asked = {
+const actions = {
   goto: async ({ url }) => { await page.goto(url); await settled(); },
   open: async ({ file }) => {
-    await page.evaluate(() => { document.documentElement.dataset.state = "asked"; });
+    await page.evaluate(() => { document.documentElement.dataset.state = "requested"; });
     await page.setInputFiles("#file", file);
+    await settled();
+  },
+  choose: async ({ key, file }) => {
+    await page.keyboard.press(key);
+    for (let left = 300; !choosers.length && left > 0; left--) await page.waitForTimeout(100);
+    await page.evaluate(() => { document.documentElement.dataset.state = "requested"; });
+    await choosers.pop().setFiles(file);
     await settled();
   },
   drop: async ({ file }) => {
     const dataTransfer = await page.evaluateHandle(([bytes, name]) => {
       const carried = new DataTransfer();
       carried.items.add(new File([Uint8Array.from(bytes)], name));
-      document.documentElement.dataset.state = "asked";
+      document.documentElement.dataset.state = "requested";
       return carried;
     }, [[...readFileSync(file)], basename(file)]);
     await page.dispatchEvent("body", "drop", { dataTransfer });
@@ -81,6 +91,6 @@ const asked = {
   state,
 };
 const answers = [];
-for (const step of steps) answers.push((await asked[step.do](step)) ?? null);
+for (const step of steps) answers.push((await actions[step.do](step)) ?? null);
 writeFileSync(out, JSON.stringify({ answers, requests, errors }));
 await browser.close();

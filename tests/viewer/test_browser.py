@@ -259,9 +259,9 @@ def test_the_difference_of_the_file_and_its_source(tmp_path: Path) -> None:
     probe = step("feel", points=points)
     result = drive(tmp_path, step("goto", url=(tmp_path / "page.html").as_uri()), probe,
                    step("press", key="e"), step("wait", ms=500), probe, step("text", id="unit"),
-                   step("click", id="beside [data-what=difference]"), step("wait", ms=900), probe,
+                   step("click", id="fields [data-what=difference]"), step("wait", ms=900), probe,
                    step("text", id="unit"), step("state"), step("text", id="caption"),
-                   step("open", file=SOLID), step("state"), step("place", selector="#beside"))  # fmt: skip
+                   step("open", file=SOLID), step("state"), step("place", selector="#fields"))  # fmt: skip
     assert result.errors == []
     decoded, source, between = (np.array(result.answers[n]).reshape(-1, 5) for n in (1, 4, 8))
     true = field.sample_n(np.array(points).reshape(-1, 3))
@@ -271,7 +271,7 @@ def test_the_difference_of_the_file_and_its_source(tmp_path: Path) -> None:
     assert np.linalg.norm(expected, axis=1).max() > 0.5  # the difference is visible
     np.testing.assert_allclose(between[:, :3], expected, atol=0.15)
     np.testing.assert_allclose(between[:, 3], allowed, rtol=0.04)
-    assert (result.answers[5], result.answers[9]) == ("N", "of what is allowed") and "0.1" in result.answers[
+    assert (result.answers[5], result.answers[9]) == ("N", "of the error bound") and "0.1" in result.answers[
         11
     ]
     assert result.answers[10]["triangles"] > 0 and result.answers[10]["cones"] > 0
@@ -292,7 +292,7 @@ def test_differences_of_bodies_and_arrays_are_drawn(tmp_path: Path) -> None:
         file = tmp_path / f"{name}.touch" if name == "array" else _again(MOVING, tmp_path / "bodies.touch")
         tf.view(file, against=source).save(tmp_path / f"{name}.html")
         result = drive(tmp_path, step("goto", url=(tmp_path / f"{name}.html").as_uri()),
-                     step("click", id="beside [data-what=difference]"), step("wait", ms=600),
+                     step("click", id="fields [data-what=difference]"), step("wait", ms=600),
                      step("seek", time=0.0004), step("feel", points=[0, 0, 0]), step("state"))  # fmt: skip
         assert result.errors == [] and result.answers[5]["state"] == "ready", name
         assert result.answers[5]["what"] == "difference" and result.answers[4][3] > 0

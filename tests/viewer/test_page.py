@@ -44,6 +44,7 @@ def sources() -> list[str]:
         "page.css",
         "page.html",
         "record.h",
+        "relief.h",
         "surface.h",
     ]
     folders = [f"{p.parent.name}/{p.name}" for p in sorted((WEB / "freestanding").iterdir())]

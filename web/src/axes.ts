@@ -2,16 +2,16 @@
 // right way up.
 import type { Triple } from "./engine";
 
-const WAYS: Record<string, [number, number]> = {
+const DIRECTIONS: Record<string, [number, number]> = {
   right: [0, 1], east: [0, 1], left: [0, -1], west: [0, -1], up: [1, 1], down: [1, -1], towards: [2, 1], toward: [2, 1],
   back: [2, 1], backwards: [2, 1], away: [2, -1], forward: [2, -1], forwards: [2, -1],
 };
 
-export interface Ways {
+export interface Directions {
   right: Triple;
   up: Triple;
   towards: Triple;
-  words: [string, string, string];
+  names: [string, string, string];
 }
 
 const unit = (axis: number, sign: number): Triple => [0, 1, 2].map((n) => (n === axis ? sign : 0)) as Triple;
@@ -20,39 +20,39 @@ const cross = (a: Triple, b: Triple): Triple => [
   a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0],
 ];
 
-/** Ways of the axes; of an array, whose lattice hangs before the viewer, y is up unless its words say that it is down. */
-export function waysOf(text: string, isArray: boolean): Ways {
-  const words: [string, string, string] = ["", "", ""];
-  const told: (Triple | null)[] = [null, null, null];
+/** Directions of the axes; y of an array, whose lattice hangs before the viewer, is up unless the text says down. */
+export function directionsOf(text: string, isArray: boolean): Directions {
+  const names: [string, string, string] = ["", "", ""];
+  const found: (Triple | null)[] = [null, null, null];
   for (const part of text.split(",")) {
     const match = /^\s*([xyz])\s+(\S+)/i.exec(part);
     if (!match) continue;
     const axis = "xyz".indexOf(match[1]!.toLowerCase());
-    words[axis] = match[2]!;
-    const way = WAYS[match[2]!.toLowerCase()];
-    if (way && !told[way[0]]) told[way[0]] = unit(axis, way[1]);
+    names[axis] = match[2]!;
+    const direction = DIRECTIONS[match[2]!.toLowerCase()];
+    if (direction && !found[direction[0]]) found[direction[0]] = unit(axis, direction[1]);
   }
   if (isArray) {
     const up = /y\s+down/i.test(text) ? unit(1, -1) : unit(1, 1);
-    return { right: unit(0, 1), up, towards: /z\s+forward/i.test(text) ? unit(2, -1) : unit(2, 1), words };
+    return { right: unit(0, 1), up, towards: /z\s+forward/i.test(text) ? unit(2, -1) : unit(2, 1), names };
   }
-  const up = told[1] ?? unit(1, 1);
-  let right = told[0] ?? unit(up[0] ? 1 : 0, 1);
+  const up = found[1] ?? unit(1, 1);
+  let right = found[0] ?? unit(up[0] ? 1 : 0, 1);
   if (right.some((n, k) => n && up[k])) right = unit(up[0] ? 1 : 0, 1);
-  const towards = told[2] && !told[2].some((n, k) => n && (up[k] || right[k])) ? told[2] : cross(right, up);
-  return { right, up, towards, words };
+  const towards = found[2] && !found[2].some((n, k) => n && (up[k] || right[k])) ? found[2] : cross(right, up);
+  return { right, up, towards, names };
 }
 
-/** A direction in words of the viewer's: "up and left". */
-export function directionWords(force: ArrayLike<number>, ways: Ways): string {
+/** Text of a direction as the viewer sees it: "up and left". */
+export function directionText(force: ArrayLike<number>, directions: Directions): string {
   const size = Math.hypot(force[0]!, force[1]!, force[2]!);
-  const along = (way: Triple): number => (way[0] * force[0]! + way[1] * force[1]! + way[2] * force[2]!) / size;
-  const told: [number, string][] = [];
-  for (const [way, one, other] of [
-    [ways.up, "up", "down"], [ways.right, "right", "left"], [ways.towards, "towards you", "away from you"],
+  const along = (direction: Triple): number => (direction[0] * force[0]! + direction[1] * force[1]! + direction[2] * force[2]!) / size;
+  const parts: [number, string][] = [];
+  for (const [direction, positive, negative] of [
+    [directions.up, "up", "down"], [directions.right, "right", "left"], [directions.towards, "towards you", "away from you"],
   ] as const) {
-    const share = along(way);
-    if (Math.abs(share) > 0.38) told.push([Math.abs(share), share > 0 ? one : other]);
+    const fraction = along(direction);
+    if (Math.abs(fraction) > 0.38) parts.push([Math.abs(fraction), fraction > 0 ? positive : negative]);
   }
-  return told.sort((a, b) => b[0] - a[0]).map((row) => row[1]).join(" and ");
+  return parts.sort((a, b) => b[0] - a[0]).map((row) => row[1]).join(" and ");
 }

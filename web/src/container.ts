@@ -1,10 +1,10 @@
 // Reads the records of a `.touch` file (head, provenance, index) for the side panel of the page. The C code
 // of touch.h alone decides whether a file is valid.
 
-/** What is wrong with a file, in words, and the byte where that is known. */
+/** What is wrong with a file, and at which byte, where that is known. */
 export class Fault extends Error {
-  constructor(readonly kind: string, readonly words: string, readonly byte: number | null) {
-    super(words);
+  constructor(readonly kind: string, text: string, readonly byte: number | null) {
+    super(text);
   }
 }
 
@@ -13,7 +13,7 @@ export interface Records {
   device: string;
   coder: string;
   tags: string[];
-  story: [string, string][];
+  provenance: [string, string][];
   objects: string[];
   bytes: [string, number][];
   size: number;
@@ -56,10 +56,10 @@ function* rows(data: Uint8Array): Generator<Row> {
   }
 }
 
-/** The records of a file, or of its begin; `size` is that of the whole file. */
+/** The records of a file, or of its start; `size` is that of the whole file. */
 export function readRecords(data: Uint8Array, size = data.length): Records {
   const view = new DataView(data.buffer, data.byteOffset, data.length);
-  const out: Records = { axes: "", device: "", coder: "", tags: [], story: [], objects: [], bytes: [], size };
+  const out: Records = { axes: "", device: "", coder: "", tags: [], provenance: [], objects: [], bytes: [], size };
   const sizes = new Map<string, number>();
   for (const { tag, at, length } of rows(data)) {
     sizes.set(tag, (sizes.get(tag) ?? 0) + length + OVERHEAD);
@@ -72,25 +72,30 @@ export function readRecords(data: Uint8Array, size = data.length): Records {
       for (let left = from.u16(); left > 0; left--) out.tags.push(from.text());
       out.coder = from.text();
     } else if (tag === "PROV") {
-      for (let left = from.u16(); left > 0; left--) out.story.push([from.text(), from.text()]);
+      for (let left = from.u16(); left > 0; left--) out.provenance.push([from.text(), from.text()]);
     } else if (tag === "OBJT") out.objects.push(from.text());
   }
   out.bytes = [...sizes];
   return out;
 }
 
-/** The payload of PROV for frames of a file: its own statements, with those about its coding named as those of the source. */
-export function storyOf(story: [string, string][], name: string, from: number, count: number): Uint8Array {
+/** The payload of PROV for frames of a file: its own entries; those about its coding are named as those of the source. */
+export function provenanceOf(provenance: [string, string][], name: string, from: number, count: number): Uint8Array {
   const frames = count > 1 ? `frames ${from} to ${from + count - 1}` : `frame ${from}`;
   const clean = name.replaceAll(/[\0-\x1f\x7f-\x9f]/g, "\ufffd").slice(0, 80);
   const pairs = new Map([["source", `${frames} of ${clean}, saved by the page`]]);
-  for (const [key, value] of story) {
+  for (const [key, value] of provenance) {
     const own = key === "source" || key === "spec" ? `source.${key}` : key;
     if (pairs.size < 64 && !(own.startsWith("source.") && own === key)) pairs.set(own, value);
   }
+  return provenanceBytes([...pairs]);
+}
+
+/** The payload of PROV. */
+export function provenanceBytes(pairs: [string, string][]): Uint8Array {
   const encoder = new TextEncoder();
-  const out: number[] = [pairs.size & 255, pairs.size >> 8];
-  for (const text of [...pairs].flat()) {
+  const out: number[] = [pairs.length & 255, pairs.length >> 8];
+  for (const text of pairs.flat()) {
     const bytes = encoder.encode(text);
     out.push(bytes.length & 255, bytes.length >> 8, ...bytes);
   }
@@ -99,21 +104,21 @@ export function storyOf(story: [string, string][], name: string, from: number, c
 
 const LAST = 40;
 
-/** The byte where the index begins, as the end of a file tells it; 0: it does not. */
+/** The byte at which the index starts, from the end of a file; 0: unknown. */
 export function indexOffset(tail: Uint8Array): number {
   if (tail.length < LAST) return 0;
   return Number(new DataView(tail.buffer, tail.byteOffset + tail.length - LAST, LAST).getBigUint64(16, true));
 }
 
-/** The byte where the first segment begins, as an index tells it; 0: it does not. */
+/** The byte at which the first segment starts, from an index; 0: unknown. */
 export function firstSegment(index: Uint8Array): number {
   if (index.length < OVERHEAD + 30) return 0;
   return Number(new DataView(index.buffer, index.byteOffset, index.length).getBigUint64(26, true));
 }
 
 /** A fault with the byte of the first record that does not hold, where one does not. */
-export function faultOf(kind: string, words: string, data: Uint8Array | null, where = ""): Fault {
-  return new Fault(kind, where ? `${words}, ${where}` : words, data && firstBad(data));
+export function faultOf(kind: string, text: string, data: Uint8Array | null, where = ""): Fault {
+  return new Fault(kind, where ? `${text}, ${where}` : text, data && firstBad(data));
 }
 
 function firstBad(data: Uint8Array): number | null {
@@ -133,7 +138,8 @@ function firstBad(data: Uint8Array): number | null {
   }
 }
 
-function crc32(bytes: Uint8Array): number {
+/** CRC-32 as PNG and `.touch` files have it. */
+export function crc32(bytes: Uint8Array): number {
   let crc = ~0;
   for (const byte of bytes) {
     crc ^= byte;

@@ -8,26 +8,26 @@ export class Difference {
   private readonly floor: number;
 
   constructor(private readonly decoded: Engine, private readonly source: Engine) {
-    const [ours, theirs] = [decoded.opened(), source.opened()];
-    if (`${ours.shape} ${ours.frames} ${ours.type}` !== `${theirs.shape} ${theirs.frames} ${theirs.type}`) throw new Fault("corrupt", "the source lies on another lattice", null);
-    this.k = ours.weber;
-    this.floor = Math.max(ours.threshold, 1e-6 * ours.peak);
+    const [head, other] = [decoded.opened(), source.opened()];
+    if (`${head.shape} ${head.frames} ${head.type}` !== `${other.shape} ${other.frames} ${other.type}`) throw new Fault("corrupt", "the source lies on another lattice", null);
+    this.k = head.weber;
+    this.floor = Math.max(head.threshold, 1e-6 * head.peak);
   }
 
   /** |decoded - source| along x, y, z in units of the mask, the mask in newtons, and 0: five numbers a point. */
   feel(points: ArrayLike<number>): Float64Array {
-    const [ours, theirs] = [this.decoded.feel(points), this.source.feel(points)];
-    for (let i = 0; i < ours.length; i += 5) {
-      const allowed = Math.max(this.floor, this.k * Math.hypot(theirs[i]!, theirs[i + 1]!, theirs[i + 2]!));
-      for (let n = 0; n < 3; n++) ours[i + n] = (ours[i + n]! - theirs[i + n]!) / allowed;
-      ours[i + 3] = allowed;
-      ours[i + 4] = 0;
+    const [decoded, source] = [this.decoded.feel(points), this.source.feel(points)];
+    for (let i = 0; i < decoded.length; i += 5) {
+      const bound = Math.max(this.floor, this.k * Math.hypot(source[i]!, source[i + 1]!, source[i + 2]!));
+      for (let n = 0; n < 3; n++) decoded[i + n] = (decoded[i + n]! - source[i + n]!) / bound;
+      decoded[i + 3] = bound;
+      decoded[i + 4] = 0;
     }
-    return ours;
+    return decoded;
   }
 
-  contact(from: Triple, way: Triple, depth: number, away: Away | null): Triple | null {
-    return this.decoded.contact(from, way, depth, away);
+  contact(from: Triple, direction: Triple, depth: number, away: Away | null): Triple | null {
+    return this.decoded.contact(from, direction, depth, away);
   }
 
   seek(time: number): void {
@@ -36,7 +36,7 @@ export class Difference {
   }
 
   show(time: number, axis: number, at: number | null, depth: number): Shown {
-    const begin = performance.now();
+    const start = performance.now();
     this.source.seek(time);
     this.decoded.forget();
     const shown = this.decoded.show(time, axis, at, depth);
@@ -52,20 +52,20 @@ export class Difference {
       for (let n = 0; 7 * n < vertex.length; n++) vertex[7 * n + 6] = Math.hypot(...between.subarray(5 * n, 5 * n + 3));
     }
     if (shown.cut) shown.cut = this.cut(shown.cut.axis, shown.cut.at);
-    if (shown.grid) this.take(shown.grid, this.source.grid());
-    return { ...shown, memory: shown.memory + this.source.memory, ms: performance.now() - begin };
+    if (shown.grid) this.subtract(shown.grid, this.source.grid());
+    return { ...shown, memory: shown.memory + this.source.memory, ms: performance.now() - start };
   }
 
   cut(axis: number, at: number): Cut {
     const cut = this.decoded.cut(axis, at);
-    this.take(cut.forces, this.source.cut(axis, at).forces);
+    this.subtract(cut.forces, this.source.cut(axis, at).forces);
     return cut;
   }
 
-  private take(ours: Float32Array, theirs: Float32Array): void {
-    for (let i = 0; i < ours.length; i += 3) {
-      const allowed = Math.max(this.floor, this.k * Math.hypot(theirs[i]!, theirs[i + 1]!, theirs[i + 2]!));
-      for (let n = i; n < i + 3; n++) ours[n] = (ours[n]! - theirs[n]!) / allowed;
+  private subtract(decoded: Float32Array, source: Float32Array): void {
+    for (let i = 0; i < decoded.length; i += 3) {
+      const bound = Math.max(this.floor, this.k * Math.hypot(source[i]!, source[i + 1]!, source[i + 2]!));
+      for (let n = i; n < i + 3; n++) decoded[n] = (decoded[n]! - source[n]!) / bound;
     }
   }
 }

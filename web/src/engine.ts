@@ -1,8 +1,9 @@
 // Runs the decoder and encoder of c/touch.h in WebAssembly, and answers the requests of the page: open a
 // file, show a frame, find the force at a point. It runs in a worker, or in the page where workers are not
 // allowed.
-import { Fault, faultOf, readRecords, type Records, storyOf } from "./container";
+import { Fault, faultOf, readRecords, type Records, provenanceBytes, provenanceOf } from "./container";
 import { Difference } from "./difference";
+import { DEFAULT_BOUND, type Relief } from "./relief";
 
 interface Exports {
   memory: WebAssembly.Memory;
@@ -12,9 +13,9 @@ interface Exports {
   segment_of(frame: number): number;
   span(segment: number): number;
   check(segment: number): number;
-  words(): number;
+  message(): number;
   number(n: number): number;
-  show(place: number): number;
+  show(frame: number): number;
   feel(x: number, y: number, z: number): number;
   plane(...numbers: number[]): number;
   parts(): number;
@@ -22,8 +23,9 @@ interface Exports {
   field_key(n: number): number;
   surface(n: number, threshold: number, depth: number): number;
   largest(n: number): number;
-  story(bytes: number): number;
+  provenance(bytes: number): number;
   record(from: number, count: number, k: number, threshold: number): number;
+  record_relief(k: number, threshold: number): number;
   recorded(): number;
 }
 
@@ -31,10 +33,10 @@ export type Triple = [number, number, number];
 
 export interface Ray {
   from: Triple;
-  way: Triple;
+  direction: Triple;
 }
 
-/** What a file says of itself. */
+/** Head of a file. */
 export interface Head {
   shape: Triple;
   spacing: Triple;
@@ -67,21 +69,21 @@ export interface Cut {
   forces: Float32Array;
 }
 
-/** What is not drawn of the surface: the side (1 or -1) of a plane across an axis. */
+/** The side of the surface that is not drawn: the side (1 or -1) of a plane across an axis. */
 export interface Away {
   axis: number;
   at: number;
   side: number;
 }
 
-/** A segment, and the bytes of it, and of what stands before it, in the file. */
+/** A segment with the records before it, and its bytes in the file. */
 export interface Piece {
   segment: number;
   from: number;
   to: number;
 }
 
-/** What is to be drawn at an instant; meshes only where they differ from those sent before. */
+/** What is drawn at an instant; meshes only where they differ from those sent before. */
 export interface Shown {
   time: number;
   parts: number;
@@ -136,10 +138,12 @@ export class Engine {
   private readonly wasm: Exports;
   private head: Head | null = null;
   private keys: string[] = [];
-  /** Of a file in parts: where it lies, its bytes, and the segments that are there. */
+  /** Of a file in parts: its address, its bytes, and the segments that have arrived. */
   private parts: { at: number; size: number; there: Set<number> } | null = null;
   private bytes = { at: 0, size: 0 };
   private records: Records | null = null;
+  /** The picture that the open file was made of. */
+  private relief: Relief | null = null;
 
   constructor(private readonly module: WebAssembly.Module) {
     const page = { sin: Math.sin, cos: Math.cos, atan: Math.atan, atan2: Math.atan2, asin: Math.asin, log2: Math.log2 };
@@ -147,48 +151,49 @@ export class Engine {
   }
 
   open(data: Uint8Array): Opened {
-    const begin = performance.now();
+    const start = performance.now();
     this.room(data.length);
     this.bring(0, data, null);
     const code = this.wasm.open();
-    this.parts = null;
-    if (code) throw faultOf(CODES[code] ?? "fault", code === 4 ? `${this.words()}${coderOf(data)}` : this.words(), data);
-    return this.told(readRecords(data), begin);
+    this.parts = this.relief = null;
+    if (code) throw faultOf(CODES[code] ?? "fault", code === 4 ? `${this.message()}${coderOf(data)}` : this.message(), data);
+    return this.describe(readRecords(data), start);
   }
 
-  /** Room for a file that comes in parts. */
+  /** Memory for a file in parts. */
   room(size: number): boolean {
     this.head = null;
     this.keys = [];
     const at = this.wasm.room(size);
-    if (!at) throw new Fault("too large", "the file is larger than the memory that the page takes", null);
+    if (!at) throw new Fault("too large", "the file is larger than the memory of the page", null);
     this.parts = { at, size, there: new Set() };
+    this.relief = null;
     this.bytes = { at, size };
     return true;
   }
 
-  /** Bytes of the file, where they lie in it; those of a segment are held against what the index tells of it. */
+  /** Bytes of the file, where they lie in it; those of a segment are compared with their entry in the index. */
   bring(at: number, data: Uint8Array, segment: number | null): boolean {
     const { parts } = this;
-    if (!parts || at < 0 || at + data.length > parts.size) throw new Fault("argument", "bytes beyond the file", null);
+    if (!parts || at < 0 || at + data.length > parts.size) throw new Fault("argument", "bytes after the end of the file", null);
     new Uint8Array(this.wasm.memory.buffer).set(data, parts.at + at);
     if (segment === null) return true;
     const code = this.wasm.check(segment);
-    if (code) throw new Fault(CODES[code] ?? "fault", `${this.words()}, in segment ${segment}`, null);
+    if (code) throw new Fault(CODES[code] ?? "fault", `${this.message()}, in segment ${segment}`, null);
     parts.there.add(segment);
     return true;
   }
 
-  /** Open a file whose begin, up to the first segment, its index and its end are there. */
+  /** Open a file of which the start, up to the first segment, the index and the end have arrived. */
   openParts(first: number): Opened {
-    const begin = performance.now();
+    const start = performance.now();
     const { at, size } = this.parts!;
     const code = this.wasm.open_parts();
-    if (code) throw new Fault(CODES[code] ?? "fault", this.words(), null);
-    return this.told(readRecords(new Uint8Array(this.wasm.memory.buffer, at, first).slice(), size), begin);
+    if (code) throw new Fault(CODES[code] ?? "fault", this.message(), null);
+    return this.describe(readRecords(new Uint8Array(this.wasm.memory.buffer, at, first).slice(), size), start);
   }
 
-  private told(records: Records, begin: number): Opened {
+  private describe(records: Records, start: number): Opened {
     this.records = records;
     const n = (i: number): number => this.wasm.number(i);
     const three = (i: number): Triple => [n(i), n(i + 1), n(i + 2)];
@@ -197,29 +202,55 @@ export class Engine {
       type: n(13), peak: n(14), threshold: n(15), weber: n(16), friction: n(17), damping: n(18), scale: n(19),
       offset: three(20),
     };
-    return { head: this.head, records, memory: this.memory, ms: performance.now() - begin };
+    return { head: this.head, records, memory: this.memory, ms: performance.now() - start };
+  }
+
+  /** Open the file of a picture of depth, with the default error bound. */
+  openRelief(relief: Relief): Opened {
+    const start = performance.now();
+    const { data } = new Engine(this.module).recordRelief(relief, DEFAULT_BOUND);
+    const opened = this.open(data);
+    this.relief = relief;
+    return { ...opened, ms: performance.now() - start };
+  }
+
+  /** A new file of a picture of depth. */
+  private recordRelief({ numbers, depth, provenance }: Relief, { weber, threshold }: { weber: number; threshold: number }): Recorded {
+    const start = performance.now();
+    const at = this.wasm.room(numbers.byteLength + depth.byteLength);
+    if (!at) throw new Fault("too large", "the picture is larger than the memory of the page", null);
+    new Float64Array(this.wasm.memory.buffer, at, numbers.length).set(numbers);
+    new Float32Array(this.wasm.memory.buffer, at + numbers.byteLength, depth.length).set(depth);
+    return this.recorded(this.putProvenance(provenanceBytes(provenance)) || this.wasm.record_relief(weber, threshold), start);
   }
 
   /** A new file of some frames, coded in a decoder and memory of its own: what is shown stays. */
   record({ from, count, weber, threshold, name }: Recording): Recorded {
-    const begin = performance.now();
+    const start = performance.now();
     const head = this.opened();
     if (head.objects) throw new Fault("argument", "the page saves fields of coder touch only, and this file has the coder objects", null);
     const own = new Engine(this.module);
+    if (this.relief) return own.recordRelief(this.relief, { weber, threshold });
     const data = new Uint8Array(this.wasm.memory.buffer, this.bytes.at, this.bytes.size);
     own.room(data.length);
     own.bring(0, data, null);
-    const code = (this.parts ? own.wasm.open_parts() : own.wasm.open()) || own.put(from, count, weber, threshold, storyOf(this.records!.story, name, from, count));
-    if (code) throw new Fault(CODES[code] ?? "fault", own.words(), null);
-    const [at, size, ratio] = new Float64Array(own.wasm.memory.buffer, own.wasm.recorded(), 3);
-    return { data: new Uint8Array(own.wasm.memory.buffer, at, size).slice(), ratio: ratio!, ms: performance.now() - begin };
+    const provenance = provenanceOf(this.records!.provenance, name, from, count);
+    const code = (this.parts ? own.wasm.open_parts() : own.wasm.open()) || own.putProvenance(provenance) || own.wasm.record(from, count, weber, threshold);
+    return own.recorded(code, start);
   }
 
-  private put(from: number, count: number, weber: number, threshold: number, story: Uint8Array): number {
-    const at = this.wasm.story(story.length);
-    if (!at) throw new Fault("argument", "a statement about its origin that is too long", null);
-    new Uint8Array(this.wasm.memory.buffer).set(story, at);
-    return this.wasm.record(from, count, weber, threshold);
+  /** The file that was written, if the code is 0. */
+  private recorded(code: number, start: number): Recorded {
+    if (code) throw new Fault(CODES[code] ?? "fault", this.message(), null);
+    const [at, size, ratio] = new Float64Array(this.wasm.memory.buffer, this.wasm.recorded(), 3);
+    return { data: new Uint8Array(this.wasm.memory.buffer, at, size).slice(), ratio: ratio!, ms: performance.now() - start };
+  }
+
+  private putProvenance(provenance: Uint8Array): number {
+    const at = this.wasm.provenance(provenance.length);
+    if (!at) throw new Fault("argument", "a provenance that is too long", null);
+    new Uint8Array(this.wasm.memory.buffer).set(provenance, at);
+    return 0;
   }
 
   private needed(time: number): number[] {
@@ -233,7 +264,7 @@ export class Engine {
     return [...own];
   }
 
-  /** What a file in parts lacks of what is shown about a time. */
+  /** Segments about a time that have not arrived. */
   missing(time: number): Piece[] {
     const { parts } = this;
     if (!parts) return [];
@@ -256,10 +287,10 @@ export class Engine {
   /** Decode what is about a time, seconds. */
   seek(time: number): void {
     const head = this.opened();
-    if (this.missing(time).length) throw new Fault("argument", "a segment that is not there", null);
+    if (this.missing(time).length) throw new Fault("argument", "a segment that has not arrived", null);
     const code = this.wasm.show(time * head.rate);
     if (!code) return;
-    throw faultOf(CODES[code] ?? "fault", this.words(), null, `in frame ${Math.floor(time * head.rate)}`);
+    throw faultOf(CODES[code] ?? "fault", this.message(), null, `in frame ${Math.floor(time * head.rate)}`);
   }
 
   /** Newtons along x, y, z, amplitude in newtons and frequency in Hz of what vibrates: five numbers a point. */
@@ -273,37 +304,37 @@ export class Engine {
   }
 
   /** Where a ray first meets a force, and goes on for `depth` metres; what is cut away is passed; null: nowhere. */
-  contact(from: Triple, way: Triple, depth: number, away: Away | null): Triple | null {
+  contact(from: Triple, direction: Triple, depth: number, away: Away | null): Triple | null {
     const head = this.opened();
     const step = 0.5 * Math.min(...head.spacing);
     let near = 0;
     let far = Infinity;
     for (let n = 0; n < 3; n++) {
-      const low = (head.origin[n]! - head.spacing[n]! - from[n]!) / way[n]!;
-      const high = (head.origin[n]! + head.spacing[n]! * head.shape[n]! - from[n]!) / way[n]!;
+      const low = (head.origin[n]! - head.spacing[n]! - from[n]!) / direction[n]!;
+      const high = (head.origin[n]! + head.spacing[n]! * head.shape[n]! - from[n]!) / direction[n]!;
       if (Number.isNaN(low) || Number.isNaN(high)) continue;
       near = Math.max(near, Math.min(low, high));
       far = Math.min(far, Math.max(low, high));
     }
     let within = 0;
     if (away) {
-      const t = (away.at - from[away.axis]!) / way[away.axis]!;
+      const t = (away.at - from[away.axis]!) / direction[away.axis]!;
       if ((from[away.axis]! - away.at) * away.side > 0) within = t > 0 ? t : Infinity;
       else if (t > 0) far = Math.min(far, t);
       near = Math.max(near, within);
     }
     const threshold = this.threshold();
     for (let t = near, left = 4000; t <= far && left > 0; t += step, left--) {
-      const p: Triple = [from[0] + t * way[0], from[1] + t * way[1], from[2] + t * way[2]];
+      const p: Triple = [from[0] + t * direction[0], from[1] + t * direction[1], from[2] + t * direction[2]];
       const f = this.feel(p);
       if (f[0]! * f[0]! + f[1]! * f[1]! + f[2]! * f[2]! > threshold * threshold)
-        return t === within ? p : [p[0] + depth * way[0], p[1] + depth * way[1], p[2] + depth * way[2]];
+        return t === within ? p : [p[0] + depth * direction[0], p[1] + depth * direction[1], p[2] + depth * direction[2]];
     }
     return null;
   }
 
   show(time: number, cutAxis: number, cutAt: number | null, depth: number): Shown {
-    const begin = performance.now();
+    const start = performance.now();
     const head = this.opened();
     this.seek(time);
     const { wasm } = this;
@@ -318,13 +349,13 @@ export class Engine {
       if (this.keys[n] === key) continue;
       this.keys[n] = key;
       if (head.type === 1) meshes.push(this.mesh(n, depth));
-      const most = new Float64Array(wasm.memory.buffer, wasm.largest(n), 4);
-      if (most[0]! >= largest[0]!) largest = most.slice();
+      const strongest = new Float64Array(wasm.memory.buffer, wasm.largest(n), 4);
+      if (strongest[0]! >= largest[0]!) largest = strongest.slice();
     }
     const grid = head.type === 2 ? this.grid() : null;
     const at = cutAt ?? this.middling(cutAxis, meshes, poses);
     const cut = head.type === 1 ? this.cut(cutAxis, at) : null;
-    return { time, parts, poses, meshes, cut, grid, largest, memory: this.memory, ms: performance.now() - begin };
+    return { time, parts, poses, meshes, cut, grid, largest, memory: this.memory, ms: performance.now() - start };
   }
 
   get memory(): number {
@@ -342,23 +373,23 @@ export class Engine {
     return this.forces(origin, 0, 1, spacing, shape);
   }
 
-  /** A place for a first slice: three quarters of the way along what there is to feel, towards the viewer's right. */
+  /** A position for a first slice: three quarters along the surface, towards the viewer's right. */
   private middling(axis: number, meshes: Mesh[], poses: Float64Array): number {
-    let [least, most] = [Infinity, -Infinity];
+    let [low, high] = [Infinity, -Infinity];
     for (const { part, vertex } of meshes) {
       const p = poses.subarray(12 * part, 12 * part + 12);
       for (let i = 0; i < vertex.length; i += 7) {
         const at = p[3 * axis]! * vertex[i]! + p[3 * axis + 1]! * vertex[i + 1]! + p[3 * axis + 2]! * vertex[i + 2]! + p[9 + axis]!;
-        least = Math.min(least, at);
-        most = Math.max(most, at);
+        low = Math.min(low, at);
+        high = Math.max(high, at);
       }
     }
     const { origin, spacing, shape } = this.opened();
     const middle = origin[axis]! + 0.5 * spacing[axis]! * shape[axis]!;
-    return least < most ? least + 0.78 * (most - least) : middle;
+    return low < high ? low + 0.78 * (high - low) : middle;
   }
 
-  /** Forces on a plane across an axis, at a place in metres, over the whole box. */
+  /** Forces on a plane across an axis, at a position in metres, over the whole box. */
   cut(axis: number, at: number): Cut {
     const head = this.opened();
     const [a, b] = [(axis + 1) % 3, (axis + 2) % 3];
@@ -378,7 +409,7 @@ export class Engine {
     along[a] = step[a]!;
     up[b] = step[b]!;
     const at = this.wasm.plane(...from, ...along, ...up, count[a]!, count[b]!);
-    if (!at) throw new Fault("too large", "a plane larger than the memory that the page takes", null);
+    if (!at) throw new Fault("too large", "a plane larger than the memory of the page", null);
     return new Float32Array(this.wasm.memory.buffer, at, 3 * count[a]! * count[b]!).slice();
   }
 
@@ -403,23 +434,24 @@ export class Engine {
     return this.head;
   }
 
-  private words(): string {
+  private message(): string {
     const bytes = new Uint8Array(this.wasm.memory.buffer);
     let text = "";
-    for (let at = this.wasm.words(); bytes[at]; at++) text += String.fromCharCode(bytes[at]!);
+    for (let at = this.wasm.message(); bytes[at]; at++) text += String.fromCharCode(bytes[at]!);
     return text;
   }
 }
 
 // -- messages -----------------------------------------------------------------------------------------------------
 
-/** What is shown and felt. */
+/** The field that is shown. */
 export type What = "decoded" | "source" | "difference";
 
-export type Ask =
+export type EngineRequest =
   | { do: "start"; wasm: ArrayBuffer }
   | { do: "warm"; data: Uint8Array; times: number }
   | { do: "open"; data: Uint8Array; source: Uint8Array | null }
+  | { do: "relief"; relief: Relief }
   | { do: "room"; size: number }
   | { do: "bring"; at: number; data: Uint8Array; segment: number | null }
   | { do: "open-parts"; first: number }
@@ -436,63 +468,68 @@ let decoded: Engine | null = null;
 let fields: Partial<Record<What, Engine | Difference>> = {};
 let engine: Engine | Difference;
 
-/** Open a file, and beside it its source. */
+/** Open a file and its source. */
 function open(data: Uint8Array, source: Uint8Array | null): Opened {
   const opened = decoded!.open(data);
   engine = decoded!;
   fields = { decoded: decoded! };
   if (source) {
-    const beside = new Engine(module);
-    beside.open(source);
-    fields = { ...fields, source: beside, difference: new Difference(decoded!, beside) };
+    const sourceEngine = new Engine(module);
+    sourceEngine.open(source);
+    fields = { ...fields, source: sourceEngine, difference: new Difference(decoded!, sourceEngine) };
   }
   return opened;
 }
 
-/** The answer to a question; what goes wrong is an answer, too. */
-export function answer(ask: Ask): unknown {
+/** The answer to a request; a fault is an answer, too. */
+export function answer(request: EngineRequest): unknown {
   try {
-    if (ask.do === "start") {
-      module = new WebAssembly.Module(ask.wasm);
+    if (request.do === "start") {
+      module = new WebAssembly.Module(request.wasm);
       engine = decoded = new Engine(module);
       return true;
     }
     if (!decoded) throw new Fault("fault", "the decoder has not started", null);
-    if (ask.do === "warm") return decoded.warm(ask.data, ask.times);
-    if (ask.do === "open") return open(ask.data, ask.source);
-    if (ask.do === "room") {
+    if (request.do === "warm") return decoded.warm(request.data, request.times);
+    if (request.do === "open") return open(request.data, request.source);
+    if (request.do === "relief") {
       engine = decoded;
       fields = { decoded };
-      return decoded.room(ask.size);
+      return decoded.openRelief(request.relief);
     }
-    if (ask.do === "bring") return decoded.bring(ask.at, ask.data, ask.segment);
-    if (ask.do === "open-parts") return decoded.openParts(ask.first);
-    if (ask.do === "missing") return decoded.missing(ask.time);
-    if (ask.do === "of") {
-      engine = fields[ask.what] ?? decoded;
+    if (request.do === "room") {
+      engine = decoded;
+      fields = { decoded };
+      return decoded.room(request.size);
+    }
+    if (request.do === "bring") return decoded.bring(request.at, request.data, request.segment);
+    if (request.do === "open-parts") return decoded.openParts(request.first);
+    if (request.do === "missing") return decoded.missing(request.time);
+    if (request.do === "of") {
+      engine = fields[request.what] ?? decoded;
       if (engine instanceof Engine) engine.forget();
       return true;
     }
-    if (ask.do === "show") return engine.show(ask.time, ask.axis, ask.at, ask.depth);
-    if (ask.do === "record") {
-      if (engine instanceof Engine) return engine.record(ask.recording);
+    if (request.do === "show") return engine.show(request.time, request.axis, request.at, request.depth);
+    if (request.do === "record") {
+      if (engine instanceof Engine) return engine.record(request.recording);
       throw new Fault("argument", "a difference is not a field: show decoded or source", null);
     }
-    if (ask.do === "cut") return engine.cut(ask.axis, ask.at);
-    if (ask.do === "feel") return engine.feel(ask.points);
-    if (ask.time !== null) engine.seek(ask.time);
-    let met: { point: Triple; felt: Float64Array } | null = null;
-    for (const { from, way } of ask.rays) {
-      const point = engine.contact(from, way, ask.depth, ask.away);
+    if (request.do === "cut") return engine.cut(request.axis, request.at);
+    if (request.do === "feel") return engine.feel(request.points);
+    if (request.time !== null) engine.seek(request.time);
+    let met: { point: Triple; force: Float64Array } | null = null;
+    for (const { from, direction } of request.rays) {
+      const point = engine.contact(from, direction, request.depth, request.away);
       if (!point) continue;
-      const felt = engine.feel(point);
-      met ??= { point, felt };
-      if (felt[0] || felt[1] || felt[2]) return { point, felt }; // and not through a thin wall
+      const force = engine.feel(point);
+      met ??= { point, force };
+      if (force[0] || force[1] || force[2]) return { point, force }; // and not through a thin wall
     }
     if (met) return met;
-    return { point: null, felt: null };
+    return { point: null, force: null };
   } catch (error) {
-    if (error instanceof Fault) return { fault: error.kind, words: error.words, byte: error.byte };
-    return { fault: "fault", words: String(error), byte: null };
+    if (error instanceof Fault) return { fault: error.kind, message: error.message, byte: error.byte };
+    return { fault: "fault", message: String(error), byte: null };
   }
 }

@@ -1,23 +1,25 @@
 // Entry point of the page of `touchfield view`: opens a file, plays it, and lets a user probe its forces by
 // pointer, keyboard, sound and game pad.
-import { directionWords, waysOf, type Ways } from "./axes";
+import { directionText, directionsOf, type Directions } from "./axes";
 import { colourOf } from "./colour";
-import { firstSegment, indexOffset } from "./container";
-import { answer, type Ask, type Cut, type Opened, type Piece, type Recorded, type Shown, type Triple, type What } from "./engine";
-import { differenceWords, figuresOf, type Given, keyList, millimetres } from "./panel";
+import { Fault, firstSegment, indexOffset } from "./container";
+import { answer, type EngineRequest, type Cut, type Opened, type Piece, type Recorded, type Shown, type Triple, type What } from "./engine";
+import { differenceText, figuresOf, type Given, keyList, millimetres } from "./panel";
 import { materialsOf, slidOver } from "./material";
-import { prepareSaving, save } from "./saving";
+import { isPicture, readPicture } from "./picture";
+import { reliefOf } from "./relief";
+import { message, prepareSaving, save } from "./saving";
 import { Sound } from "./sound";
 import { Trace } from "./trace";
 import { View } from "./view";
 
-const MOST_BYTES = 1 << 29;
+const MAX_BYTES = 1 << 29;
 const SPOKEN_MS = 1200;
 const SCAN_MS = 3000;
 const AHEAD_S = 1;
 
 const byId = <T extends HTMLElement>(id: string): T => document.getElementById(id) as T;
-const text = (id: string, words: string): void => void (byId(id).textContent = words);
+const text = (id: string, content: string): void => void (byId(id).textContent = content);
 const press = (id: string, on: boolean): void => byId(id).setAttribute("aria-pressed", String(on));
 
 // -- the decoder, in a thread of its own where that is allowed ----------------------------------------------------------
@@ -25,7 +27,7 @@ const press = (id: string, on: boolean): void => byId(id).setAttribute("aria-pre
 class Decoder {
   private worker: Worker | null = null;
   private next = 0;
-  private readonly waiting = new Map<number, { ask: Ask; done: (value: unknown) => void }>();
+  private readonly waiting = new Map<number, { request: EngineRequest; done: (value: unknown) => void }>();
   private readonly ready: Promise<unknown>;
 
   constructor(wasm: Uint8Array<ArrayBuffer>, code: string) {
@@ -37,25 +39,25 @@ class Decoder {
       };
       this.worker.onerror = (): void => { // a page around this one may forbid threads
         this.worker = null;
-        for (const { ask, done } of this.waiting.values()) done(answer(ask));
+        for (const { request, done } of this.waiting.values()) done(answer(request));
         this.waiting.clear();
       };
     } catch {
       this.worker = null;
     }
-    this.ready = this.ask({ do: "start", wasm: wasm.buffer });
+    this.ready = this.request({ do: "start", wasm: wasm.buffer });
   }
 
-  async ask<T>(ask: Ask): Promise<T> {
-    if (ask.do !== "start") await this.ready;
-    const told = this.worker
+  async request<T>(request: EngineRequest): Promise<T> {
+    if (request.do !== "start") await this.ready;
+    const result = this.worker
       ? await new Promise<unknown>((done) => {
-          this.waiting.set(++this.next, { ask, done });
-          this.worker!.postMessage({ id: this.next, ask });
+          this.waiting.set(++this.next, { request, done });
+          this.worker!.postMessage({ id: this.next, request });
         })
-      : await new Promise<unknown>((done) => setTimeout(() => done(answer(ask)), 0));
-    if (told && typeof told === "object" && "fault" in told) throw told;
-    return told as T;
+      : await new Promise<unknown>((done) => setTimeout(() => done(answer(request)), 0));
+    if (result && typeof result === "object" && "fault" in result) throw result;
+    return result as T;
   }
 }
 
@@ -64,7 +66,7 @@ class Decoder {
 interface State {
   name: string;
   opened: Opened;
-  ways: Ways;
+  directions: Directions;
   time: number;
   point: Triple;
   force: Float64Array;
@@ -95,32 +97,32 @@ const seconds = (): number => (state!.opened.head.frames - 1) / state!.opened.he
 const depth = (): number => (Number(byId<HTMLInputElement>("depth").value) / 100) * 0.1 * Math.min(...[0, 1, 2].map((n) => range(n)[1] - range(n)[0]));
 
 /** The latest of several calls: one runs, one waits, and those between are passed over. */
-function latest<A extends unknown[]>(run: (...given: A) => Promise<void>): (...given: A) => void {
+function latest<A extends unknown[]>(run: (...args: A) => Promise<void>): (...args: A) => void {
   let busy = false;
   let waiting: A | null = null;
-  const go = async (...asked: A): Promise<void> => {
-    if (busy) return void (waiting = asked);
+  const go = async (...args: A): Promise<void> => {
+    if (busy) return void (waiting = args);
     busy = true;
     try {
-      await run(...asked);
+      await run(...args);
     } catch (error) {
-      tellFault(error);
+      reportFault(error);
     }
     busy = false;
     if (waiting) {
-      const after = waiting;
+      const next = waiting;
       waiting = null;
-      void go(...after);
+      void go(...next);
     }
   };
-  return (...asked) => void go(...asked);
+  return (...args) => void go(...args);
 }
 
-function tellFault(error: unknown, name = state?.name ?? "the file"): void {
-  const told = error as { fault?: string; words?: string; byte?: number | null };
-  const where = told.byte == null ? "" : `, at byte ${told.byte.toLocaleString("en")}`;
-  const words = told.fault ? `${told.words} (${told.fault}${where})` : String(error);
-  text("fault", `${name} cannot be shown: ${words}.`);
+function reportFault(error: unknown, name = state?.name ?? "the file"): void {
+  const details = error as { fault?: string; message?: string; byte?: number | null };
+  const where = details.byte == null ? "" : `, at byte ${details.byte.toLocaleString("en")}`;
+  const message = details.fault ? `${details.message} (${details.fault}${where})` : error instanceof Fault ? error.message : String(error);
+  text("fault", `${name} cannot be shown: ${message}.`);
   byId("fault").hidden = false;
   text("saved", `Cannot be saved: ${name} cannot be shown.`);
   document.documentElement.dataset.state = "fault";
@@ -131,12 +133,25 @@ function tellFault(error: unknown, name = state?.name ?? "the file"): void {
 
 async function openBytes(data: Uint8Array, name: string, figures: Given = null, source: Uint8Array | null = null): Promise<void> {
   await openAs(name, figures, !!source, null, async () => {
-    if (data.length > MOST_BYTES) throw TOO_LARGE;
-    return decoder.ask<Opened>({ do: "open", data, source });
+    if (data.length > MAX_BYTES) throw TOO_LARGE;
+    return decoder.request<Opened>({ do: "open", data, source });
   });
 }
 
-const TOO_LARGE = { fault: "too large", words: `the page takes files up to ${MOST_BYTES >> 20} MiB`, byte: null };
+/** Open the relief of a picture of depth, and report what was done. */
+async function openPicture(data: Uint8Array<ArrayBuffer>, name: string): Promise<void> {
+  let report = "";
+  await openAs(name, null, false, null, async (own) => {
+    const relief = reliefOf(await readPicture(data, name), name);
+    if (own !== opening) return null;
+    const opened = await decoder.request<Opened>({ do: "relief", relief });
+    report = `${relief.report}, ${(opened.ms / 1000).toFixed(1)} s.`;
+    return opened;
+  });
+  if (report && document.documentElement.dataset.state === "ready") message(report);
+}
+
+const TOO_LARGE = { fault: "too large", message: `the page takes files up to ${MAX_BYTES >> 20} MiB`, byte: null };
 
 async function openAs(name: string, figures: Given, hasSource: boolean, read: Read | null, open: (own: number) => Promise<Opened | null>): Promise<void> {
   const own = ++opening;
@@ -150,48 +165,48 @@ async function openAs(name: string, figures: Given, hasSource: boolean, read: Re
     if (own !== opening || !opened) return;
     reading = read;
     const isArray = opened.head.type === 2;
-    const ways = waysOf(opened.records.axes, isArray);
+    const directions = directionsOf(opened.records.axes, isArray);
     const middle = opened.head.origin.map((o, n) => o + 0.5 * opened.head.spacing[n]! * (opened.head.shape[n]! - 1)) as Triple;
-    const axis = [0, 1, 2].find((n) => ways.right[n]) ?? 0;
-    state = { name, opened, ways, time: 0, point: middle, force: new Float64Array(5), memory: opened.memory, axis, cut: middle[axis]!, hasSource, what: "decoded" };
+    const axis = [0, 1, 2].find((n) => directions.right[n]) ?? 0;
+    state = { name, opened, directions, time: 0, point: middle, force: new Float64Array(5), memory: opened.memory, axis, cut: middle[axis]!, hasSource, what: "decoded" };
     given = figures;
     text("name", name);
-    begin();
+    describe();
     await showNow(0, true);
     document.documentElement.dataset.state = "ready";
   } catch (error) {
-    if (own === opening) tellFault(error, name);
+    if (own === opening) reportFault(error, name);
   }
 }
 
-// -- a file elsewhere, of which only what is played is read -------------------------------------------------------------
+// -- a remote file, of which only what is played is read -------------------------------------------------------------
 
-/** Bytes of a file, from one place to before another. */
+/** Bytes of a file, from a position to before another. */
 type Read = (from: number, to: number) => Promise<Uint8Array>;
 
-const LEAST_READ = 1 << 14;
+const MIN_READ_BYTES = 1 << 14;
 let reading: Read | null = null;
-const coming = new Map<number, Promise<void>>();
+const pending = new Map<number, Promise<void>>();
 
-/** Open a file in parts: its end with the index, its begin, and then the segments that are shown. */
+/** Open a file in parts: its end with the index, its start, and then the segments that are shown. */
 async function openParts(size: number, name: string, read: Read): Promise<void> {
-  coming.clear();
+  pending.clear();
   await openAs(name, null, false, read, async (own) => {
-    if (size > MOST_BYTES) throw TOO_LARGE;
-    await decoder.ask({ do: "room", size });
+    if (size > MAX_BYTES) throw TOO_LARGE;
+    await decoder.request({ do: "room", size });
     const bring = async (from: number, to: number): Promise<Uint8Array> => {
       const data = await read(from, to);
-      if (own === opening) await decoder.ask({ do: "bring", at: from, data, segment: null });
+      if (own === opening) await decoder.request({ do: "bring", at: from, data, segment: null });
       return data;
     };
-    const tail = await bring(Math.max(0, size - LEAST_READ), size);
+    const tail = await bring(Math.max(0, size - MIN_READ_BYTES), size);
     const index = indexOffset(tail);
     const within = tail.length - (size - index);
-    const told = within < 0 && index > 0 ? await bring(index, size) : tail.subarray(Math.max(within, 0));
-    const first = firstSegment(told);
-    if (!(first > 0 && first < size)) throw { fault: "cut short", words: "no index at its end", byte: null };
+    const entries = within < 0 && index > 0 ? await bring(index, size) : tail.subarray(Math.max(within, 0));
+    const first = firstSegment(entries);
+    if (!(first > 0 && first < size)) throw { fault: "cut short", message: "no index at its end", byte: null };
     await bring(0, first);
-    return own === opening ? decoder.ask<Opened>({ do: "open-parts", first }) : null;
+    return own === opening ? decoder.request<Opened>({ do: "open-parts", first }) : null;
   });
 }
 
@@ -199,20 +214,20 @@ async function openParts(size: number, name: string, read: Read): Promise<void> 
 async function fetched(time: number): Promise<void> {
   const [own, read] = [opening, reading];
   if (!read) return;
-  for (const { segment, from, to } of await decoder.ask<Piece[]>({ do: "missing", time })) {
-    if (!coming.has(segment))
-      coming.set(segment, read(from, to).then(async (data) => {
-        if (own === opening) await decoder.ask({ do: "bring", at: from, data, segment });
-      }).finally(() => coming.delete(segment)));
-    await coming.get(segment);
+  for (const { segment, from, to } of await decoder.request<Piece[]>({ do: "missing", time })) {
+    if (!pending.has(segment))
+      pending.set(segment, read(from, to).then(async (data) => {
+        if (own === opening) await decoder.request({ do: "bring", at: from, data, segment });
+      }).finally(() => pending.delete(segment)));
+    await pending.get(segment);
   }
 }
 
 const fetchAhead = latest(fetched);
 
-/** What is told of a file before anything is decoded. */
-function begin(): void {
-  const { opened, ways, name } = state!;
+/** Describe a file before a frame is decoded. */
+function describe(): void {
+  const { opened, directions, name } = state!;
   const { head, records } = opened;
   byId("empty").hidden = true;
   byId("legend").hidden = false;
@@ -221,14 +236,14 @@ function begin(): void {
   document.title = `${name} – touchfield`;
   byId("labels").dataset.device = records.device;
   const lengths = [0, 1, 2].map((n) => range(n)[1] - range(n)[0]);
-  const axes = lengths.map((m, n) => `${"xyz"[n]} ${ways.words[n]} · ${millimetres(m)}`.replace("  ", " "));
-  view.begin(head, ways, { box: `${head.type === 2 ? "actuators" : "workspace"} of ${records.device || "the device"}`, axes });
+  const axes = lengths.map((m, n) => `${"xyz"[n]} ${directions.names[n]} · ${millimetres(m)}`.replace("  ", " "));
+  view.start(head, directions, { box: `${head.type === 2 ? "actuators" : "workspace"} of ${records.device || "the device"}`, axes });
   const what = head.type === 2 ? `${head.shape[0]} × ${head.shape[1]} actuators` : head.objects ? `${head.objects} bodies` : "a force field";
-  text("told", `${what}${head.frames > 1 ? ` over ${((head.frames / head.rate)).toPrecision(2)} s` : ""}, for ${records.device || "a device"}`);
-  byId("beside").hidden = !state!.hasSource;
+  text("summary", `${what}${head.frames > 1 ? ` over ${((head.frames / head.rate)).toPrecision(2)} s` : ""}, for ${records.device || "a device"}`);
+  byId("fields").hidden = !state!.hasSource;
   scaleNow();
-  figuresOf(byId("figures"), byId("story"), opened, given);
-  surfaces = materialsOf(opened.records.story.find(([key]) => key === "materials.json")?.[1]);
+  figuresOf(byId("figures"), byId("provenance"), opened, given);
+  surfaces = materialsOf(opened.records.provenance.find(([key]) => key === "materials.json")?.[1]);
   prepareSaving(head);
   jumps();
   for (const [n, button] of [...document.querySelectorAll<HTMLButtonElement>("[data-axis]")].entries())
@@ -236,11 +251,11 @@ function begin(): void {
   const whole = head.frames / head.rate;
   byId<HTMLSelectElement>("speed").value = whole < 0.1 ? "0.01" : whole < 0.6 ? "0.1" : "1";
   byId<HTMLInputElement>("at").max = String(seconds());
-  text("depth-told", millimetres(depth()));
+  text("depth-value", millimetres(depth()));
 }
 
 const isError = (): boolean => state?.what === "difference";
-/** What the brightest colour stands for: newtons, or in a difference what the promise allows. */
+/** What the brightest colour stands for: newtons, or in a difference the error bound. */
 const top = (): number => (isError() ? 1 : state!.opened.head.peak);
 
 /** The scale of what is shown, and the words that belong to it. */
@@ -248,13 +263,13 @@ function scaleNow(): void {
   const { opened, what } = state!;
   const isArray = opened.head.type === 2;
   view.scale(top(), isError() ? 1 + Number(given?.source_share ?? 0) : Infinity);
-  trace.begin(top());
+  trace.start(top());
   legend(top());
   for (const button of document.querySelectorAll<HTMLElement>("[data-what]")) button.setAttribute("aria-pressed", String(button.dataset.what === what));
-  text("scale", isError() ? "Error / allowed" : "Force, newtons");
-  text("unit", isError() ? "of what is allowed" : "N");
+  text("scale", isError() ? "Error / bound" : "Force, newtons");
+  text("unit", isError() ? "of the error bound" : "N");
   text("traced", isError() ? "2 s of it" : "2 s of |F|");
-  if (isError()) return text("caption", differenceWords(given, !!opened.head.objects));
+  if (isError()) return text("caption", differenceText(given, !!opened.head.objects));
   text("caption", isArray
     ? "Each disc or pin is an actuator: the higher and the brighter it is, the stronger it pushes."
     : "Surface: where a hand first feels a force; its colour: the force once it is pressed in by the length set on the right. Slice: the force inside, with cones that point where it pushes. Orange: your probe.");
@@ -263,7 +278,7 @@ function scaleNow(): void {
 const setWhat = latest(async (what: What) => {
   if (!state?.hasSource) return;
   state.what = what;
-  await decoder.ask({ do: "of", what });
+  await decoder.request({ do: "of", what });
   scaleNow();
   await showNow(state.time);
 });
@@ -283,17 +298,17 @@ function legend(peak: number): void {
 }
 
 function jumps(): void {
-  const rows: [string, () => void][] = [["Strongest place", () => void jump(strongest)]];
+  const buttons: [string, () => void][] = [["Strongest force", () => void jump(strongest)]];
   const worst = given?.worst_voxel as number[] | undefined;
   if (Array.isArray(worst) && worst.length === 3 && !state!.opened.head.objects) {
     const { origin, spacing, rate } = state!.opened.head;
-    const place = worst.map((n, k) => origin[k]! + n * spacing[k]!) as Triple;
-    rows.push(["Worst voxel", () => void jump(place, Number(given!.worst_frame ?? 0) / rate)]);
+    const position = worst.map((n, k) => origin[k]! + n * spacing[k]!) as Triple;
+    buttons.push(["Largest error", () => void jump(position, Number(given!.worst_frame ?? 0) / rate)]);
   }
-  byId("jumps").replaceChildren(...rows.map(([words, act]) => {
+  byId("jumps").replaceChildren(...buttons.map(([label, act]) => {
     const button = document.createElement("button");
     button.type = "button";
-    button.textContent = words;
+    button.textContent = label;
     button.onclick = act;
     return button;
   }));
@@ -301,16 +316,16 @@ function jumps(): void {
 
 let strongest: Triple = [0, 0, 0];
 
-async function jump(place: Triple, time = state!.time): Promise<void> {
+async function jump(position: Triple, time = state!.time): Promise<void> {
   if (time !== state!.time) await showNow(time);
-  state!.cut = place[state!.axis]!;
+  state!.cut = position[state!.axis]!;
   cutNow();
-  await feelAt(place);
+  await feelAt(position);
 }
 
 interface Met {
   point: Triple | null;
-  felt: Float64Array;
+  force: Float64Array;
 }
 
 // -- frames -------------------------------------------------------------------------------------------------------------
@@ -321,12 +336,12 @@ async function showNow(time: number, isFirst = false): Promise<void> {
   if (reading) await fetched(own.time);
   if (own !== state) return;
   if (isFirst) {
-    const met = await decoder.ask<Met>({ do: "contact", time: 0, rays: view.raysFromMiddle(), depth: depth(), away: view.away() });
+    const met = await decoder.request<Met>({ do: "contact", time: 0, rays: view.raysFromMiddle(), depth: depth(), away: view.away() });
     marks.felt = performance.now();
     if (met.point) own.point = met.point;
-    felt(own.point, met.felt ?? new Float64Array(5));
+    showForce(own.point, met.force ?? new Float64Array(5));
   }
-  const shown = await decoder.ask<Shown>({ do: "show", time: own.time, axis: own.axis, at: isFirst ? null : own.cut, depth: depth() });
+  const shown = await decoder.request<Shown>({ do: "show", time: own.time, axis: own.axis, at: isFirst ? null : own.cut, depth: depth() });
   if (own !== state) return;
   if (shown.cut) own.cut = shown.cut.at;
   own.memory = shown.memory;
@@ -346,8 +361,8 @@ async function showNow(time: number, isFirst = false): Promise<void> {
   marks.shown = performance.now();
   byId<HTMLInputElement>("at").value = String(own.time);
   text("clock", `${own.time.toFixed(seconds() < 0.5 ? 4 : 2)} of ${seconds().toFixed(seconds() < 0.5 ? 4 : 2)} s`);
-  tellCut();
-  if (!isFirst) felt(own.point, await decoder.ask<Float64Array>({ do: "feel", points: own.point }));
+  showCut();
+  if (!isFirst) showForce(own.point, await decoder.request<Float64Array>({ do: "feel", points: own.point }));
 }
 
 const show = latest(async (time: number) => showNow(time));
@@ -357,26 +372,26 @@ const cutNow = latest(async () => {
   if (own.opened.head.type === 2) return;
   const [low, high] = range(own.axis);
   own.cut = Math.min(Math.max(own.cut, low), high);
-  view.cut(await decoder.ask<Cut>({ do: "cut", axis: own.axis, at: own.cut }));
-  tellCut();
+  view.cut(await decoder.request<Cut>({ do: "cut", axis: own.axis, at: own.cut }));
+  showCut();
 });
 
-function tellCut(): void {
+function showCut(): void {
   const [low, high] = range(state!.axis);
   byId<HTMLInputElement>("cut").value = String((1000 * (state!.cut - low)) / (high - low));
-  text("cut-told", `${"xyz"[state!.axis]} ${millimetres(state!.cut)}`);
+  text("cut-value", `${"xyz"[state!.axis]} ${millimetres(state!.cut)}`);
 }
 
-// a movie beside the touch is the clock of both
+// a movie that is shown with the touch is the clock of both
 let movie: HTMLVideoElement | null = null;
 let movieAt = 0;
 
 function openMovie(): void {
-  const told = byId("given-movie");
-  if (!told.textContent!.trim()) return;
+  const given = byId("given-movie");
+  if (!given.textContent!.trim()) return;
   movie = byId<HTMLVideoElement>("video");
-  movie.src = URL.createObjectURL(new Blob([bytesOf("given-movie")], { type: told.dataset.type! }));
-  movieAt = Number(told.dataset.at);
+  movie.src = URL.createObjectURL(new Blob([bytesOf("given-movie")], { type: given.dataset.type! }));
+  movieAt = Number(given.dataset.at);
   byId("movie").hidden = false;
   movie.onclick = (): void => setPlaying(!playing);
   movie.onended = (): void => setPlaying(false);
@@ -406,12 +421,12 @@ function setPlaying(on: boolean): void {
       await showNow(time);
       if (reading) fetchAhead(Math.min(time + AHEAD_S * speed, seconds()));
     } catch (error) {
-      return tellFault(error);
+      return reportFault(error);
     }
     // where a step takes longer to decode than to play, steps are kept short: it plays slower, and does not jump
     const took = (performance.now() - now) / 1000;
     pace = took > 0.25 ? Math.max(pace * 0.7, 1 / 64) : Math.min(pace * 1.1, 1);
-    byId("play").title = pace < 0.9 ? `slower than asked: decoding takes its time` : "Space";
+    byId("play").title = pace < 0.9 ? `slower than requested: decoding takes longer` : "Space";
     requestAnimationFrame(() => void tick());
   };
   void tick();
@@ -433,7 +448,7 @@ function speedAt(point: Triple): number {
 let spokenAt = 0;
 let spokenLater = 0;
 
-function felt(point: Triple, force: Float64Array): void {
+function showForce(point: Triple, force: Float64Array): void {
   const own = state!;
   own.point = point;
   own.force = force;
@@ -443,12 +458,12 @@ function felt(point: Triple, force: Float64Array): void {
   if (isError()) text("parts", `${(1000 * size * force[3]!).toFixed(1)} of ${(1000 * force[3]!).toFixed(1)} mN`);
   else text("parts", `x ${force[0]!.toFixed(2)}   y ${force[1]!.toFixed(2)}   z ${force[2]!.toFixed(2)} N`);
   text("vibrates", vibration > 0 ? `vibrates ${vibration.toFixed(2)} N at ${force[4]!.toFixed(0)} Hz` : "");
-  view.setProbe(point, force, `${size.toFixed(2)} ${isError() ? "of allowed" : "N"}`);
+  view.setProbe(point, force, `${size.toFixed(2)} ${isError() ? "of bound" : "N"}`);
   trace.add(size);
-  const side = own.ways.right.reduce((sum, way, n) => sum + way * force[n]!, 0) / (size || 1);
+  const side = own.directions.right.reduce((sum, direction, n) => sum + direction * force[n]!, 0) / (size || 1);
   const [texture, hertz] = slidOver(surfaces, point, speedAt(point), isError() ? 0 : size);
-  if (texture > vibration) sound.tell(size / top(), side, texture / top(), hertz);
-  else sound.tell(size / top(), side, vibration / top(), force[4]!);
+  if (texture > vibration) sound.play(size / top(), side, texture / top(), hertz);
+  else sound.play(size / top(), side, vibration / top(), force[4]!);
   const wait = SPOKEN_MS - (performance.now() - spokenAt);
   window.clearTimeout(spokenLater);
   spokenLater = window.setTimeout(speak, Math.max(wait, 250));
@@ -458,21 +473,21 @@ function felt(point: Triple, force: Float64Array): void {
 function speak(): void {
   if (!state || playing) return;
   spokenAt = performance.now();
-  const { point, force, ways } = state;
+  const { point, force, directions } = state;
   const size = Math.hypot(force[0]!, force[1]!, force[2]!);
-  const place = point.map((m, n) => {
+  const position = point.map((m, n) => {
     const [low, high] = range(n);
     return `${"xyz"[n]} ${Math.round(1000 * (m - (low + high) / 2))}`;
   });
-  const unit = isError() ? "of the difference that is allowed" : "newtons";
-  const what = size > 0.002 * top() ? `${size.toFixed(2)} ${unit}, ${directionWords(force, ways)}` : isError() ? "no difference" : "no force";
-  const beside = !isError() && force[3]! > 0 ? `, vibrates at ${force[4]!.toFixed(0)} hertz` : "";
-  text("spoken", `${what}${beside}; ${place.join(", ")} millimetres from the middle`);
+  const unit = isError() ? "of the error bound" : "newtons";
+  const what = size > 0.002 * top() ? `${size.toFixed(2)} ${unit}, ${directionText(force, directions)}` : isError() ? "no difference" : "no force";
+  const vibration = !isError() && force[3]! > 0 ? `, vibrates at ${force[4]!.toFixed(0)} hertz` : "";
+  text("spoken", `${what}${vibration}; ${position.join(", ")} millimetres from the middle`);
 }
 
 const feelAt = async (point: Triple): Promise<void> => {
   const bounded = point.map((m, n) => Math.min(Math.max(m, range(n)[0]), range(n)[1])) as Triple;
-  felt(bounded, await decoder.ask<Float64Array>({ do: "feel", points: bounded }));
+  showForce(bounded, await decoder.request<Float64Array>({ do: "feel", points: bounded }));
 };
 const feel = latest(feelAt);
 
@@ -485,8 +500,8 @@ const hand = latest(async (at: Triple, time: number) => {
 
 const point = latest(async (x: number, y: number, pressure: number) => {
   const ray = view.ray(x, y);
-  const met = await decoder.ask<Met>({ do: "contact", time: null, rays: [ray], depth: depth() * pressure, away: view.away() });
-  if (met.point) felt(met.point, met.felt);
+  const met = await decoder.request<Met>({ do: "contact", time: null, rays: [ray], depth: depth() * pressure, away: view.away() });
+  if (met.point) showForce(met.point, met.force);
   else await feelAt(view.facing(ray, state!.point));
 });
 
@@ -553,10 +568,10 @@ function move(axis: number, sign: number, isFine: boolean): void {
   feel(next);
 }
 
-/** The axis and sign of one of the viewer's ways. */
-function along(way: Triple): [number, number] {
-  const axis = way.findIndex((n) => n !== 0);
-  return [axis, way[axis]!];
+/** The axis and sign of one of the viewer's directions. */
+function along(direction: Triple): [number, number] {
+  const axis = direction.findIndex((n) => n !== 0);
+  return [axis, direction[axis]!];
 }
 
 let scanning = 0;
@@ -565,17 +580,17 @@ let scanning = 0;
 function scan(): void {
   if (!state) return;
   window.clearInterval(scanning);
-  const [axis, sign] = along(state.ways.right);
+  const [axis, sign] = along(state.directions.right);
   const [low, high] = range(axis);
   const back = state.point;
-  const begin = performance.now();
+  const start = performance.now();
   press("scan", true);
   void setSound(true);
   scanning = window.setInterval(() => {
-    const share = (performance.now() - begin) / SCAN_MS;
+    const fraction = (performance.now() - start) / SCAN_MS;
     const next = [...back] as Triple;
-    next[axis] = sign > 0 ? low + share * (high - low) : high - share * (high - low);
-    if (share < 1) return feel(next);
+    next[axis] = sign > 0 ? low + fraction * (high - low) : high - fraction * (high - low);
+    if (fraction < 1) return feel(next);
     window.clearInterval(scanning);
     press("scan", false);
     feel(back);
@@ -641,14 +656,14 @@ function wireKeys(): void {
     const isButton = /^(BUTTON|SUMMARY)$/.test(target.tagName);
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     if (state && !isControl) {
-      const { right, up, towards } = state.ways;
-      const ways: Record<string, [Triple, number]> = {
+      const { right, up, towards } = state.directions;
+      const moves: Record<string, [Triple, number]> = {
         ArrowRight: [right, 1], ArrowLeft: [right, -1], ArrowUp: [up, 1], ArrowDown: [up, -1], PageUp: [towards, -1], PageDown: [towards, 1],
       };
-      const way = ways[event.key];
-      if (way) {
-        const [axis, sign] = along(way[0]);
-        move(axis, sign * way[1], event.shiftKey);
+      const direction = moves[event.key];
+      if (direction) {
+        const [axis, sign] = along(direction[0]);
+        move(axis, sign * direction[1], event.shiftKey);
         return event.preventDefault();
       }
     }
@@ -667,7 +682,7 @@ function saveFrames(isRange: boolean): Promise<void> {
   return save(source, isRange, async (recording) => {
     const { rate } = state!.opened.head;
     for (let n = recording.from; n < recording.from + recording.count; n++) await fetched(n / rate);
-    return decoder.ask<Recorded>({ do: "record", recording });
+    return decoder.request<Recorded>({ do: "record", recording });
   });
 }
 
@@ -712,7 +727,7 @@ function wireControls(): void {
   };
   byId<HTMLInputElement>("depth").oninput = (): void => {
     if (!state) return;
-    text("depth-told", millimetres(depth()));
+    text("depth-value", millimetres(depth()));
     show(state.time);
   };
   byId<HTMLInputElement>("at").oninput = (event): void => {
@@ -745,7 +760,7 @@ async function followBytes(data: Uint8Array, name: string): Promise<void> {
   }
   const own = ++opening;
   try {
-    const opened = await decoder.ask<Opened>({ do: "open", data, source: null });
+    const opened = await decoder.request<Opened>({ do: "open", data, source: null });
     if (own !== opening) return;
     reading = null;
     state = { ...state, opened, name, time: 0 };
@@ -753,16 +768,17 @@ async function followBytes(data: Uint8Array, name: string): Promise<void> {
     await showNow(0, true);
     if (!playing) setPlaying(true);
   } catch (error) {
-    tellFault(error, name);
+    reportFault(error, name);
   }
 }
 
 async function openFile(file: File): Promise<void> {
-  if (file.size > MOST_BYTES) return tellFault(TOO_LARGE, file.name);
-  await openBytes(new Uint8Array(await file.arrayBuffer()), file.name);
+  if (file.size > MAX_BYTES) return reportFault(TOO_LARGE, file.name);
+  const data = new Uint8Array(await file.arrayBuffer());
+  await (isPicture(data, file.name) ? openPicture(data, file.name) : openBytes(data, file.name));
 }
 
-// -- begin --------------------------------------------------------------------------------------------------------------
+// -- start --------------------------------------------------------------------------------------------------------------
 
 function bytesOf(id: string): Uint8Array<ArrayBuffer> {
   const letters = atob(byId(id).textContent!.trim());
@@ -780,7 +796,7 @@ async function start(): Promise<void> {
   decoder = new Decoder(new Uint8Array(await new Response(packed).arrayBuffer()), byId("worker").textContent!);
   const medium = byId("given-medium");
   document.documentElement.dataset.state = "empty";
-  if (!medium.textContent!.trim()) return void (await decoder.ask({ do: "warm", data: bytesOf("sample"), times: 14 }));
+  if (!medium.textContent!.trim()) return void (await decoder.request({ do: "warm", data: bytesOf("sample"), times: 14 }));
   openMovie();
   const figures = JSON.parse(byId("given-figures").textContent!) as Given;
   const source = byId("given-source").textContent!.trim() ? bytesOf("given-source") : null;
@@ -794,12 +810,12 @@ Object.assign(window, {
     read: (size: number, name: string, read: Read) => openParts(size, name, async (from, to) => Uint8Array.from(await read(from, to))),
     follow: (data: ArrayLike<number>, name: string) => followBytes(Uint8Array.from(data), name),
     hand: (at: Triple, time: number) => hand(at, time),
-    feel: (points: number[]) => decoder.ask<Float64Array>({ do: "feel", points }).then((all) => [...all]),
-    seek: (time: number) => showNow(time).catch(tellFault),
+    feel: (points: number[]) => decoder.request<Float64Array>({ do: "feel", points }).then((all) => [...all]),
+    seek: (time: number) => showNow(time).catch(reportFault),
     state: () => ({
       state: document.documentElement.dataset.state, name: state?.name, time: state?.time, point: state?.point, force: state && [...state.force],
-      axis: state?.axis, cut: state?.cut, playing, movie: movie?.currentTime, triangles: view.triangles, cones: view.cones, bodies: view.bodies, marks, sound: sound.told,
-      head: state?.opened.head, memory: state?.memory, kept: view.kept, what: state?.what,
+      axis: state?.axis, cut: state?.cut, playing, movie: movie?.currentTime, triangles: view.triangles, cones: view.cones, bodies: view.bodies, marks, sound: sound.output,
+      head: state?.opened.head, memory: state?.memory, graphicsObjects: view.graphicsObjects, what: state?.what,
     }),
   },
 });

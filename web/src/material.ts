@@ -20,17 +20,17 @@ export function materialsOf(text: string | undefined): { bands: number[]; materi
   try {
     const { bands_hz: bands, materials } = JSON.parse(text ?? "null") ?? {};
     if (!isRow(bands) || !Array.isArray(materials)) return none;
-    const kept = materials.slice(0, 64).filter((one) => one && one.object == null && isRow(one.speeds_m_s) && isRow(one.forces_n));
-    const made = kept.map((one): Material => ({ box: one.box_m ?? null, speeds: one.speeds_m_s, forces: one.forces_n, levels: one.texture_rms_n }));
-    const isWhole = (one: Material): boolean =>
-      one.levels?.length === one.speeds.length && one.levels.every((row) => row?.length === one.forces.length && row.every((b) => isRow(b) && b.length === bands.length));
-    return { bands, materials: made.filter(isWhole) };
+    const stored = materials.slice(0, 64).filter((material) => material && material.object == null && isRow(material.speeds_m_s) && isRow(material.forces_n));
+    const found = stored.map((material): Material => ({ box: material.box_m ?? null, speeds: material.speeds_m_s, forces: material.forces_n, levels: material.texture_rms_n }));
+    const isWhole = (material: Material): boolean =>
+      material.levels?.length === material.speeds.length && material.levels.every((row) => row?.length === material.forces.length && row.every((b) => isRow(b) && b.length === bands.length));
+    return { bands, materials: found.filter(isWhole) };
   } catch {
     return none;
   }
 }
 
-/** Neighbours of a value in a rising row, and the share of the second; below the first it fades to nothing. */
+/** Neighbours of a value in a rising row, and the weight of the second; below the first it fades to nothing. */
 function between(row: number[], value: number): [number, number, number, number] {
   const last = row.length - 1;
   if (value <= row[0]!) return [0, 0, 0, Math.max(value / row[0]!, 0)];
@@ -41,15 +41,15 @@ function between(row: number[], value: number): [number, number, number, number]
 
 /** Newtons rms and frequency of the loudest third of an octave where a probe slides; zeros where nothing is heard. */
 export function slidOver(table: ReturnType<typeof materialsOf>, point: Point, speed: number, force: number): [number, number] {
-  const own = table.materials.find(({ box }) => !box || point.every((v, n) => v >= box[0][n]! && v <= box[1][n]!));
-  if (!own || !(speed > 0) || !(force > 0)) return [0, 0];
-  const [a, b, s, soft] = between(own.speeds, speed);
-  const [c, d, f, light] = between(own.forces, force);
-  let [most, hertz] = [0, 0];
+  const material = table.materials.find(({ box }) => !box || point.every((v, n) => v >= box[0][n]! && v <= box[1][n]!));
+  if (!material || !(speed > 0) || !(force > 0)) return [0, 0];
+  const [a, b, s, soft] = between(material.speeds, speed);
+  const [c, d, f, light] = between(material.forces, force);
+  let [loudest, hertz] = [0, 0];
   table.bands.forEach((band, n) => {
-    const at = (i: number, j: number): number => own.levels[i]![j]![n]!;
+    const at = (i: number, j: number): number => material.levels[i]![j]![n]!;
     const level = soft * light * ((1 - s) * ((1 - f) * at(a, c) + f * at(a, d)) + s * ((1 - f) * at(b, c) + f * at(b, d)));
-    if (level > most) [most, hertz] = [level, band];
+    if (level > loudest) [loudest, hertz] = [level, band];
   });
-  return [most, hertz];
+  return [loudest, hertz];
 }

@@ -2,7 +2,7 @@
 // keyboard keys. Strings of a file are inserted as text, never as HTML.
 import type { Opened } from "./engine";
 
-/** What a program knows beyond the file, as `touchfield info --json` and `compare --json` tell it. */
+/** What a program knows besides the file: keys of `touchfield info --json` and `compare --json`. */
 export type Given = Record<string, unknown> | null;
 
 export const millimetres = (m: number): string => {
@@ -14,21 +14,21 @@ const bytes = (n: number): string => (n < 10000 ? `${n} B` : n < 1e7 ? `${(n / 1
 const short = (n: number): string => (n !== 0 && (Math.abs(n) < 1e-3 || Math.abs(n) >= 1e5) ? n.toExponential(2) : String(+n.toPrecision(4)));
 
 function row(list: HTMLElement, name: string, value: string): void {
-  const [term, told] = [document.createElement("dt"), document.createElement("dd")];
+  const [term, description] = [document.createElement("dt"), document.createElement("dd")];
   term.textContent = name;
-  told.textContent = value;
-  list.append(term, told);
+  description.textContent = value;
+  list.append(term, description);
 }
 
 const KNOWN: [string, string, (n: number) => string][] = [
-  ["worst_mask_ratio", "worst error / allowed", short],
+  ["worst_mask_ratio", "largest error / bound", short],
   ["nmse_db", "NMSE", (n) => `${n.toFixed(1)} dB`],
   ["bits_per_supported_voxel", "a voxel with force", (n) => `${short(n)} bit`],
   ["hand_vibration_mn", "vibration of coding", (n) => `${short(n)} mN`],
 ];
 
 const bits = (n: number): string => (n < 1e4 ? `${Math.round(n)} bit` : n < 1e7 ? `${+(n / 1e3).toPrecision(4)} kbit` : `${+(n / 1e6).toPrecision(4)} Mbit`);
-const percent = (share: number, digits: number): string => `${+(100 * share).toPrecision(digits)} %`;
+const percent = (fraction: number, digits: number): string => `${+(100 * fraction).toPrecision(digits)} %`;
 
 /** What the medium holds in bits, and what each device renders of it. */
 function information(list: HTMLElement, given: Record<string, unknown>): void {
@@ -41,14 +41,16 @@ function information(list: HTMLElement, given: Record<string, unknown>): void {
   }
 }
 
-/** What a picture of the difference shows. */
-export function differenceWords(given: Given, hasBodies: boolean): string {
-  const place = hasBodies && typeof given?.place_tolerance_um === "number" ? ` Bodies may lie ${short(given.place_tolerance_um)} µm elsewhere, which counts here too.` : "";
-  const none = given?.mode === "nmse" ? " (this file gives no such promise)" : given?.masking ? " (with masking more is allowed)" : "";
-  return `|decoded − source| as a share of what is allowed, max(F₀, k |F|): 1 is the promise${none}, red is beyond it. Cones point where the decoded field pushes more. The source is told to ± ${short(Number(given?.source_share ?? 0))} on this scale.${place}`;
+/** Caption of the picture of the difference. */
+export function differenceText(given: Given, hasBodies: boolean): string {
+  const bodies = hasBodies && typeof given?.place_tolerance_um === "number" ? ` Positions of bodies are exact to ${short(given.place_tolerance_um)} µm, which adds to the difference.` : "";
+  const none = given?.mode === "nmse" ? " (this file guarantees none)" : given?.masking ? " (larger with masking)" : "";
+  const scale = `|decoded − source| as a fraction of the error bound max(F₀, k |F|): 1 is the bound${none}, red is above it.`;
+  const source = `The source is exact to ± ${short(Number(given?.source_share ?? 0))} on this scale.`;
+  return `${scale} Cones point where the decoded field pushes more. ${source}${bodies}`;
 }
 
-export function figuresOf(list: HTMLElement, story: HTMLElement, opened: Opened, given: Given): void {
+export function figuresOf(list: HTMLElement, provenance: HTMLElement, opened: Opened, given: Given): void {
   const { head, records } = opened;
   list.replaceChildren();
   const samples = head.shape.reduce((a, b) => a * b, 1) * head.frames;
@@ -56,12 +58,14 @@ export function figuresOf(list: HTMLElement, story: HTMLElement, opened: Opened,
   row(list, "as plain numbers", `${bytes(12 * samples)}, 1 : ${Math.round((12 * samples) / records.size).toLocaleString("en")}`);
   const isExact = given?.mode === "lossless";
   const around = typeof given?.masking === "number" ? `, and ${percent(given.masking, 3)} of the mean force around` : "";
-  row(list, "promise", isExact ? "exact, to the bit" : head.weber > 0 ? `error ≤ ${+(100 * head.weber).toPrecision(3)} % or ${head.threshold} N${around}` : head.threshold > 0 ? `error ≤ ${head.threshold} N` : "none");
+  const absolute = head.threshold > 0 ? `error ≤ ${head.threshold} N` : "none";
+  const relative = `error ≤ ${+(100 * head.weber).toPrecision(3)} % or ${head.threshold} N${around}`;
+  row(list, "error bound", isExact ? "exact, to the bit" : head.weber > 0 ? relative : absolute);
   if (typeof given?.frames_of === "number") row(list, "shown", `the first of ${given.frames_of} frames`);
-  if (given?.promise_kept !== undefined && given.promise_kept !== null) row(list, "promise holds", given.promise_kept ? "yes" : "no");
-  for (const [key, name, words] of KNOWN) if (typeof given?.[key] === "number") row(list, name, words(given[key] as number));
+  if (given?.promise_kept !== undefined && given.promise_kept !== null) row(list, "error bound holds", given.promise_kept ? "yes" : "no");
+  for (const [key, name, format] of KNOWN) if (typeof given?.[key] === "number") row(list, name, format(given[key] as number));
   if (given) information(list, given);
-  if (typeof given?.source_bytes === "number") row(list, "source beside it", bytes(given.source_bytes));
+  if (typeof given?.source_bytes === "number") row(list, "embedded source", bytes(given.source_bytes));
   row(list, "device", records.device || "–");
   row(list, "largest force", `${short(head.peak)} N`);
   row(list, "lattice", head.shape.join(" × "));
@@ -72,10 +76,10 @@ export function figuresOf(list: HTMLElement, story: HTMLElement, opened: Opened,
   if (head.friction) row(list, "friction", short(head.friction));
   row(list, "axes", records.axes || "–");
   row(list, "coder", records.coder);
-  row(list, "page's memory", `${Math.round(opened.memory / 2 ** 20)} of at most 1024 MiB`);
-  story.replaceChildren();
-  for (const [key, value] of records.story) row(story, key, value);
-  (story.closest("details") as HTMLElement).hidden = !records.story.length;
+  row(list, "memory of the page", `${Math.round(opened.memory / 2 ** 20)} of at most 1024 MiB`);
+  provenance.replaceChildren();
+  for (const [key, value] of records.provenance) row(provenance, key, value);
+  (provenance.closest("details") as HTMLElement).hidden = !records.provenance.length;
 }
 
 const KEYS: [string, string][] = [
@@ -83,20 +87,20 @@ const KEYS: [string, string][] = [
   ["Space", "play or pause; , and . one frame back or on"],
   ["[ and ]", "move the slice; x, y, z lay it across that axis; c cuts the surface open"],
   ["< and >", "press less or more deeply"],
-  ["j, k", "to the strongest place, to the worst voxel"],
+  ["j, k", "to the strongest force, to the voxel with the largest error"],
   ["m, v", "force as sound, as rumble and vibration"],
   ["e", "decoded, source, difference, where the source is there"],
   ["s", "scan: reads a line of the field through the probe, left to right, as sound"],
-  ["t", "tell what is under the probe again"],
-  ["a, d, w, q, +, -, r", "turn the view, nearer, farther, back to the begin"],
+  ["t", "speak what is under the probe again"],
+  ["a, d, w, q, +, -, r", "turn the view, nearer, farther, reset"],
   ["h", "high contrast"],
-  ["o, p", "open a file; save the frame that is shown as one"],
+  ["o, p", "open a file or a depth picture; save the frame that is shown"],
   ["pointer", "hover: feel; drag: turn; wheel: nearer; Shift and wheel: deeper; the slice by its handle"],
   ["fingers, pen", "one: feel, and a pen's pressure is depth; two: turn and zoom"],
 ];
 
 export function keyList(into: HTMLElement): void {
   const list = document.createElement("dl");
-  for (const [keys, words] of KEYS) row(list, keys, words);
+  for (const [keys, description] of KEYS) row(list, keys, description);
   into.replaceChildren(list);
 }

@@ -10,7 +10,8 @@ export interface Source {
 type Record = (recording: Recording) => Promise<Recorded>;
 
 const input = (id: string): HTMLInputElement => document.getElementById(id) as HTMLInputElement;
-const message = (text: string): void => void (document.getElementById("saved")!.textContent = text);
+/** Report in the status line of the form. */
+export const message = (text: string): void => void (document.getElementById("saved")!.textContent = text);
 
 const bytes = (n: number): string => (n < 10000 ? `${n} bytes` : n < 1e7 ? `${(n / 1000).toFixed(1)} kB` : `${(n / 1e6).toFixed(1)} MB`);
 
@@ -65,16 +66,16 @@ export async function save(source: Source | string, isRange: boolean, record: Re
   const recording = recordingOf(source, isRange);
   if (typeof recording === "string") return message(`Cannot be saved: the page needs ${recording}.`);
   const { from, count } = recording;
-  const name = `${source.name.replace(/\.touch$/, "")}-${count > 1 ? `${from}-${from + count - 1}` : from}.touch`;
+  const name = `${source.name.replace(/\.(touch|png|npy)$/i, "")}-${count > 1 ? `${from}-${from + count - 1}` : from}.touch`;
   isBusy = true;
   message("Saving …");
   try {
     const { data, ratio, ms } = await record(recording);
     download(data, name);
     const frames = count > 1 ? `${count} frames` : "1 frame";
-    message(`Saved ${name}: ${frames}, ${bytes(data.length)}, largest error ${(100 * ratio).toFixed(0)} % of what is allowed, ${(ms / 1000).toFixed(1)} s.`);
+    message(`Saved ${name}: ${frames}, ${bytes(data.length)}, largest error ${(100 * ratio).toFixed(0)} % of the error bound, ${(ms / 1000).toFixed(1)} s.`);
   } catch (error) {
-    message(`Cannot be saved: ${(error as { words?: string }).words ?? String(error)}.`);
+    message(`Cannot be saved: ${(error as { message?: string }).message ?? String(error)}.`);
   }
   isBusy = false;
 }

@@ -7,8 +7,8 @@ export class Sound {
   private side: StereoPannerNode | null = null;
   private rumbles = false;
   private latest = 0;
-  /** What was asked last, for tests and for the eye. */
-  told = { hertz: 0, loudness: 0, side: 0 };
+  /** The latest output, for tests. */
+  output = { hertz: 0, loudness: 0, side: 0 };
 
   get isOn(): boolean {
     return this.context !== null && this.context.state !== "suspended";
@@ -38,14 +38,14 @@ export class Sound {
     if (!on) navigator.vibrate?.(0);
   }
 
-  /** A force as a share of the largest, its side from -1 (left) to 1, and a vibration beside it. */
-  tell(share: number, side: number, vibration: number, hertz: number): void {
-    const level = Math.min(Math.max(share, 0), 1);
-    this.told = { hertz: hertz > 0 ? hertz : 110 * 2 ** (3.5 * level), loudness: level > 0 ? 0.04 + 0.3 * level : 0, side };
+  /** A force as a fraction of the largest, its side from -1 (left) to 1, and a vibration. */
+  play(fraction: number, side: number, vibration: number, hertz: number): void {
+    const level = Math.min(Math.max(fraction, 0), 1);
+    this.output = { hertz: hertz > 0 ? hertz : 110 * 2 ** (3.5 * level), loudness: level > 0 ? 0.04 + 0.3 * level : 0, side };
     if (this.context && this.tone && this.loudness && this.side) {
       const now = this.context.currentTime;
-      this.tone.frequency.setTargetAtTime(this.told.hertz, now, 0.015);
-      this.loudness.gain.setTargetAtTime(this.told.loudness, now, 0.015);
+      this.tone.frequency.setTargetAtTime(this.output.hertz, now, 0.015);
+      this.loudness.gain.setTargetAtTime(this.output.loudness, now, 0.015);
       this.side.pan.setTargetAtTime(Math.min(Math.max(side, -1), 1), now, 0.03);
     }
     const now = performance.now();

@@ -8,7 +8,7 @@ export class Trace {
 
   constructor(private readonly canvas: HTMLCanvasElement) {}
 
-  begin(peak: number): void {
+  start(peak: number): void {
     this.points = [];
     this.peak = peak;
     this.draw();

@@ -6,7 +6,7 @@ import {
   MeshBasicMaterial, MeshLambertMaterial, PerspectiveCamera, Plane, PlaneGeometry, Quaternion, RGBAFormat, Scene,
   SphereGeometry, SRGBColorSpace, Vector3, WebGLRenderer, type Object3D,
 } from "three";
-import { type Ways } from "./axes";
+import { type Directions } from "./axes";
 import { rowOf, TABLE } from "./colour";
 import type { Away, Cut, Head, Mesh as Surface, Ray, Shown, Triple } from "./engine";
 
@@ -17,7 +17,7 @@ const PIN_ARRAYS = /dot|pin|graphiti|braille/i;
 
 interface Label {
   element: HTMLSpanElement;
-  place: () => Vector3 | null;
+  position: () => Vector3 | null;
 }
 
 export class View {
@@ -35,12 +35,12 @@ export class View {
   private readonly clip = new Plane(new Vector3(0, 1, 0), 0);
   private readonly light = new DirectionalLight(0xffffff, 2.6);
   private head: Head | null = null;
-  private ways: Ways | null = null;
+  private directions: Directions | null = null;
   private low = new Vector3();
   private side = new Vector3(1, 1, 1);
   private unit = 1;
   private top = 1;
-  private beyond = Infinity;
+  private limit = Infinity;
   private turn = { across: 0, height: 0, distance: 4 };
   private labels: Label[] = [];
   private isDue = false;
@@ -61,8 +61,8 @@ export class View {
     this.resize();
   }
 
-  /** Geometries, textures and programs that the graphics card keeps. */
-  get kept(): number {
+  /** Geometries, textures and programs that the graphics card stores. */
+  get graphicsObjects(): number {
     const { memory, programs } = this.renderer.info;
     return memory.geometries + memory.textures + (programs?.length ?? 0);
   }
@@ -86,15 +86,15 @@ export class View {
     });
   }
 
-  /** Begin with a file: its box, and the camera before it. */
-  begin(head: Head, ways: Ways, names: { box: string; axes: string[] }): void {
+  /** Start with a file: its box, and the camera before it. */
+  start(head: Head, directions: Directions, names: { box: string; axes: string[] }): void {
     for (const child of [...this.root.children]) dispose(child), this.root.remove(child);
     this.overlay.replaceChildren();
     this.labels = [];
     this.parts = [];
     this.array = null;
     this.head = head;
-    this.ways = ways;
+    this.directions = directions;
     this.scale(head.peak);
     this.low.fromArray(head.origin.map((o, n) => o - head.spacing[n]! / 2));
     this.side.fromArray(head.shape.map((count, n) => count * head.spacing[n]!));
@@ -114,14 +114,14 @@ export class View {
     this.reset();
   }
 
-  /** What the brightest colour stands for, and the share of it beyond which it is red. */
-  scale(top: number, beyond = Infinity): void {
+  /** What the brightest colour stands for, and the fraction of it above which it is red. */
+  scale(top: number, limit = Infinity): void {
     this.top = top;
-    this.beyond = beyond;
+    this.limit = limit;
   }
 
   reset(): void {
-    const isFront = this.ways?.words.some((word) => word === "forward"); // as a camera saw it
+    const isFront = this.directions?.names.some((word) => word === "forward"); // as a camera saw it
     const isPinned = this.isPins();
     this.turn = this.head?.type === 2 ? { across: 0.3, height: isPinned ? 0.6 : 0.25, distance: isPinned ? 3.9 : 5 } : { across: isFront ? 0.5 : 0.9, height: isFront ? 0.3 : 0.55, distance: 3.9 };
     this.due();
@@ -135,19 +135,19 @@ export class View {
     this.due();
   }
 
-  private vector(way: Triple): Vector3 {
-    return new Vector3(...way);
+  private vector(direction: Triple): Vector3 {
+    return new Vector3(...direction);
   }
 
-  private place(): void {
-    if (!this.ways) return;
+  private placeCamera(): void {
+    if (!this.directions) return;
     const { across, height } = this.turn;
     const distance = this.turn.distance * Math.max(1, 1.15 / this.camera.aspect);
-    const up = this.vector(this.ways.up);
+    const up = this.vector(this.directions.up);
     this.camera.up.copy(up);
     this.camera.position
-      .copy(this.vector(this.ways.right)).multiplyScalar(Math.sin(across) * Math.cos(height))
-      .addScaledVector(this.vector(this.ways.towards), Math.cos(across) * Math.cos(height))
+      .copy(this.vector(this.directions.right)).multiplyScalar(Math.sin(across) * Math.cos(height))
+      .addScaledVector(this.vector(this.directions.towards), Math.cos(across) * Math.cos(height))
       .addScaledVector(up, Math.sin(height))
       .multiplyScalar(distance);
     this.camera.lookAt(0, 0, 0);
@@ -184,17 +184,17 @@ export class View {
     for (const child of [...group.children]) dispose(child, false), group.remove(child);
     const count = mesh.vertex.length / 7;
     if (!count) return;
-    const [places, normals, colours] = [new Float32Array(3 * count), new Float32Array(3 * count), new Uint8Array(3 * count)];
+    const [positions, normals, colours] = [new Float32Array(3 * count), new Float32Array(3 * count), new Uint8Array(3 * count)];
     for (let i = 0; i < count; i++) {
       for (let k = 0; k < 3; k++) {
-        places[3 * i + k] = mesh.vertex[7 * i + k]!;
+        positions[3 * i + k] = mesh.vertex[7 * i + k]!;
         normals[3 * i + k] = mesh.vertex[7 * i + 3 + k]!;
       }
-      const at = rowOf(mesh.vertex[7 * i + 6]! / this.top, this.beyond);
+      const at = rowOf(mesh.vertex[7 * i + 6]! / this.top, this.limit);
       for (let k = 0; k < 3; k++) colours[3 * i + k] = TABLE[at + k]!;
     }
     const geometry = new BufferGeometry();
-    geometry.setAttribute("position", new BufferAttribute(places, 3));
+    geometry.setAttribute("position", new BufferAttribute(positions, 3));
     geometry.setAttribute("normal", new BufferAttribute(normals, 3));
     geometry.setAttribute("color", new BufferAttribute(linear(colours), 3));
     geometry.setIndex(new BufferAttribute(mesh.index, 1));
@@ -211,12 +211,12 @@ export class View {
     const [nx, ny] = head.shape;
     const isPins = this.isPins();
     const pitch = Math.min(head.spacing[0], head.spacing[1]);
-    const towards = this.vector(this.ways!.towards);
+    const towards = this.vector(this.directions!.towards);
     if (!this.array) {
       const geometry = new CylinderGeometry(isPins ? 0.3 : 0.42, isPins ? 0.3 : 0.42, 1, 20);
       this.array = new InstancedMesh(geometry, new MeshLambertMaterial(), nx * ny);
       const back = isPins ? new Mesh(new BoxGeometry(1.06, 1.06, 0.02), new MeshLambertMaterial({ color: 0xaab2c0 })) : garment();
-      const turned = this.vector(this.ways!.up).y;
+      const turned = this.vector(this.directions!.up).y;
       back.scale.set(this.side.x, turned * this.side.y, this.side.x);
       back.position.copy(this.low).addScaledVector(this.side, 0.5).setZ(head.origin[2]).addScaledVector(towards, isPins ? -0.011 * this.side.x : -0.15 * pitch);
       this.root.add(back, this.array);
@@ -234,7 +234,7 @@ export class View {
         const at = new Vector3(head.origin[0] + i * head.spacing[0], head.origin[1] + j * head.spacing[1], head.origin[2]);
         matrix.compose(at.addScaledVector(towards, height / 2), turn, new Vector3(wide, height, wide));
         this.array.setMatrixAt(n, matrix);
-        const [r, g, b] = size > 0 ? TABLE.subarray(rowOf(size, this.beyond)) : [148, 158, 174];
+        const [r, g, b] = size > 0 ? TABLE.subarray(rowOf(size, this.limit)) : [148, 158, 174];
         this.array.setColorAt(n, colour.setRGB(r! / 255, g! / 255, b! / 255, SRGBColorSpace));
       }
     this.array.instanceMatrix.needsUpdate = true;
@@ -253,7 +253,7 @@ export class View {
         const n = 3 * (i * cut.up + j);
         const size = Math.hypot(cut.forces[n]!, cut.forces[n + 1]!, cut.forces[n + 2]!) / this.top;
         const at = 4 * (j * cut.across + i);
-        const row = rowOf(size, this.beyond);
+        const row = rowOf(size, this.limit);
         for (let k = 0; k < 3; k++) pixels[at + k] = size > 1e-3 ? TABLE[row + k]! : 255;
         pixels[at + 3] = size > 1e-3 ? 255 : 18;
       }
@@ -275,7 +275,7 @@ export class View {
     this.due();
   }
 
-  /** The picture of the slice; its memory is kept while its size stays. */
+  /** The picture of the slice; its memory is reused while its size stays. */
   private paint(pixels: Uint8Array<ArrayBuffer>, across: number, up: number): void {
     const old = this.texture?.image as { data: Uint8Array; width: number; height: number } | undefined;
     if (old?.width === across && old.height === up) old.data.set(pixels);
@@ -290,7 +290,7 @@ export class View {
     this.texture!.needsUpdate = true;
   }
 
-  /** Where the slice is taken hold of: the corner of it that lies highest, to the right, on the screen. */
+  /** Where the slice is dragged: the corner of it that lies highest, to the right, on the screen. */
   private handle(): Vector3 | null {
     if (!this.cutAt) return null;
     const { axis, at } = this.cutAt;
@@ -310,33 +310,33 @@ export class View {
   private arrows(cut: Cut, a: number, b: number): Object3D {
     const cell = Math.max(this.side.getComponent(a), this.side.getComponent(b)) / CONES;
     const step = [this.side.getComponent(a) / cut.across, this.side.getComponent(b) / cut.up];
-    const taken = new Map<string, number>();
+    const strongest = new Map<string, number>();
     for (let i = 0; i < cut.across; i++)
       for (let j = 0; j < cut.up; j++) {
         const key = `${Math.floor((i * step[0]!) / cell)},${Math.floor((j * step[1]!) / cell)}`;
         const n = i * cut.up + j;
-        const old = taken.get(key);
-        if (sizeAt(cut.forces, n) > 0.01 * this.top && (old === undefined || sizeAt(cut.forces, n) > sizeAt(cut.forces, old))) taken.set(key, n);
+        const old = strongest.get(key);
+        if (sizeAt(cut.forces, n) > 0.01 * this.top && (old === undefined || sizeAt(cut.forces, n) > sizeAt(cut.forces, old))) strongest.set(key, n);
       }
-    this.cones = taken.size;
-    const cones = new InstancedMesh(new ConeGeometry(0.2, 1, 10).translate(0, 0.5, 0), this.white, taken.size);
+    this.cones = strongest.size;
+    const cones = new InstancedMesh(new ConeGeometry(0.2, 1, 10).translate(0, 0.5, 0), this.white, strongest.size);
     const matrix = new Matrix4();
     let at = 0;
-    for (const n of taken.values()) {
+    for (const n of strongest.values()) {
       const force = new Vector3().fromArray(cut.forces, 3 * n);
       const size = force.length();
-      const place = this.low.clone().setComponent(cut.axis, cut.at);
-      place.setComponent(a, place.getComponent(a) + (Math.floor(n / cut.up) + 0.5) * step[0]!);
-      place.setComponent(b, place.getComponent(b) + ((n % cut.up) + 0.5) * step[1]!);
+      const position = this.low.clone().setComponent(cut.axis, cut.at);
+      position.setComponent(a, position.getComponent(a) + (Math.floor(n / cut.up) + 0.5) * step[0]!);
+      position.setComponent(b, position.getComponent(b) + ((n % cut.up) + 0.5) * step[1]!);
       const length = cell * (0.55 + 0.75 * Math.min(size / this.top, 1));
-      matrix.compose(place, new Quaternion().setFromUnitVectors(UP, force.divideScalar(size)), new Vector3().setScalar(length));
+      matrix.compose(position, new Quaternion().setFromUnitVectors(UP, force.divideScalar(size)), new Vector3().setScalar(length));
       cones.setMatrixAt(at++, matrix);
     }
     return cones;
   }
 
   setClip(): void {
-    if (!this.cutAt || !this.ways) return;
+    if (!this.cutAt || !this.directions) return;
     const normal = axisVector(this.cutAt.axis);
     const facing = this.camera.position.dot(normal) > 0 ? -1 : 1;
     const at = this.low.clone().setComponent(this.cutAt.axis, this.cutAt.at).applyMatrix4(this.root.matrixWorld);
@@ -361,7 +361,7 @@ export class View {
   }
 
   /** The probe at a point with the force that it feels; the force's arrow is as long as a fifth of the box at the peak. */
-  setProbe(point: Triple, force: ArrayLike<number>, words: string): void {
+  setProbe(point: Triple, force: ArrayLike<number>, text: string): void {
     const [, , shaft, tip] = this.probe.children as [Object3D, Object3D, Object3D, Object3D];
     const vector = new Vector3(force[0], force[1], force[2]);
     const size = vector.length();
@@ -377,23 +377,23 @@ export class View {
       tip.position.copy(vector).multiplyScalar(length);
     }
     const label = this.labels.find((l) => l.element.classList.contains("probe"));
-    if (label) label.element.textContent = size > 0 ? words : "";
+    if (label) label.element.textContent = size > 0 ? text : "";
     this.due();
   }
 
   // -- screen -------------------------------------------------------------------------------------------------------
 
-  /** The ray through a place on the screen, metres. */
+  /** The ray through a position on the screen, metres. */
   ray(x: number, y: number): Ray {
-    this.place();
+    this.placeCamera();
     const box = this.canvas.getBoundingClientRect();
     const far = new Vector3(((x - box.left) / box.width) * 2 - 1, 1 - ((y - box.top) / box.height) * 2, 0.5).unproject(this.camera);
     const from = this.root.worldToLocal(this.camera.position.clone());
-    const way = this.root.worldToLocal(far).sub(from).normalize();
-    return { from: from.toArray(), way: way.toArray() };
+    const direction = this.root.worldToLocal(far).sub(from).normalize();
+    return { from: from.toArray(), direction: direction.toArray() };
   }
 
-  /** Rays from the middle of the screen outwards, for a first place to feel. */
+  /** Rays from the middle of the screen outwards, for a first contact. */
   raysFromMiddle(): Ray[] {
     const box = this.canvas.getBoundingClientRect();
     const reach = 0.4 * Math.min(box.width, box.height);
@@ -412,10 +412,10 @@ export class View {
   /** The point of a ray in the plane through another point that faces the camera. */
   facing(ray: Ray, through: Triple): Triple {
     const normal = this.root.worldToLocal(this.camera.position.clone()).sub(this.low.clone().addScaledVector(this.side, 0.5)).normalize();
-    const way = new Vector3(...ray.way);
+    const direction = new Vector3(...ray.direction);
     const from = new Vector3(...ray.from);
-    const t = new Vector3(...through).sub(from).dot(normal) / way.dot(normal);
-    return from.addScaledVector(way, t).toArray();
+    const t = new Vector3(...through).sub(from).dot(normal) / direction.dot(normal);
+    return from.addScaledVector(direction, t).toArray();
   }
 
   /** Metres along the slice's axis for a movement on the screen, pixels. */
@@ -425,21 +425,21 @@ export class View {
     const there = here.clone().setComponent(axis, at + 0.1 * this.side.getComponent(axis));
     const [p, q] = [this.toScreen(here), this.toScreen(there)];
     const { clientWidth: width, clientHeight: height } = this.canvas;
-    const way = [((q.x - p.x) * width) / 2, ((p.y - q.y) * height) / 2] as const;
-    const square = way[0] ** 2 + way[1] ** 2;
-    return square < 1 ? 0 : (0.1 * this.side.getComponent(axis) * (dx * way[0] + dy * way[1])) / square;
+    const direction = [((q.x - p.x) * width) / 2, ((p.y - q.y) * height) / 2] as const;
+    const square = direction[0] ** 2 + direction[1] ** 2;
+    return square < 1 ? 0 : (0.1 * this.side.getComponent(axis) * (dx * direction[0] + dy * direction[1])) / square;
   }
 
-  private toScreen(place: Vector3): Vector3 {
-    return place.clone().applyMatrix4(this.root.matrixWorld).project(this.camera);
+  private toScreen(position: Vector3): Vector3 {
+    return position.clone().applyMatrix4(this.root.matrixWorld).project(this.camera);
   }
 
   /** The middle of the lowest edge of the box along an axis, or, of the axis that is up, of the leftmost. */
   private edge(axis: number): Vector3 {
     const [a, b] = [(axis + 1) % 3, (axis + 2) % 3];
-    const isUp = this.ways!.up[axis] !== 0;
+    const isUp = this.directions!.up[axis] !== 0;
     let best = new Vector3();
-    let least = Infinity;
+    let lowest = Infinity;
     for (const i of [-0.04, 1.04])
       for (const j of [-0.04, 1.04]) {
         const p = this.low.clone();
@@ -448,37 +448,37 @@ export class View {
         p.setComponent(b!, p.getComponent(b!) + j * this.side.getComponent(b!));
         const at = this.toScreen(p);
         const score = isUp ? -at.x : at.y;
-        if (score < least) (least = score), (best = p);
+        if (score < lowest) (lowest = score), (best = p);
       }
     return best;
   }
 
   private corner(): Vector3 {
     let best = new Vector3();
-    let most = -Infinity;
+    let highest = -Infinity;
     for (let n = 0; n < 8; n++) {
       const p = this.low.clone().add(new Vector3(n & 4 ? this.side.x : 0, n & 2 ? this.side.y : 0, n & 1 ? this.side.z : 0));
       const at = this.toScreen(p);
-      if (at.y > most) (most = at.y), (best = p);
+      if (at.y > highest) (highest = at.y), (best = p);
     }
     return best;
   }
 
-  private label(text: string, place: () => Vector3 | null, name = ""): void {
+  private label(text: string, position: () => Vector3 | null, name = ""): void {
     const element = document.createElement("span");
     element.textContent = text;
     if (name) element.className = name;
     this.overlay.append(element);
-    this.labels.push({ element, place });
+    this.labels.push({ element, position });
   }
 
   private draw(): void {
-    this.place();
+    this.placeCamera();
     this.setClip();
     this.renderer.render(this.scene, this.camera);
     const { clientWidth: width, clientHeight: height } = this.canvas;
-    for (const { element, place } of this.labels) {
-      const at = place();
+    for (const { element, position } of this.labels) {
+      const at = position();
       element.hidden = !at || !element.textContent;
       if (!at) continue;
       const p = this.toScreen(at);
@@ -493,14 +493,14 @@ export class View {
 /** A shirt about a panel of side 1, from the front. */
 function garment(): Mesh {
   const half = [[0.13, 0.66], [0.3, 0.62], [0.62, 0.5], [0.92, 0.02], [0.72, -0.1], [0.58, 0.12], [0.58, -0.72]] as const;
-  const places = [0, -0.72, 0, 0, 0.55, 0, ...half.flatMap(([x, y]) => [x, y, 0, -x, y, 0])];
+  const positions = [0, -0.72, 0, 0, 0.55, 0, ...half.flatMap(([x, y]) => [x, y, 0, -x, y, 0])];
   const index: number[] = [];
   for (const side of [0, 1]) {
     const at = (n: number): number => 2 + 2 * n + side;
     for (const [a, b, c] of [[1, at(0), at(1)], [1, at(1), at(2)], [1, at(2), at(5)], [at(2), at(3), at(4)], [at(2), at(4), at(5)], [1, at(5), at(6)], [1, at(6), 0]] as const)
       index.push(a, b, c);
   }
-  const geometry = new BufferGeometry().setAttribute("position", new BufferAttribute(new Float32Array(places), 3)).setIndex(index);
+  const geometry = new BufferGeometry().setAttribute("position", new BufferAttribute(new Float32Array(positions), 3)).setIndex(index);
   return new Mesh(geometry, new MeshBasicMaterial({ color: 0x334155, side: DoubleSide }));
 }
 
@@ -518,12 +518,12 @@ function linear(colours: Uint8Array): Float32Array {
   return Float32Array.from(colours, (n) => table[n]!);
 }
 
-/** Give back what the graphics card keeps of a thing; materials that others share are left. */
+/** Give back what the graphics card stores of a thing; materials that others share are left. */
 function dispose(child: Object3D, withMaterials = true): void {
-  child.traverse((one) => {
-    const mesh = one as Mesh;
+  child.traverse((object) => {
+    const mesh = object as Mesh;
     mesh.geometry?.dispose();
-    if (one instanceof InstancedMesh) one.dispose();
+    if (object instanceof InstancedMesh) object.dispose();
     for (const material of withMaterials ? [mesh.material].flat() : []) material?.dispose();
   });
 }

@@ -1,9 +1,8 @@
-"""Decorators that compile the inner loops of coder and servo by numba without reference counting, until these
-loops are native code.
+"""Decorators that compile inner loops by numba without reference counting.
 
 They use an undocumented option of numba, ``_nrt=False``. These functions create no arrays, yet numba would
-count the references to every array at each call; this counting took a quarter of the time of a coding pass
-and four fifths of a query of the field. Division by zero is not checked, because no divisor of the coder can
+count the references to every array at each call; this counting took a quarter of the time of a coding pass.
+Division by zero is not checked, because no divisor of the coder can
 be zero.
 """
 
@@ -26,6 +25,3 @@ lean: Any = partial(kernel, **_OPTIONS, nogil=False, no_cpython_wrapper=True)
 
 inlined: Any = partial(inner, **_OPTIONS, inline="always")
 """Decorate a function of the coder that is inlined into its kernel and never compiled by itself."""
-
-uncounted: Any = partial(inner, _nrt=False)
-"""Decorate a function of the servo that only kernels call."""

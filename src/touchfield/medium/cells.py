@@ -71,7 +71,7 @@ class CellPool:
         If `paired` is given, the pool also has cells for the bricks of that field, so that the pools of both
         fields have their cells in the same order.
         """
-        spacing, origin = tuple(map(float, field.grid.spacing_m)), tuple(map(float, field.grid.origin_m))
+        spacing, origin = field.grid.spacing_m, field.grid.origin_m
         of_field = field.bricks, field.forces_n
         of_paired = (None, None) if paired is None else (paired.bricks, paired.forces_n)
         found, corner, box, size_bytes = native.find_cells(*of_field, *of_paired)
@@ -172,8 +172,7 @@ class PlacedFields:
         capacity = _FIRST_PAIRS
         while True:
             stamps, pairs = np.zeros(brick_count, np.int32), np.empty((capacity, 2), np.int64)
-            arguments = pool.starts, pool.bricks, stamps, max_pairs, pairs
-            count = native.find_reached(lattice, objects, *arguments)
+            count = native.find_reached(lattice, objects, pool.starts, pool.bricks, stamps, max_pairs, pairs)
             if count == _TOO_MANY_PAIRS:
                 found = f"objects that reach more than {max_pairs} bricks of the {grid.shape} samples"
                 raise CorruptFile(
@@ -182,6 +181,7 @@ class PlacedFields:
             if count >= 0:
                 return pairs[:count], stamps
             capacity *= 4
+            del stamps, pairs  # before there are new ones: a grid may have 2^27 bricks
 
     def _objects(self, placed: tuple[CellPool, Float64s]) -> tuple[Any, ...]:
         """Return the objects of a frame as the functions in C take them."""

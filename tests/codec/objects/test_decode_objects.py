@@ -63,7 +63,9 @@ def test_scenes_of_the_encoder(
         decoded = reference_decoder.decode_scene(file.head, file.objects, file.segments)
         scene = stream.scene
         assert decoded.surface_damping == scene.surface_damping_n_s_per_m
-        assert decoded.place_tolerance_m == stream.decoder.place_tolerance_m and set(decoded.worst) == {None}
+        assert decoded.place_tolerance_m == stream.decoder.place_tolerance_m and set(decoded.max_errors) == {
+            None
+        }
         for body, original in zip(decoded.bodies, scene.objects, strict=True):
             np.testing.assert_array_equal(body.positions_m, original.track.positions_m)
             alignments = np.abs((body.quaternions * original.track.quaternions).sum(axis=1))  # of either sign
@@ -82,11 +84,11 @@ def test_max_error_is_read(reference_decoder: Any) -> None:
     from touchfield.codec.segment import MaxError
 
     max_error = MaxError(13 / 65535, 2, (3, 700, 5))
-    assert reference_decoder.worst_of(
+    assert reference_decoder.max_error_of(
         reference_decoder.Cursor(SegmentParts(max_error, []).to_bytes()), 3
     ) == tuple(max_error)
     with pytest.raises(ValueError, match="a number of 2"):
-        reference_decoder.worst_of(reference_decoder.Cursor(SegmentParts(max_error, []).to_bytes()), 2)
+        reference_decoder.max_error_of(reference_decoder.Cursor(SegmentParts(max_error, []).to_bytes()), 2)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -19,14 +19,14 @@ int64_t model_border(int64_t floor, int64_t rate, touch_arena arena, touch_steps
     return touch_step_table(out, &arena) ? out->borders : -1;
 }
 
-int64_t model_level_of(const touch_steps *steps, int64_t length) { return touch_level_of(steps, length); }
+int64_t model_level_of(const touch_steps *steps, int64_t length) { return touch_step_position(steps, length); }
 
-int64_t model_length_of(const touch_steps *steps, int64_t level) { return touch_length_of(steps, level); }
+int64_t model_length_of(const touch_steps *steps, int64_t level) { return touch_length_at(steps, level); }
 
 void model_basis(const int32_t centre[3], int64_t along, int64_t b, int64_t c, int64_t axes[9], int32_t vector[3]) {
     touch_voxel v;
     touch_basis(centre, touch_length(centre), v.basis), memcpy(axes, v.basis, sizeof v.basis);
-    touch_place(&v, along, b, c, vector);
+    touch_residual_vector(&v, along, b, c, vector);
 }
 
 /* The lattice of a segment, and the bound of its passes in units: unit_n, floor, rate, across; k, f0. */
@@ -48,14 +48,14 @@ void model_fractions(const double bits[3], uint8_t out[2]) {
 int model_compare(const touch_grid *grid, const touch_options *options, const touch_source *original,
                   const touch_source *decoded, int is_prediction, touch_arena arena, touch_comparison *out) {
     touch_bound bound = touch_frame_bound(options, is_prediction);
-    touch_side side;
+    touch_brick_forces forces;
     uint32_t *slot = (uint32_t *)touch_take(&arena, decoded->bricks, 4);
-    side.count = decoded->bricks, side.key = touch_source_keys(decoded, &arena), side.forces_n = decoded->forces_n;
+    forces.count = decoded->bricks, forces.key = touch_source_keys(decoded, &arena), forces.forces_n = decoded->forces_n;
     for (uint32_t i = 0; i < decoded->bricks; i++) slot[i] = i;
-    side.slot = slot;
-    if (options->mode != TOUCH_LOSSLESS) return touch_compare(original, &side, &bound, grid, 1, out, &arena);
+    forces.slot = slot;
+    if (options->mode != TOUCH_LOSSLESS) return touch_compare(original, &forces, &bound, grid, 1, out, &arena);
     memset(out, 0, sizeof *out);
-    out->violations = !touch_is_identical(original, &side, &out->decoded, &arena);
+    out->outliers = !touch_is_identical(original, &forces, &out->decoded, &arena);
     return 1;
 }
 
@@ -63,7 +63,7 @@ typedef struct { /* a base layer */
     const uint8_t *bytes;
     uint64_t size, bricks;
     const uint64_t *key;
-    const touch_vector *v;
+    const touch_int_vector *v;
 } model_layer;
 
 int model_columns(const touch_grid *grid, const touch_source *frame, double unit_n, double k, double f0, touch_arena arena,

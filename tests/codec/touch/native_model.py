@@ -51,8 +51,8 @@ class _Steps(ctypes.Structure):
 
 class _Comparison(ctypes.Structure):
     _fields_ = [
-        ("violation", ctypes.POINTER(ctypes.c_uint64)),
-        ("violations", ctypes.c_uint64),
+        ("outlier", ctypes.POINTER(ctypes.c_uint64)),
+        ("outliers", ctypes.c_uint64),
         ("max_ratio", ctypes.c_double),
         ("voxel", ctypes.c_uint32 * 3),
         ("within", ctypes.c_uint64),
@@ -308,10 +308,10 @@ def compare_frames(
     out, memory = _Comparison(), _Memory()
     arguments = [ctypes.byref(x) for x in (c_grid(original.grid), c_options(spec), *(s.c for s in sources))]
     assert library().model_compare(*arguments, int(is_prediction), memory.arena, ctypes.byref(out))
-    is_listed = out.violations and spec.mode != "lossless"
-    listed = np.ctypeslib.as_array(out.violation, (out.violations,)) if is_listed else np.zeros(0, np.uint64)
+    is_listed = out.outliers and spec.mode != "lossless"
+    listed = np.ctypeslib.as_array(out.outlier, (out.outliers,)) if is_listed else np.zeros(0, np.uint64)
     numbers, voxel = listed.astype(np.int64), (int(out.voxel[0]), int(out.voxel[1]), int(out.voxel[2]))
-    counts = out.within, out.decoded, out.violations
+    counts = out.within, out.decoded, out.outliers
     return Comparison(numbers >> 9, numbers & 511, out.max_ratio, voxel, *counts)
 
 

@@ -17,7 +17,7 @@ from touchfield.medium import Grid
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "conformance"))
 
-import decode_touch_guess as reference_base_layer
+import decode_touch_base_layer as reference_base_layer
 from reading import FaultyFile
 from touch_frame import Units
 
