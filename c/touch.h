@@ -1660,7 +1660,7 @@ int touch_is_rigid(const touch_decoder *decoder, uint32_t body) {
 
 int touch_mask_of(const touch_decoder *decoder, uint32_t body, double *k, double *f0_n) {
     const touch_body *bodies = decoder->state->body;
-    touch_bytes b = bodies && body < decoder->file->object_count ? bodies[body].told.parameters : decoder->file->parameters;
+    touch_bytes b = bodies && body < decoder->file->object_count ? bodies[body].object.parameters : decoder->file->parameters;
     touch_cursor c = touch_cursor_of(b.bytes, b.size);
     touch_u(&c, 1);
     int mode = (int)touch_u(&c, 1) & 3; /* 0: a mask */
