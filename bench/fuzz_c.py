@@ -1,11 +1,12 @@
-"""Fuzzes the reader and the writer of coder `touch` in C, under the sanitizers of addresses and behaviour.
+"""Fuzzes reader and writer of coder `touch`, and the renderer, in C, under address and behaviour sanitizers.
 
-    python bench/fuzz_c.py [--writes N] [--reads N] [--seed S]
+    python bench/fuzz_c.py [--writes N] [--reads N] [--renders N] [--seed S]
 
 `--writes` round trips of random small fields through `c/touch_fuzz_write.c`: every mode, inter frames, base
 layers; each voxel is compared with the error bound. `--reads` decodings of mutated files by `c/touch_fuzz.c`:
 the files are those of round trips and the small golden files, and checksums are not checked, so that the code
-behind them runs. One process runs on each core.
+behind them runs. `--renders` rounds of random media, settings and hands through `c/touch_fuzz_render.c`: each
+force is compared with its limits. One process runs on each core.
 
 Prints the counts; exits with status 1 and the sanitizer's report if one process fails. `run_all.py` does not
 run this file. With N of 1,000,000 and 10,000,000 it takes about 70 core minutes.
@@ -39,6 +40,7 @@ BATCH_MEGABYTES = 20
 """Mutated bytes of one process of `touch_fuzz`."""
 
 BATCH_WRITES = 20_000
+BATCH_RENDERS = 50_000
 
 
 def built(folder: Path, name: str, *options: str) -> Path:
@@ -63,10 +65,9 @@ def output_of(command: list[str]) -> str:
     return done.stdout
 
 
-def fuzz_writer(program: Path, seed: int, writes: int, workers: int) -> int:
-    """Run round trips; return their number."""
-    batches = -(-writes // BATCH_WRITES)
-    counts = [min(BATCH_WRITES, writes - n * BATCH_WRITES) for n in range(batches)]
+def fuzz_rounds(program: Path, seed: int, rounds: int, workers: int, batch: int = BATCH_WRITES) -> int:
+    """Run rounds of a program, `batch` in a process; return their number."""
+    counts = [min(batch, rounds - start) for start in range(0, rounds, batch)]
     with ThreadPoolExecutor(workers) as pool:
         commands = [[str(program), str(seed + n), str(count)] for n, count in enumerate(counts)]
         return sum(int(text.split()[0]) for text in pool.map(output_of, commands))
@@ -105,6 +106,7 @@ def main() -> None:
     )
     parser.add_argument("--writes", type=int, default=10_000)
     parser.add_argument("--reads", type=int, default=100_000)
+    parser.add_argument("--renders", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes at once: one a core")
     options = parser.parse_args()
@@ -112,12 +114,15 @@ def main() -> None:
         folder = Path(name)
         writer, reader = built(folder, "touch_fuzz_write"), built(folder, "touch_fuzz", NO_CHECKSUMS)
         start = monotonic()
-        writes = fuzz_writer(writer, options.seed, options.writes, options.jobs)
+        writes = fuzz_rounds(writer, options.seed, options.writes, options.jobs)
         print(f"{writes:,} round trips, {monotonic() - start:.0f} s", flush=True)
         start = monotonic()
         counts = fuzz_reader(reader, writer, options.seed, options.reads, options.jobs, folder)
         codes = ", ".join(f"{count:,} code {code}" for code, count in sorted(counts.items()) if count)
-        print(f"{counts.total():,} mutated files, {monotonic() - start:.0f} s: {codes}")
+        print(f"{counts.total():,} mutated files, {monotonic() - start:.0f} s: {codes}", flush=True)
+        renderer, start = built(folder, "touch_fuzz_render"), monotonic()
+        rounds = fuzz_rounds(renderer, options.seed, options.renders, options.jobs, BATCH_RENDERS)
+        print(f"{rounds:,} rounds of the renderer, {monotonic() - start:.0f} s")
 
 
 if __name__ == "__main__":

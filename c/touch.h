@@ -116,6 +116,10 @@ int touch_seek(touch_decoder *decoder, uint32_t segment);
 /* The next frame, which lives in `arena` until the caller empties it (arena.used = 0). Fields of bodies live in the arena
    of the decoder: those of rigid ones stay, those of bodies that deform die at the next touch_seek. */
 int touch_next(touch_decoder *decoder, touch_arena *arena, touch_frame *frame);
+/* Whether a body of a file has one field for all frames. */
+int touch_is_rigid(const touch_decoder *decoder, uint32_t body);
+/* The mask max(f0_n, k |F|) within which a force of a body, or of voxels, is that of its source; 0: the file has no mask. */
+int touch_mask_of(const touch_decoder *decoder, uint32_t body, double *k, double *f0_n);
 void touch_force(const touch_frame *frame, double x, double y, double z, double newtons[3]);
 /* dF_i/dx_j, N/m, row by row. */
 void touch_gradient(const touch_frame *frame, double x, double y, double z, double n_per_m[9]);
@@ -1648,6 +1652,20 @@ int touch_next(touch_decoder *decoder, touch_arena *arena, touch_frame *frame) {
     frame->surface_damping_n_s_per_m = s->surface_damping, frame->force_max_n = file ? file->force_max_n : 0;
     s->next = error.code ? s->segment.count : own + 1;
     return touch_report_error(decoder, &error);
+}
+
+int touch_is_rigid(const touch_decoder *decoder, uint32_t body) {
+    return decoder->state->body && body < decoder->file->object_count && decoder->state->body[body].rigid;
+}
+
+int touch_mask_of(const touch_decoder *decoder, uint32_t body, double *k, double *f0_n) {
+    const touch_body *bodies = decoder->state->body;
+    touch_bytes b = bodies && body < decoder->file->object_count ? bodies[body].object.parameters : decoder->file->parameters;
+    touch_cursor c = touch_cursor_of(b.bytes, b.size);
+    touch_u(&c, 1);
+    int mode = (int)touch_u(&c, 1) & 3; /* 0: a mask */
+    *k = touch_f64(&c), *f0_n = touch_f64(&c);
+    return !c.code && !mode;
 }
 
 /* -- codes on their own ---------------------------------------------------------------------------------------------- */

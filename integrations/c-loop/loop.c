@@ -1,18 +1,17 @@
-/* A haptic loop of one's own around c/touch.h: the force of a .touch file at a hand, 1000 times a second.
+/* A haptic loop of one's own around c/touch_play.h: the force of a .touch file on a hand, 1000 times a second, with a proxy at
+   walls, friction, limits and ramp.
 
-       loop [-s SECONDS] [-p PEAK_N] [-x SPEED] [-i] FILE.touch
+       loop [-s SECONDS] [-p PEAK_N] [-m FRICTION] [-k WALL] [-x SPEED] [-l] [-t] [-i] FILE.touch
 
-   -s how long (2); -p what the device can bear; -x how fast the medium plays (1); -i the hand is read, a line
-   `x y z` in metres for each tick, else it is simulated. When the loop has ended each tick is printed: the frame,
-   where the hand was, its force; and to stderr how late the loop was at worst.
+   -s how long (2); -p the greatest force of the device (what the medium states); -m friction (the medium's); -k the stiffness
+   of walls, N/m (the medium's); -x how fast the medium plays (1); -l it plays again and again; -t simulated time: as fast as
+   possible, and each frame is waited for; -i the hand is read, a line `x y z` in metres for each tick, else it is simulated.
+   At the end each tick is printed: media time, position and force; and to stderr how late the loop was at worst.
 
-   The loop never waits and never allocates. A thread decodes ahead into four arenas; it tells the loop one number,
-   the newest frame, and the loop tells it another, the oldest frame that it still feels. */
+   The loop never waits for another thread and never allocates. */
 #define _POSIX_C_SOURCE 200809L
 #define TOUCH_IMPLEMENTATION
-#include "../../c/touch.h"
-
-#include "../between.h"
+#include "../../c/touch_play.h"
 
 #include <pthread.h>
 #include <stdio.h>
@@ -20,159 +19,149 @@
 #include <time.h>
 #include <unistd.h>
 
-enum { ARENAS = 4, LINES = 4096, TICK_NS = 1000000 };
+enum { MAX_TICKS = 3600000 };
 
 typedef struct {
-    double frame, at[3], newtons[3];
+    double media_s;
+    touch_vector position_m, force_n;
 } tick_row;
 
 typedef struct {
-    touch_file file;
-    touch_decoder decoder[2]; /* of even and odd segments: bodies that change live in one until it seeks again */
-    touch_arena arena[ARENAS];
-    touch_frame frame[ARENAS];
-    double line[LINES][3], seconds, speed, peak_n;
-    int64_t newest, oldest, written, taken; /* frames, then lines: each is written by one thread */
-    int reads_lines, is_read, is_over, code;
-    int64_t late_ns, held;
-} player;
+    double seconds, peak_n, friction, wall_n_per_m, speed;
+    int is_loop, is_simulated, reads_lines;
+} loop_options;
 
-#define LOAD(place) __atomic_load_n(&(place), __ATOMIC_ACQUIRE)
-#define STORE(place, value) __atomic_store_n(&(place), value, __ATOMIC_RELEASE)
+static touch_play play; /* lives as long as the program, as does its memory */
 
-/* Until a number is at least so large, or all is over; not for the loop. */
-static int wait_for(player *p, const int64_t *number, int64_t least) {
-    const struct timespec pause = {0, TICK_NS / 4};
-    while (LOAD(*number) < least && !LOAD(p->is_over) && !LOAD(p->code)) nanosleep(&pause, 0);
-    return LOAD(*number) >= least;
+static void nap(void) {
+    const struct timespec pause = {0, 500000};
+    nanosleep(&pause, NULL);
 }
 
-static void *decode_ahead(void *given) {
-    player *p = (player *)given;
-    int64_t n = 0, before = 0, first = 0;
-    uint32_t segment;
-    int code = TOUCH_OK;
-    for (segment = 0; segment < p->file.segment_count && !code; segment++, before = first) {
-        touch_decoder *decoder = p->decoder + (segment & 1);
-        if (!wait_for(p, &p->oldest, before)) return 0; /* nothing of the segment before the last one is felt */
-        code = touch_seek(decoder, segment), first = n;
-        while (!code && wait_for(p, &p->oldest, n - ARENAS + 1)) {
-            touch_arena *arena = p->arena + n % ARENAS;
-            arena->used = 0, code = touch_next(decoder, arena, p->frame + n % ARENAS);
-            if (!code) STORE(p->newest, n), n++;
-        }
-        if (code == TOUCH_END) code = TOUCH_OK;
-    }
-    STORE(p->code, code);
-    return 0;
+static void *decode_ahead(void *unused) {
+    while (!touch_shared(&play.receiver->clock.is_released))
+        if (!touch_play_decode(&play)) nap();
+    return unused;
 }
 
-static void *read_lines(void *given) {
-    player *p = (player *)given;
-    double *at = p->line[0];
-    int64_t n = 0;
-    while (wait_for(p, &p->taken, n - LINES + 1) && scanf("%lf %lf %lf", at, at + 1, at + 2) == 3)
-        STORE(p->written, ++n), at = p->line[n % LINES];
-    STORE(p->is_read, 1);
-    return 0;
-}
-
-/* Where the hand is in a tick; 0 when no line will follow. It stays where it is until its next line. */
-static int hand(player *p, int64_t tick, double at[3]) {
-    const touch_grid *g = &p->file.grid;
-    int n, is_read = LOAD(p->is_read);
-    int64_t taken = p->taken;
-    for (n = 0; n < 3 && !p->reads_lines; n++) /* a hand that wanders through the medium */
+/* Where the hand is in a tick; 0 when no line will follow. */
+static int hand(const loop_options *options, int64_t tick, touch_vector *position_m) {
+    const touch_grid *g = &play.file.grid;
+    double at[3];
+    if (options->reads_lines) return scanf("%lf %lf %lf", &position_m->x, &position_m->y, &position_m->z) == 3;
+    for (int n = 0; n < 3; n++) /* a hand that wanders through the medium */
         at[n] = g->origin_m[n] +
                 g->spacing_m[n] * (g->shape[n] - 1) * (0.5 + 0.45 * sin((2 + 1.3 * n) * 1e-3 * (double)tick));
-    if (!p->reads_lines) return 1;
-    if (taken == LOAD(p->written)) return !is_read;
-    memcpy(at, p->line[taken % LINES], 3 * sizeof *at);
-    STORE(p->taken, taken + 1);
+    *position_m = touch_vector_of(at[0], at[1], at[2]);
     return 1;
 }
 
-/* The loop itself; returns its ticks. */
-static int64_t loop(player *p, tick_row *rows, int64_t ticks) {
-    const double last = p->file.frame_count - 1.0;
-    struct timespec due, now;
-    double at[3] = {NAN, NAN, NAN}; /* where there is no force */
-    int64_t tick;
-    clock_gettime(CLOCK_MONOTONIC, &due);
-    for (tick = 0; tick < ticks && hand(p, tick, at) && !LOAD(p->code); tick++) {
-        double frame = (double)tick * 1e-9 * TICK_NS * p->speed * p->file.rate_hz;
-        int64_t newest = LOAD(p->newest), late_ns, a;
-        if (frame > last) frame = last;
-        if (frame > (double)newest) frame = (double)newest, p->held++; /* the decoder is late: its newest is felt */
-        a = (int64_t)frame, STORE(p->oldest, a);
-        touch_force_between(p->frame + a % ARENAS, p->frame + (a < newest ? a + 1 : a) % ARENAS, frame - (double)a,
-                            at, p->peak_n, rows[tick].newtons); /* here a device would be given its force */
-        rows[tick].frame = frame, memcpy(rows[tick].at, at, sizeof at);
-        due.tv_nsec += TICK_NS;
-        if (due.tv_nsec >= 1000000000) due.tv_nsec -= 1000000000, due.tv_sec++;
-        while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &due, 0)) {}
-        clock_gettime(CLOCK_MONOTONIC, &now);
-        late_ns = (int64_t)(now.tv_sec - due.tv_sec) * 1000000000 + (now.tv_nsec - due.tv_nsec);
-        if (late_ns > p->late_ns) p->late_ns = late_ns;
+static int64_t now_ns(void) {
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return (int64_t)now.tv_sec * 1000000000 + now.tv_nsec;
+}
+
+static void wait_until(int64_t deadline_ns) {
+    struct timespec due;
+    due.tv_sec = (time_t)(deadline_ns / 1000000000), due.tv_nsec = (long)(deadline_ns % 1000000000);
+    while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &due, NULL)) {}
+}
+
+/* One tick: here a device would be given its force. */
+static touch_vector tick_at(const loop_options *options, touch_vector position_m, int64_t tick) {
+    touch_receiver *receiver = play.receiver;
+    if (options->is_simulated) {
+        int64_t needed = receiver->clock.needs & (((int64_t)1 << TOUCH_FRAME_BITS) - 1);
+        while (play.next < needed + 3 && touch_play_decode(&play)) {}
+        return touch_receiver_tick(receiver, position_m, tick * receiver->layout.tick_ns);
     }
+    if (tick) wait_until(receiver->clock.deadline_ns);
+    return touch_receiver_tick(receiver, position_m, now_ns());
+}
+
+/* The loop itself, and the way to zero after it; its ticks. */
+static int64_t loop(const loop_options *options, tick_row *rows, int64_t ticks) {
+    touch_vector position_m = touch_zero();
+    int64_t tick = 0;
+    for (; tick < ticks && hand(options, tick, &position_m); tick++) {
+        touch_vector force_n = tick_at(options, position_m, tick);
+        rows[tick].media_s = play.receiver->clock.media_s;
+        rows[tick].position_m = position_m, rows[tick].force_n = force_n;
+    }
+    touch_play_stop(&play);
+    for (int64_t n = tick; !play.receiver->clock.is_released; n++) (void)tick_at(options, position_m, n);
     return tick;
 }
 
-/* Opens a file and gives its decoders and frames all the memory that they will ever need. */
-static int prepare(player *p, const char *name) {
+static uint8_t *contents(const char *name, uint64_t *size) {
     FILE *in = fopen(name, "rb");
-    uint64_t own, each;
-    uint8_t *bytes, *memory;
-    long size;
-    int n;
-    if (!in) return fprintf(stderr, "%s: cannot be opened\n", name), 64;
-    fseek(in, 0, SEEK_END), size = ftell(in), rewind(in);
-    bytes = (uint8_t *)malloc((size_t)size + 1);
-    if (!bytes || fread(bytes, 1, (size_t)size, in) != (size_t)size) return fprintf(stderr, "cannot be read\n"), 64;
+    if (!in) return NULL;
+    fseek(in, 0, SEEK_END);
+    long length = ftell(in);
+    uint8_t *bytes = (uint8_t *)malloc((size_t)length + 1);
+    rewind(in);
+    *size = bytes ? fread(bytes, 1, (size_t)length, in) : 0;
     fclose(in);
-    if (touch_open(&p->file, bytes, (uint64_t)size)) return fprintf(stderr, "%s: %s\n", name, p->file.error), 65;
-    touch_room(&p->file, &own, &each);
-    memory = (uint8_t *)malloc(2 * own + ARENAS * each);
-    if (!memory) return fprintf(stderr, "there is not memory for all that the file may tell\n"), 64;
-    for (n = 0; n < 2; n++)
-        if (touch_start(p->decoder + n, &p->file, touch_arena_of(memory + (uint64_t)n * own, own)))
-            return fprintf(stderr, "%s: %s\n", name, p->decoder[n].error), 65;
-    for (n = 0; n < ARENAS; n++) p->arena[n] = touch_arena_of(memory + 2 * own + (uint64_t)n * each, each);
-    if (!(p->peak_n < p->file.force_max_n)) p->peak_n = p->file.force_max_n;
+    return bytes;
+}
+
+/* Open a file, and lay out a receiver for the device. */
+static int prepare(const char *name, const loop_options *options) {
+    uint64_t size = 0;
+    const uint8_t *bytes = contents(name, &size);
+    if (!bytes) return fprintf(stderr, "%s: cannot be read\n", name), 64;
+    touch_device device = {0};
+    device.force_max_n = options->peak_n > 0.0 ? options->peak_n : 1.0;
+    if (touch_play_open(&play, bytes, size, &device)) return fprintf(stderr, "%s: %s\n", name, play.error), 65;
+    if (!(options->peak_n > 0.0)) play.options.device.force_max_n = touch_fmin(play.file.force_max_n, 1e6);
+    play.options.is_loop = options->is_loop, play.options.speed = options->speed;
+    play.options.is_simulated = options->is_simulated;
+    play.options.render.wall_n_per_m = options->wall_n_per_m;
+    if (options->friction >= 0.0) play.options.render.friction = options->friction;
+    void *memory = malloc(touch_play_room(&play));
+    if (touch_play_start(&play, memory)) return fprintf(stderr, "%s: %s\n", name, play.error), 65;
+    touch_play_resume(&play);
     return 0;
 }
 
-int main(int count, char **words) {
-    static player p; /* its memory and what was read live as long as the program */
-    pthread_t decoder, reader;
-    tick_row *rows;
-    int64_t ticks, n;
-    int option, code;
-    p.seconds = 2, p.speed = 1, p.peak_n = HUGE_VAL, p.newest = -1;
-    while ((option = getopt(count, words, "s:p:x:i")) != -1) {
-        if (option == 's') p.seconds = atof(optarg);
-        if (option == 'p') p.peak_n = atof(optarg);
-        if (option == 'x') p.speed = atof(optarg);
-        if (option == 'i') p.reads_lines = 1;
-        if (option == '?') return 64;
+static int read_options(int count, char **words, loop_options *options) {
+    int option;
+    options->seconds = 2.0, options->speed = 1.0, options->friction = -1.0;
+    while ((option = getopt(count, words, "s:p:m:k:x:lti")) != -1) {
+        if (option == 's') options->seconds = atof(optarg);
+        if (option == 'p') options->peak_n = atof(optarg);
+        if (option == 'm') options->friction = atof(optarg);
+        if (option == 'k') options->wall_n_per_m = atof(optarg);
+        if (option == 'x') options->speed = atof(optarg);
+        if (option == 'l') options->is_loop = 1;
+        if (option == 't') options->is_simulated = 1;
+        if (option == 'i') options->reads_lines = 1;
+        if (option == '?') return 0;
     }
-    if (optind + 1 != count || !(p.seconds > 0 && p.seconds <= 3600 && p.speed >= 0 && p.peak_n > 0))
-        return fprintf(stderr, "loop [-s SECONDS] [-p PEAK_N] [-x SPEED] [-i] FILE.touch\n"), 64;
-    code = prepare(&p, words[optind]);
+    return optind + 1 == count && options->seconds > 0 && options->seconds <= 1e-3 * MAX_TICKS && options->speed > 0;
+}
+
+int main(int count, char **words) {
+    loop_options options = {0, 0, 0, 0, 0, 0, 0, 0};
+    pthread_t decoder;
+    if (!read_options(count, words, &options))
+        return fputs("loop [-s SECONDS] [-p PEAK_N] [-m FRICTION] [-k WALL] [-x SPEED] [-l] [-t] [-i] FILE\n", stderr), 64;
+    int code = prepare(words[optind], &options);
     if (code) return code;
-    rows = (tick_row *)calloc((size_t)(p.seconds * 1000), sizeof *rows);
-    if (!rows || pthread_create(&decoder, 0, decode_ahead, &p)) return fprintf(stderr, "no memory or thread\n"), 64;
-    if (p.reads_lines && pthread_create(&reader, 0, read_lines, &p)) return fprintf(stderr, "no thread\n"), 64;
-    wait_for(&p, &p.newest, 0);
-    ticks = loop(&p, rows, (int64_t)(p.seconds * 1000));
-    STORE(p.is_over, 1), pthread_join(decoder, 0);
-    for (n = 0; n < ticks; n++)
-        printf("%.9g %.9g %.9g %.9g %.9g %.9g %.9g\n", rows[n].frame, rows[n].at[0], rows[n].at[1], rows[n].at[2],
-               rows[n].newtons[0], rows[n].newtons[1], rows[n].newtons[2]);
+    int64_t ticks = (int64_t)(options.seconds * 1000 + 0.5);
+    tick_row *rows = (tick_row *)calloc((size_t)ticks, sizeof *rows);
+    if (!rows || (!options.is_simulated && pthread_create(&decoder, NULL, decode_ahead, NULL)))
+        return fprintf(stderr, "no memory, or no thread\n"), 64;
+    ticks = loop(&options, rows, ticks);
+    if (!options.is_simulated) pthread_join(decoder, NULL);
+    for (int64_t n = 0; n < ticks; n++)
+        printf("%.17g %.17g %.17g %.17g %.17g %.17g %.17g\n", rows[n].media_s, rows[n].position_m.x, rows[n].position_m.y,
+               rows[n].position_m.z, rows[n].force_n.x, rows[n].force_n.y, rows[n].force_n.z);
     free(rows);
-    fprintf(stderr, "%lld ticks, the latest by %.3f ms; in %lld the decoder was late\n", (long long)ticks,
-            1e-6 * (double)p.late_ns, (long long)p.held);
-    for (n = 0; n < 2 && p.code; n++)
-        if (*p.decoder[n].error) fprintf(stderr, "%s: %s\n", words[optind], p.decoder[n].error);
-    return p.code;
+    const touch_counts *counts = &play.receiver->counts;
+    fprintf(stderr, "%lld ticks, the latest by %.3f ms; in %lld a frame was late\n", (long long)ticks,
+            1e-6 * (double)counts->worst_lateness_ns, (long long)counts->stalled_ticks);
+    if (play.code) fprintf(stderr, "%s: %s\n", words[optind], play.error);
+    return play.code;
 }

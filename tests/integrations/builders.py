@@ -5,12 +5,20 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import touchfield as tf
+from touchfield.devices import device
+from touchfield.devices.drivers.simulated import SimHand
+from touchfield.medium.trace import Trace
+from touchfield.render.offline import run_offline
+from touchfield.render.spec import RenderSpec
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Box
 
 ROOT = Path(__file__).resolve().parents[2]
 INTEGRATIONS, GOLDEN = ROOT / "integrations", ROOT / "conformance" / "v1"
@@ -92,3 +100,66 @@ def query_program(
     done = run(*program, stdin=lines)
     assert done.returncode == 0, done.stderr
     return frames, points, np.array([line.split() for line in done.stdout.splitlines()], np.float64)
+
+
+def player_forces(
+    path: Path,
+    positions_m: np.ndarray,
+    peak_n: float | None = None,
+    loop: bool = False,
+    speed: float = 1.0,
+    **options: object,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions, metres, and forces, newtons, of the Python player, one a tick of 1 ms, float64 [n, 3].
+
+    The positions differ from the given ones in their last digits: the simulated hand adds up its time.
+
+    The device states its greatest force alone: that of the medium, or `peak_n`. `options` are those of
+    `RenderSpec`.
+    """
+    with tf.open_stream(path) as stream:
+        medium = stream.scene or stream.medium
+        profile = replace(
+            device("phantom-omni"),
+            axes=medium.axes,
+            force_max_n=peak_n or stream.reader.head.force_max_n,
+            force_continuous_n=None,
+            damping_n_s_per_m=None,
+            friction_n=None,
+            inertia_kg=None,
+            delay_ms=None,
+            resolution_mm=None,
+        )
+        trace = Trace(np.arange(len(positions_m)) * 1e-3, positions_m, None)
+        spec = RenderSpec(up="lattice", **options)
+        run = run_offline(
+            medium,
+            profile,
+            lambda: SimHand(trace),
+            spec,
+            seconds=1e-3 * len(positions_m),
+            loop=loop,
+            speed=speed,
+        )
+    log = run.log[: len(positions_m)]
+    return log["position_m"], log["force_n"]
+
+
+def make_plate(path: Path) -> Path:
+    """Write a plate of 60 x 40 x 2 mm."""
+    tf.encode(AnalyticScene((Box((0, 0, 0), (0.03, 0.02, 0.001)),)), path, tf.EncodeSpec(nw=7, mapping="1"))
+    return path
+
+
+def press_plate(count: int = 1000) -> np.ndarray:
+    """A hand that goes from 5 mm above that plate to 2 mm below its surface and rests, float64 [count, 3]."""
+    height_m = np.interp(np.arange(count), [0, 300, count], [0.006, -0.001, -0.001])
+    return np.stack([np.full(count, 0.004), np.full(count, 0.003), height_m], axis=1)
+
+
+def assert_is_held(forces_n: np.ndarray, peak_n: float) -> None:
+    """Check that the plate pushes the hand back, within the peak and the slew limit, from zero on."""
+    sizes_n = np.linalg.norm(forces_n, axis=1)
+    assert (forces_n[400:, 2] > 0.5).all()  # the field itself would push it down, or not at all
+    assert sizes_n.max() <= peak_n
+    assert np.linalg.norm(np.diff(forces_n, axis=0), axis=1).max() <= peak_n / 0.005 * 1e-3

@@ -381,7 +381,8 @@ class FrameSource(FrameParts):
             return at
 
         size_bytes = sum(map(field_bytes, pools.values())) + self.size_bytes
-        return PreparedFrame(size_bytes, self._stretch * stiffest_n_per_m(pools.values()), write)
+        fields = [pool for name, pool in pools.items() if name[0] != VIBRATION]  # that one is no force
+        return PreparedFrame(size_bytes, self._stretch * stiffest_n_per_m(fields), write)
 
 
 def _segment_starts(medium: HapticMedium | HapticScene) -> tuple[int, ...]:

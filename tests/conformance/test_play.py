@@ -1,0 +1,190 @@
+"""The receiver for engines in C, `c/touch_play.h`: the forces of the Python player, under the sanitizers."""
+
+from __future__ import annotations
+
+import subprocess
+from dataclasses import dataclass, replace
+from pathlib import Path
+from shutil import which
+from typing import Any
+
+import numpy as np
+import pytest
+
+import touchfield as tf
+from touchfield.devices import device
+from touchfield.devices.drivers.simulated import SimHand
+from touchfield.medium.trace import Trace
+from touchfield.render.block import Memory
+from touchfield.render.offline import run_offline
+from touchfield.render.player import Session
+from touchfield.render.spec import RenderSpec
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Box
+
+HERE = Path(__file__).resolve().parent
+C, GOLDEN = HERE.parents[1] / "c", HERE.parents[1] / "conformance" / "v1"
+WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Werror")
+SANITIZERS = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+OMNI = device("phantom-omni")
+NAMES = ("touch-block", "touch-fast", "touch-lossless", "touch-mask", "touch-solid", "touch-empty")
+OBJECTS = ("objects-touch", "objects-touch-deforming", "vibration-touch")
+
+
+def compiled(source: Path, folder: Path, *options: str) -> Path:
+    """Compile a program of C; skip without a compiler."""
+    compiler = which("cc")
+    if compiler is None:
+        pytest.skip("no C compiler")
+    program = folder / source.stem
+    command = [compiler, *WARNINGS, *options, f"-I{C}", "-o", program, source, "-lm", "-lpthread"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return program
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return compiled(HERE / "play.c", tmp_path_factory.mktemp("play"), *SANITIZERS)
+
+
+@pytest.fixture(scope="module")
+def plate(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A plate of 60 x 40 x 2 mm."""
+    path = tmp_path_factory.mktemp("plate") / "plate.touch"
+    tf.encode(AnalyticScene((Box((0, 0, 0), (0.03, 0.02, 0.001)),)), path, tf.EncodeSpec(nw=7, mapping="1"))
+    return path
+
+
+@dataclass
+class Played:
+    """Settings, and of each tick: media time, flags and force."""
+
+    settings: Any
+    media_s: Any
+    flags: Any
+    forces_n: Any
+
+
+def play(
+    program: Path, path: Path, positions_m: Any, folder: Path, loop: bool = False, start_s: float = 0.0
+) -> Played:
+    """Ticks of the program at positions, float64 [n, 3]."""
+    numbers = (
+        *(OMNI.force_max_n, OMNI.force_continuous_n or 0.0, 1e-3 * (OMNI.delay_ms or 0.0)),
+        *(OMNI.inertia_kg or 0.0, OMNI.damping_n_s_per_m or 0.0, OMNI.friction_n or 0.0),
+        *(1e-3 * (OMNI.resolution_mm or 0.0), loop, start_s, 1.0),
+    )
+    np.asarray(positions_m, "<f8").tofile(folder / "positions")
+    np.asarray(numbers, "<f8").tofile(folder / "options")
+    command = [program, path, folder / "positions", folder / "out", folder / "options"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = np.fromfile(folder / "out", "<f8").reshape(-1, 5)
+    settings = [float(word) for word in done.stdout.split()]
+    return Played(settings, rows[:, 0], rows[:, 1].astype(int), rows[:, 2:])
+
+
+def play_in_python(path: Path, positions_m: Any, loop: bool, wall_n_per_m: float) -> tuple[list[float], Any]:
+    """The settings, and the log, of the Python player at the same positions."""
+    count = len(positions_m)
+    trace = Trace(np.arange(count) * 1e-3, np.asarray(positions_m), None)
+    with tf.open_stream(path) as stream:
+        medium = stream.scene or stream.medium
+        spec = RenderSpec(up="lattice", wall_n_per_m=wall_n_per_m or None)
+        profile = with_axes_of(medium)
+        run = run_offline(medium, profile, lambda: SimHand(trace), spec, seconds=1e-3 * count, loop=loop)
+        session = Session(medium, profile, spec)
+        memory = Memory.empty(session.layout.size_bytes)
+        session.set_up(memory)
+        chosen = memory.receiver["settings"]
+    names = ("wall_n_per_m", "wall_level_n", "brake_n_s_per_m", "coupling_n_per_m", "friction")
+    return [*(float(chosen[name]) for name in names), float(chosen["damping_n_s_per_m"])], run.log[:count]
+
+
+def with_axes_of(medium: Any) -> Any:
+    """The device, in the axes of the medium."""
+    return replace(OMNI, axes=medium.axes)
+
+
+def through_the_medium(path: Path, count: int) -> Any:
+    """A smooth way through all of the medium, float64 [count, 3], metres."""
+    with tf.open_stream(path) as stream:
+        low, high = (np.asarray(edge) for edge in stream.grid.box_m)
+    t = np.arange(count)[:, None] * 1e-3
+    waves = np.sin(t * np.array([29.0, 37.0, 23.0]) + np.array([0.1, 0.3, 0.2]))
+    return (low + high) / 2 + 0.52 * (high - low) * waves
+
+
+@pytest.mark.parametrize("name", [*NAMES, *OBJECTS])
+@pytest.mark.parametrize("loop", [False, True])
+def test_forces_are_those_of_the_python_player(program: Path, tmp_path: Path, name: str, loop: bool) -> None:
+    path = GOLDEN / f"{name}.touch"
+    way_m = through_the_medium(path, 900)
+    wall_n_per_m = play(program, path, way_m[:1], tmp_path).settings[0]  # numpy's differs in its last digits
+    settings, log = play_in_python(path, way_m, loop, wall_n_per_m)
+    played = play(program, path, log["position_m"], tmp_path, loop)  # the simulated hand adds up its time
+    np.testing.assert_allclose(played.settings, settings, rtol=1e-6)
+    np.testing.assert_allclose(played.media_s, log["media_s"], atol=1e-12)
+    np.testing.assert_array_equal(played.flags, log["flags"])
+    np.testing.assert_allclose(played.forces_n, log["force_n"], atol=1e-9, rtol=0)
+    assert name == "touch-empty" or np.abs(played.forces_n).max() > 0.05
+
+
+def press(thickness_m: float, count: int = 1500) -> Any:
+    """A hand that goes from 5 mm above a plate to 2 mm below its surface and rests, float64 [count, 3]."""
+    surface_m = thickness_m / 2
+    height_m = np.interp(
+        np.arange(count), [0, 300, count], [surface_m + 0.005, surface_m - 0.002, surface_m - 0.002]
+    )
+    return np.stack([np.full(count, 0.004), np.full(count, 0.003), height_m], axis=1)
+
+
+def test_hand_is_held_by_a_thin_plate(program: Path, plate: Path, tmp_path: Path) -> None:
+    played = play(program, plate, press(0.002), tmp_path)
+    sizes_n = np.linalg.norm(played.forces_n, axis=1)
+    assert played.settings[0] > 100  # there is a proxy
+    # 2 mm into a plate of 2 mm: the field itself pushes to the other side, or not at all; the proxy pushes up
+    expected_n = min(played.settings[0] * 0.002, OMNI.force_continuous_n)
+    assert (played.forces_n[400:, 2] > 0.8 * expected_n).all()
+    assert sizes_n.max() <= OMNI.force_max_n
+    assert np.linalg.norm(np.diff(played.forces_n, axis=0), axis=1).max() <= OMNI.force_max_n / 0.005 * 1e-3
+
+
+def test_force_comes_with_a_ramp(program: Path, plate: Path, tmp_path: Path) -> None:
+    """A hand that is within the plate from the first tick on."""
+    resting = np.repeat([[0.004, 0.003, 0.0006]], 60, axis=0)
+    played = play(program, plate, resting, tmp_path)
+    sizes_n = np.linalg.norm(played.forces_n, axis=1)
+    assert sizes_n[40] > 0.1
+    gains = np.minimum(1.0, np.arange(1, 61) * 1e-3 / 0.02)
+    np.testing.assert_allclose(sizes_n[:20], sizes_n[40] * gains[:20], rtol=0.02)
+
+
+@pytest.fixture(scope="module")
+def readme_program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The program of c/README.md."""
+    text = (C / "README.md").read_text().split("```c\n")[-1].split("```")[0]
+    source = tmp_path_factory.mktemp("readme") / "receiver.c"
+    source.write_text(text)
+    return compiled(source, source.parent, "-O1")
+
+
+@pytest.mark.parametrize("name", ["touch-block", "objects-touch", "plate"])
+def test_program_of_the_readme_runs(readme_program: Path, plate: Path, name: str) -> None:
+    path = plate if name == "plate" else GOLDEN / f"{name}.touch"
+    positions_m = press(0.002, 700) if name == "plate" else through_the_medium(path, 300)
+    lines = "".join(f"{x!r} {y!r} {z!r}\n" for x, y, z in positions_m.tolist())
+    done = subprocess.run([readme_program, path], input=lines, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    forces_n = np.array([line.split() for line in done.stdout.splitlines()], np.float64)
+    assert len(forces_n) == len(positions_m)
+    assert 0.05 < np.linalg.norm(forces_n, axis=1).max() <= 3.3
+    if name == "plate":
+        assert (forces_n[400:, 2] > 0.5).all()
+
+
+def test_program_of_the_readme_refuses_a_damaged_file(readme_program: Path) -> None:
+    path = GOLDEN.parent / "faulty" / "cut-at-end.touch"
+    done = subprocess.run([readme_program, path], capture_output=True, text=True, check=False)
+    assert done.returncode == 65 and "end too early" in done.stderr
