@@ -1116,11 +1116,11 @@ static int touch_check_source(const touch_grid *grid, const touch_source *frame,
         if (i && key <= last) return touch_fail(error, TOUCH_ARGUMENT, "bricks that do not ascend");
         last = key;
     }
+    if (!(touch_longest_n(frame) <= TOUCH_MAX_NEWTONS))
+        return touch_fail(error, TOUCH_ARGUMENT, "a force that is not finite, or above 2^120 N");
     for (uint64_t i = 0; i < frame->bricks; i++)
         if (touch_has_force_beyond(grid, frame->brick + 3 * i, frame->forces_n + 1536 * i))
             return touch_fail(error, TOUCH_ARGUMENT, "a force beyond the grid");
-    if (!(touch_longest_n(frame) <= TOUCH_MAX_NEWTONS))
-        return touch_fail(error, TOUCH_ARGUMENT, "a force that is not finite, or above 2^120 N");
     return 1;
 }
 
