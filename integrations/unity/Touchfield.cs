@@ -134,6 +134,12 @@ public static class TouchfieldNative
     public static extern int touch_next(IntPtr decoder, ref touch_arena arena, IntPtr frame);
 
     [DllImport(Library, CallingConvention = CallingConvention.Cdecl)]
+    public static extern int touch_is_rigid(IntPtr decoder, uint body);
+
+    [DllImport(Library, CallingConvention = CallingConvention.Cdecl)]
+    public static extern int touch_mask_of(IntPtr decoder, uint body, out double k, out double f0_n);
+
+    [DllImport(Library, CallingConvention = CallingConvention.Cdecl)]
     public static extern void touch_force(IntPtr frame, double x, double y, double z, out Three newtons);
 
     [DllImport(Library, CallingConvention = CallingConvention.Cdecl)]
