@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-thorough test-all bench lint gallery site reproduction golden wheels web browser-tests clean
+.PHONY: demo module test test-thorough test-all bench lint gallery site reproduction golden wheels web browser-tests clean
 
 demo: .venv/ready
 	$(BIN)/touchfield demo demo
@@ -79,6 +79,11 @@ web/node_modules/.package-lock.json: web/package-lock.json
 	echo 'no C compiler here: ziglang from PyPI compiles the coder'; \
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'ziglang>=0.16'; }
 	touch .venv/packages
+
+# the compiled module again, as an error of its import asks for
+module: .venv/packages
+	rm -f .venv/ready
+	$(MAKE) .venv/ready
 
 clean:
 	rm -rf .venv demo site web/node_modules

@@ -53,8 +53,8 @@ OMNI: Final = device("phantom-omni")
 
 def field_of(law: Callable[[Any], Any], grid: Grid = GRID) -> ForceField:
     """The field of a law of force, from points [..., 3] to newtons."""
-    axes = [grid.origin_m[n] + grid.spacing_m[n] * np.arange(grid.shape[n]) for n in range(3)]
-    return ForceField.from_dense(grid, law(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)).astype("f4"))
+    points_m = grid.to_m(np.moveaxis(np.indices(grid.shape), 0, -1))
+    return ForceField.from_dense(grid, law(points_m).astype("f4"))
 
 
 def wall(stiffness_n_per_m: float, surface_m: float = 0.0) -> Callable[[Any], Any]:

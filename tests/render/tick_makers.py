@@ -37,8 +37,7 @@ Law = Callable[[Vector], Vector]
 
 def points(grid: Grid = GRID) -> Vector:
     """The samples of a lattice, metres, float64 [nx, ny, nz, 3]."""
-    axes = [grid.origin_m[n] + grid.spacing_m[n] * np.arange(grid.shape[n]) for n in range(3)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    return grid.to_m(np.moveaxis(np.indices(grid.shape), 0, -1))
 
 
 def wall(stiffness_n_per_m: float, most_n: float = np.inf) -> Law:

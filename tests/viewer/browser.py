@@ -39,6 +39,11 @@ class Result(NamedTuple):
     errors: list[str]
 
 
+def step(do: str, **arguments: Any) -> dict[str, Any]:
+    """A step of `drive`, by its name in ``drive.mjs``."""
+    return {"do": do, **arguments}
+
+
 def drive(folder: Path, *steps: dict[str, Any], **context: Any) -> Result:
     """Run steps in a browser without a network."""
     input_path, output_path = folder / "steps.json", folder / "answers.json"

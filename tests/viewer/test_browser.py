@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import ROOT, drive, hour_played, needs_browser
+from browser import ROOT, drive, hour_played, needs_browser, step
 
 import touchfield as tf
 from touchfield.cli.main import app, run as run_cli
 from touchfield.perception.vibrotactile import BANDS_HZ
 from touchfield.render.material import Material
 from touchfield.tasks.texture import store_materials
-from touchfield.viewer.browser import empty_page
 
 pytestmark = needs_browser
 
@@ -31,18 +30,6 @@ SOLID = CONFORMANCE / "v1" / "touch-solid.touch"
 def is_paper(stream: Path) -> bool:
     """Whether a file needs the paper's coder, which the page does not support."""
     return b"\x05\x00paper" in stream.read_bytes()
-
-
-@pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The address of the page without a file."""
-    path = tmp_path_factory.mktemp("page") / "page.html"
-    path.write_text(empty_page(), encoding="utf-8")
-    return path.as_uri()
-
-
-def step(do: str, **arguments: Any) -> dict[str, Any]:
-    return {"do": do, **arguments}
 
 
 GOLDEN = [s for s in sorted((CONFORMANCE / "v1").glob("*.touch")) if not is_paper(s)]

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import ROOT, drive, needs_browser
+from browser import ROOT, drive, needs_browser, step
 
 import touchfield as tf
 from touchfield.pipeline.preparation import Prepared, prepare
@@ -20,7 +20,6 @@ from touchfield.sources.camera import CodedSequence, DepthCode, Intrinsics
 from touchfield.sources.images.pictures import ArrayFrames
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.terrain.height_scene import HeightScene
-from touchfield.viewer.browser import empty_page
 
 pytestmark = needs_browser
 
@@ -29,18 +28,6 @@ SAVED = "!document.getElementById('saved').textContent.startsWith('Saving')"
 PNG = b"\x89PNG\r\n\x1a\n"
 TOLERANCE_N = 1e-6
 """Beyond the error bound: sums of the page are in another order than those of Python."""
-
-
-@pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The address of the page without a file."""
-    path = tmp_path_factory.mktemp("page") / "page.html"
-    path.write_text(empty_page(), encoding="utf-8")
-    return path.as_uri()
-
-
-def step(do: str, **arguments: Any) -> dict[str, Any]:
-    return {"do": do, **arguments}
 
 
 def chunk(tag: bytes, data: bytes) -> bytes:

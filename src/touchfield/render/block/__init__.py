@@ -1,10 +1,10 @@
-"""The memory of a receiver: player and servo share it, the player writes frames and orders, the servo its state
-and log. This file creates and opens it, and defines where its parts lie.
+"""The memory of a receiver, which player and servo share: the player writes frames and orders, the servo its
+state and log. This file creates and opens it, and defines where its parts lie.
 
-`layout` has the structs in it, generated from ``c/touch_receiver.h``. Offsets and sizes are in bytes; offset 0
-means "none". A shared block is a file with a name of its own, which is deleted as soon as both processes have
-opened it, so that nothing remains if one of them is killed. Space is reserved before it is written, so that a
-full ``/dev/shm`` is an error and not a crash.
+`layout` has the structs in it, generated from ``c/touch_receiver.h``. Offsets and sizes are in bytes; offset
+0 means "none". A shared block is a file with a name of its own, which is deleted as soon as both processes
+have opened it, so that nothing remains if one of them is killed. Space is reserved before it is written, so
+that a full ``/dev/shm`` is an error and not a crash.
 """
 
 from __future__ import annotations
@@ -181,8 +181,8 @@ def _no_space(needed_bytes: int) -> InvalidArgument:
 class Layout:
     """Offsets of the parts of a block: the receiver, then directory, log, tool, materials, yields and arena.
 
-    The arena starts with what all frames share (fields of rigid bodies); the rest of it is a `Ring` of frames.
-    All sizes and offsets are in bytes.
+    The arena starts with what all frames share (fields of rigid bodies); the rest of it is a `Ring` of
+    frames. All sizes and offsets are in bytes.
     """
 
     def __init__(
@@ -210,7 +210,10 @@ class Layout:
     def write(
         self, memory: Memory, frame_count: int, frame_rate_hz: float, is_loop: bool, rate_hz: float
     ) -> None:
-        """Write what does not change during playback, and empty the directory; `rate_hz` is that of the ticks."""
+        """Write what does not change during playback, and empty the directory.
+
+        `rate_hz` is that of the ticks.
+        """
         receiver = memory.receiver
         for name, value in (
             ("version", layout.RECEIVER_VERSION),
@@ -289,9 +292,12 @@ def too_little(capacity_bytes: int, needed: str) -> InvalidArgument:
 
 
 COLUMNS: Final = layout.LOG_ROW
-"""A row of the log. Times are in seconds since the first tick and of the medium; positions, velocity, forces of
-the field and friction are in the axes of the field; the force and torque that the device got, and the
-orientation of its grip, are in those of the device."""
+"""A row of the log.
+
+Times are in seconds since the first tick and of the medium. Positions, velocity, forces of the field and
+friction are in the axes of the field; the force and torque that the device got, and the orientation of its
+grip, are in those of the device.
+"""
 
 FLAGS: Final = {
     "running": layout.FLAG_RUNNING,
@@ -309,8 +315,8 @@ after a stop; no sign of life from the player; paused."""
 class TickLog:
     """Rows of the log, read from its ring; at most the latest `max_rows` are stored.
 
-    The servo never waits for a reader: rows that are not read in time are overwritten. `lost` counts these and
-    the rows dropped here.
+    The servo never waits for a reader: rows that are not read in time are overwritten. `lost` counts these
+    and the rows dropped here.
     """
 
     def __init__(self, memory: Memory, max_rows: int) -> None:

@@ -1,8 +1,8 @@
 """Writes fields and frames into the memory of a receiver, as ``c/touch_receiver.h`` describes them.
 
-A **field** is a `touch_cells` with what lies behind it, as `medium.cells` makes it; its offsets count from its
-first byte, so that a field can be moved as it is. A **frame** is a header, the pose of each body, and perhaps a
-deformation. Sizes and offsets are in bytes.
+A **field** is a `touch_cells` with what lies behind it, as `medium.cells` makes it; its offsets count from
+its first byte, so that a field can be moved as it is. A **frame** is a header, the pose of each body, and
+perhaps a deformation. Sizes and offsets are in bytes.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from touchfield.medium.field import ForceField
 
 FieldName = tuple[int, int]
-"""(object, frame); of a rigid object the frame is -1, and one field serves all frames. Voxels are object 0."""
+"""(object, frame). Of a rigid object the frame is -1: one field serves all frames. Voxels are object 0."""
 
 VIBRATION: Final = -1  # the object that is the vibration of voxels
 _ALL_FRAMES: Final = -1
@@ -155,9 +155,9 @@ def require_medium(medium: object) -> None:
 class FrameParts:
     """Frames of a medium or a scene as fields and poses.
 
-    `size_bytes` is the size of a frame without its fields. A `deformation` bends a medium of voxels, by tracks
-    of its frames, or by tracks that make the frames of a medium of one; `yield_at` is the offset of the
-    displacements by which it yields, or 0. Raises InvalidArgument if the deformation does not fit.
+    `size_bytes` is the size of a frame without its fields. A `deformation` bends a medium of voxels, by
+    tracks of its frames, or by tracks that make the frames of a medium of one; `yield_at` is the offset of
+    the displacements by which it yields, or 0. Raises InvalidArgument if the deformation does not fit.
     """
 
     def __init__(self, medium: HapticMedium | HapticScene, deformation: Deformation | None = None) -> None:

@@ -1,8 +1,8 @@
 """Compiled for a GPU: the force at many points of an instant, for `DeviceSampler`.
 
-This is what ``c/touch_query.h`` and ``c/touch_batch.h`` do on the CPU, in the same order of operations, without
-deformations. Kernels read the memory of a receiver as numbers of eight bytes (i8, u8, f8) and as float32 (f4); an
-offset here is an index of such a number.
+This is what ``c/touch_query.h`` and ``c/touch_batch.h`` do on the CPU, in the same order of operations,
+without deformations. Kernels read the memory of a receiver as numbers of eight bytes (i8, u8, f8) and as
+float32 (f4); an offset here is an index of such a number.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def _find_brick(i8, table, shift, brick):
 
 @inner
 def _locate(i8, u8, f8, field, p):
-    """The corner in f4 of the cell that has a point, -1 if there is no force; and the fractions of the cell."""
+    """Return the corner in f4 of the cell that has a point, -1 if there is no force, and its fractions."""
     corner, per_m = _vector(f8, field + _CORNER), _vector(f8, field + _PER_M)
     x, y, z = (p[0] - corner[0]) * per_m[0], (p[1] - corner[1]) * per_m[1], (p[2] - corner[2]) * per_m[2]
     nx, ny, nz = _vector(i8, field + _BOX)
@@ -198,7 +198,7 @@ def forces_at_points(start, stop, points, blends, i8, u8, f8, f4, before, after,
 
 @kernel
 def field_at_points(start, stop, points, i8, u8, f8, f4, field, weight, is_first, out):
-    """Write, or, unless first, add `weight` times the forces of one field at points [m, 3] to float32 [m, 3]."""
+    """Add `weight` times the forces of one field at points [m, 3] to float32 [m, 3]; write them if first."""
     for p in range(start, stop):
         point = points[p, 0], points[p, 1], points[p, 2]
         x, y, z = _add_cell_force(i8, u8, f8, f4, (0.0, 0.0, 0.0), weight, field, point)
