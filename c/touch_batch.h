@@ -65,8 +65,8 @@ TOUCH_INLINE void touch_cell_forces(const touch_cells *cells, double weight, int
     const float *samples = touch_samples_of(cells);
     touch_vector corner_m = cells->corner_m, per_m = cells->samples_per_m;
     int64_t ny = cells->brick_count[1], nz = cells->brick_count[2], shift = cells->table_shift, brick = -1, index = -1;
-    double near = 2 * TOUCH_ON_PLANE, high_x = 8.0 * (double)cells->brick_count[0] - near;
-    double high_y = 8.0 * (double)ny - near, high_z = 8.0 * (double)nz - near, fx, fy, fz;
+    double margin = 2 * TOUCH_ON_PLANE, high_x = 8.0 * (double)cells->brick_count[0] - margin;
+    double high_y = 8.0 * (double)ny - margin, high_z = 8.0 * (double)nz - margin, fx, fy, fz;
     for (int64_t p = start; p < stop; p++) {
         const float *f = (const float *)point_m + 3 * p;
         const double *d = (const double *)point_m + 3 * p;

@@ -138,10 +138,10 @@ TOUCH_INLINE touch_cell_point touch_locate(const touch_cells *cells, touch_vecto
     double x = (point_m.x - cells->corner_m.x) * cells->samples_per_m.x;
     double y = (point_m.y - cells->corner_m.y) * cells->samples_per_m.y;
     double z = (point_m.z - cells->corner_m.z) * cells->samples_per_m.z;
-    double near = 2 * TOUCH_ON_PLANE; /* the outermost planes of a box have no force */
+    double margin = 2 * TOUCH_ON_PLANE; /* the outermost planes of a box have no force */
     int64_t nx = cells->brick_count[0], ny = cells->brick_count[1], nz = cells->brick_count[2];
-    if (!(0.0 <= x && x < 8.0 * (double)nx - near && 0.0 <= y && y < 8.0 * (double)ny - near && 0.0 <= z &&
-          z < 8.0 * (double)nz - near))
+    if (!(0.0 <= x && x < 8.0 * (double)nx - margin && 0.0 <= y && y < 8.0 * (double)ny - margin && 0.0 <= z &&
+          z < 8.0 * (double)nz - margin))
         return found;
     int64_t i = touch_cell_of(x, &found.fraction.x), j = touch_cell_of(y, &found.fraction.y);
     int64_t k = touch_cell_of(z, &found.fraction.z);

@@ -681,13 +681,13 @@ static int touch_find_heads(touch_columns *columns, const touch_source *frame, f
     static const int64_t limit[7] = {1 << 17, 1 << 20, 1 << 20, 1 << 20, 1 << 14, 1 << 12, 1 << 16};
     const touch_column_box *v = &columns->box;
     const double *spacing = v->grid->spacing_m;
-    double top, ramp = touch_find_ramp(v, frame, unit_n, f0, &top, arena), number[7], small;
+    double top, ramp = touch_find_ramp(v, frame, unit_n, f0, &top, arena), number[7], ratio;
     int64_t head[7];
     if (!(ramp > 0)) return (int)ramp;
-    small = f0 / top < 0.5 ? f0 / top : 0.5, small = small > k ? small : k, small = small > 1e-3 ? small : 1e-3;
+    ratio = f0 / top < 0.5 ? f0 / top : 0.5, ratio = ratio > k ? ratio : k, ratio = ratio > 1e-3 ? ratio : 1e-3;
     number[0] = top, number[1] = 65536 * ramp;
     for (int n = 0; n < 2; n++) number[2 + n] = 256 * spacing[v->across[n]] / spacing[v->axis];
-    number[4] = 16384 * small * 0.35, number[6] = 65536 * small * 0.9;
+    number[4] = 16384 * ratio * 0.35, number[6] = 65536 * ratio * 0.9;
     number[5] = 256 * (f0 / top > 0.1 * k ? f0 / top : 0.1 * k) / ramp * 1.4; /* steps should not exceed the mask by much */
     for (int n = 0; n < 7; n++) {
         double clipped = number[n] > (double)low[n] ? number[n] : (double)low[n];

@@ -1065,7 +1065,8 @@ static void touch_set_centre(const touch_pass *p, touch_voxel *v) {
         for (int n = 0; n < 4; n++) {
             int has_alternative = n < 3 ? v->neighbour[n] != 0 : v->has_reference;
             const int32_t *alternative = n < 3 ? v->extrapolation[n] : v->reference;
-            class_of[n] = has_alternative ? touch_alternative_class(v, alternative, v->basis[k]) : TOUCH_NO_ALTERNATIVE;
+            uint32_t none = TOUCH_NO_ALTERNATIVE;
+            class_of[n] = has_alternative ? touch_alternative_class(v, alternative, v->basis[k]) : none;
         }
         v->alternatives_01[k] = class_of[0] << 4 | class_of[1], v->alternatives_23[k] = class_of[2] << 4 | class_of[3];
     }
@@ -2079,9 +2080,9 @@ static touch_symbols touch_code_sample(touch_coder *b, touch_exact_models *m, co
     }
     own.is_supported = 1;
     for (int p = 0; p < planes; p++) {
-        int64_t near[5];
-        for (int k = 0; k < 5; k++) near[k] = row[k].is_supported ? (int64_t)row[k].symbol[p] : -1;
-        int64_t symbol = touch_code_symbol(b, m, p, size[p], near, p ? (int64_t)own.symbol[p - 1] : 0,
+        int64_t around[5];
+        for (int k = 0; k < 5; k++) around[k] = row[k].is_supported ? (int64_t)row[k].symbol[p] : -1;
+        int64_t symbol = touch_code_symbol(b, m, p, size[p], around, p ? (int64_t)own.symbol[p - 1] : 0,
                                            TOUCH_CHOOSE(b, (int64_t)own.symbol[p]));
         touch_need_coded(b, error, symbol < (int64_t)size[p], "a symbol that there is not");
         own.symbol[p] = (uint32_t)symbol;
@@ -2185,11 +2186,11 @@ typedef struct { /* samples of bricks that are set, a byte each */
 typedef struct {
     touch_list_models list;
     struct {
-        touch_context near[4096];      /* the samples around that are coded already */
-        touch_context before[128][8];  /* the same of the support before, all around */
+        touch_context neighbours[4096]; /* the samples around that are coded already */
+        touch_context before[128][8];   /* the same of the support before, all around */
     } context;
     struct {
-        int64_t near[8][2];
+        int64_t neighbours[8][2];
     } weight;
 } touch_set_models;
 
@@ -2256,11 +2257,11 @@ static int touch_code_set_brick(touch_coder *b, touch_set_models *m, touch_set_p
             for (int z = 0; z < high[2]; z++) {
                 uint8_t *window = p->window + touch_set_index(x + 2, y + 2, z + 2), *own = is_set + 64 * x + 8 * y + z;
                 const uint8_t *before = p->before + (window - p->window);
-                uint32_t near = 0, was = 0;
-                for (int n = 0; n < 12; n++) near |= (uint32_t)window[near_steps[n]] << n;
+                uint32_t around = 0, was = 0;
+                for (int n = 0; n < 12; n++) around |= (uint32_t)window[near_steps[n]] << n;
                 for (int n = 0; n < 7; n++) was |= (uint32_t)before[before_steps[n]] << n;
-                *own = (uint8_t)touch_mix2(b, m->context.near + near, &m->context.before[was][near & 7],
-                                           m->weight.near[near & 7], TOUCH_CHOOSE(b, *own));
+                *own = (uint8_t)touch_mix2(b, m->context.neighbours + around, &m->context.before[was][around & 7],
+                                           m->weight.neighbours[around & 7], TOUCH_CHOOSE(b, *own));
                 *window = *own, any |= *own;
             }
     return any;
