@@ -29,7 +29,9 @@ static inline void touch_forces_at(const touch_batch *b, int64_t start, int64_t 
     for (int64_t p = start; p < stop; p++) {
         if (b->blends > 1) t = touch_batch_instant(b, p);
         touch_vector force = touch_inlined_force(&t, touch_batch_point(b, p));
-        out[3 * p] = (float)force.x, out[3 * p + 1] = (float)force.y, out[3 * p + 2] = (float)force.z;
+        out[3 * p] = (float)force.x;
+        out[3 * p + 1] = (float)force.y;
+        out[3 * p + 2] = (float)force.z;
     }
 }
 
@@ -51,7 +53,8 @@ static inline void touch_vibrations_at(const touch_batch *b, int64_t start, int6
         touch_instant t = touch_batch_instant(b, p);
         double amplitude_n, frequency_hz;
         touch_vibration_at(&t, touch_batch_point(b, p), &amplitude_n, &frequency_hz);
-        out[2 * p] = (float)amplitude_n, out[2 * p + 1] = (float)frequency_hz;
+        out[2 * p] = (float)amplitude_n;
+        out[2 * p + 1] = (float)frequency_hz;
     }
 }
 
@@ -77,7 +80,10 @@ TOUCH_INLINE void touch_cell_forces(const touch_cells *cells, double weight, int
         if (0.0 <= x && x < high_x && 0.0 <= y && y < high_y && 0.0 <= z && z < high_z) {
             int64_t i = touch_cell_of(x, &fx), j = touch_cell_of(y, &fy), k = touch_cell_of(z, &fz);
             int64_t own = ((i >> 3) * ny + (j >> 3)) * nz + (k >> 3);
-            if (own != brick) brick = own, index = touch_find_brick(table, shift, own);
+            if (own != brick) {
+                brick = own;
+                index = touch_find_brick(table, shift, own);
+            }
             if (index >= 0 && touch_is_supported(supported, index, i, j, k)) {
                 const float *corner = samples + touch_corner_of(index, i, j, k);
                 touch_interpolate_float(corner, (float)fx, (float)fy, (float)fz, force);

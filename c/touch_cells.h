@@ -92,7 +92,9 @@ TOUCH_INLINE void touch_interpolate_float(const float *corner, float x, float y,
     a += y * (b - a);
     c += y * (d - c);
     a += x * (c - a);
-    out[0] = a[0], out[1] = a[1], out[2] = a[2];
+    out[0] = a[0];
+    out[1] = a[1];
+    out[2] = a[2];
 #else
     for (int n = 0; n < 3; n++, corner++) {
         float a = corner[0], b = corner[TOUCH_NEXT_Y], c = corner[TOUCH_NEXT_X], d = corner[TOUCH_NEXT_X + TOUCH_NEXT_Y];
@@ -242,7 +244,9 @@ static inline uint64_t touch_find_cells(const touch_field_bricks *field, const t
     int64_t low[3] = {INT64_MAX, INT64_MAX, INT64_MAX}, high[3] = {INT64_MIN, INT64_MIN, INT64_MIN};
     uint64_t count = 0;
     for (int n = 0; n < cursors; n++) {
-        cursor[n].field = n < 8 ? field : paired, cursor[n].index = 0, cursor[n].corner = n & 7;
+        cursor[n].field = n < 8 ? field : paired;
+        cursor[n].index = 0;
+        cursor[n].corner = n & 7;
         touch_cursor_need(cursor + n);
     }
     for (;; count++) {
@@ -250,10 +254,16 @@ static inline uint64_t touch_find_cells(const touch_field_bricks *field, const t
         for (int n = 0; n < cursors; n++) order = cursor[n].order < order ? cursor[n].order : order;
         if (order == INT64_MAX) break;
         int64_t at[3] = {(order >> 42) - 1, (order >> 21 & mask) - 1, (order & mask) - 1};
-        for (int a = 0; a < 3; a++) low[a] = at[a] < low[a] ? at[a] : low[a], high[a] = at[a] > high[a] ? at[a] : high[a];
+        for (int a = 0; a < 3; a++) {
+            low[a] = at[a] < low[a] ? at[a] : low[a];
+            high[a] = at[a] > high[a] ? at[a] : high[a];
+        }
         for (int a = 0; a < 3 && out; a++) out[3 * count + (uint64_t)a] = (int32_t)(at[a] - box->corner[a]);
         for (int n = 0; n < cursors; n++)
-            if (cursor[n].order == order) cursor[n].index++, touch_cursor_need(cursor + n);
+            if (cursor[n].order == order) {
+                cursor[n].index++;
+                touch_cursor_need(cursor + n);
+            }
     }
     for (int a = 0; a < 3 && !out; a++) {
         box->corner[a] = count ? (int32_t)low[a] : 0;
@@ -291,18 +301,21 @@ static inline void touch_start_cells(touch_cells *cells, const touch_cell_box *b
         int64_t number = (b[0] * box->count[1] + b[1]) * box->count[2] + b[2];
         uint64_t slot = ((uint64_t)number * TOUCH_HASH_FACTOR) >> (64 - bits);
         while (table[2 * slot] >= 0) slot = (slot + 1) & mask;
-        table[2 * slot] = number, table[2 * slot + 1] = (int64_t)n;
+        table[2 * slot] = number;
+        table[2 * slot + 1] = (int64_t)n;
     }
     for (int a = 0; a < 3; a++) {
         corner_m[a] = spacing_m[a] * (double)(TOUCH_SIDE * (int64_t)box->corner[a]) + origin_m[a];
         double end_m = corner_m[a] + (double)(TOUCH_SIDE * box->count[a]) * spacing_m[a];
         double reach_m = fabs(corner_m[a]) > fabs(end_m) ? fabs(corner_m[a]) : fabs(end_m);
-        cells->brick_count[a] = box->count[a], reach2_m2 += reach_m * reach_m;
+        cells->brick_count[a] = box->count[a];
+        reach2_m2 += reach_m * reach_m;
     }
     cells->corner_m = touch_vector_of(corner_m[0], corner_m[1], corner_m[2]);
     cells->samples_per_m = touch_vector_of(1.0 / spacing_m[0], 1.0 / spacing_m[1], 1.0 / spacing_m[2]);
     cells->reach2_m2 = bricks ? 1.000001 * reach2_m2 : -1.0; /* a little more, for the rounding of poses */
-    cells->table_shift = 64 - bits, cells->table_offset = (int64_t)sizeof *cells;
+    cells->table_shift = 64 - bits;
+    cells->table_offset = (int64_t)sizeof *cells;
     cells->supported_offset = cells->table_offset + ((int64_t)16 << bits);
     cells->samples_offset = cells->supported_offset + (int64_t)(8 * TOUCH_SIDE * bricks);
     uint64_t end = (uint64_t)cells->samples_offset + sizeof(float) * TOUCH_NEXT_BRICK * bricks;
@@ -341,10 +354,18 @@ static inline void touch_fill_brick(const float *const source[8], float *samples
             const float *own = source[corner], *next = source[corner + 1];
             float *to = samples + i * TOUCH_NEXT_X + j * TOUCH_NEXT_Y;
             row[i][j] = 0;
-            if (own) memcpy(to, own + from, 24 * sizeof *to), row[i][j] = touch_row_support(own + from, TOUCH_SIDE);
-            else memset(to, 0, 24 * sizeof *to);
-            if (next) memcpy(to + 24, next + from, 3 * sizeof *to), row[i][j] |= touch_row_support(next + from, 1) << 8;
-            else memset(to + 24, 0, 3 * sizeof *to);
+            if (own) {
+                memcpy(to, own + from, 24 * sizeof *to);
+                row[i][j] = touch_row_support(own + from, TOUCH_SIDE);
+            } else {
+                memset(to, 0, 24 * sizeof *to);
+            }
+            if (next) {
+                memcpy(to + 24, next + from, 3 * sizeof *to);
+                row[i][j] |= touch_row_support(next + from, 1) << 8;
+            } else {
+                memset(to + 24, 0, 3 * sizeof *to);
+            }
         }
     for (int i = 0; i < TOUCH_SIDE; i++) {
         supported[i] = 0;
@@ -367,9 +388,16 @@ static inline void touch_fill_cells(touch_cells *cells, const touch_cell_box *bo
         int64_t order = touch_brick_order((int64_t)b[0] + corner[0], (int64_t)b[1] + corner[1], (int64_t)b[2] + corner[2]);
         for (int e = 0; e < 8; e++) {
             touch_cell_cursor *c = cursor + e;
-            if (n == start) c->field = field, c->corner = e, c->index = touch_lower_bound(field, e, order);
+            if (n == start) {
+                c->field = field;
+                c->corner = e;
+                c->index = touch_lower_bound(field, e, order);
+            }
             if (n == start) touch_cursor_read(c);
-            while (c->order < order) c->index++, touch_cursor_read(c);
+            while (c->order < order) {
+                c->index++;
+                touch_cursor_read(c);
+            }
             source[e] = c->order == order ? field->forces_n + TOUCH_BRICK_FLOATS * c->index : NULL;
         }
         touch_fill_brick(source, samples + TOUCH_NEXT_BRICK * n, supported + 8 * n);

@@ -1,4 +1,15 @@
-/* touch_effects.h: what the renderer adds to the force of a field, and the limits that every force passes last. */
+/* touch_effects.h: what the renderer adds to the force of a field, and the limits that every force passes last, in the order
+   of a tick:
+
+       velocity                 of the hand in the field, low-passed
+       virtual coupling         a spring K between the hand and a proxy in the field (Colgate, Stanley and Brown 1995)
+       friction and damping     Coulomb friction F_t = -mu |F| v_t / |v_t|, and a damper along the force of contact
+       vibration, materials     sines along the force: of the medium, and textures and stick-slip of materials
+       passivity                observer and controller in the time domain (Hannaford and Ryu 2002)
+       limits                   peak, continuous force by heat, and slew rate
+
+   The force F of the field is that on the hand, outwards from a surface. Forces and velocities are in the field's axes up
+   to materials, and in the device's from passivity on. */
 #ifndef TOUCH_EFFECTS_H
 #define TOUCH_EFFECTS_H
 
@@ -15,71 +26,23 @@
 #define TOUCH_MAX_LATE_PERIODS 2.0
 
 /* True if dt is a time in which something may change; in a receiver without settings nothing does. */
-static inline int touch_has_passed(const touch_settings *settings, double dt_s) {
+static inline int touch_is_time_step(const touch_settings *settings, double dt_s) {
     return dt_s > 0.0 && dt_s < HUGE_VAL && settings->rate_hz > 0.0;
 }
 
-/* The time for which forces and gains may move. */
+/* The time for which forces and gains may move, s. */
 static inline double touch_clamped_dt(const touch_settings *settings, double dt_s) {
     return touch_fmin(dt_s, TOUCH_MAX_LATE_PERIODS / settings->rate_hz);
 }
 
-/* -- limits ----------------------------------------------------------------------------------------------------------- */
-
-/* |F| <= limit and |F - F_before| <= slew dt hold of the doubles that are returned, because the limit itself sinks by at
-   most half of what the slew limit allows: the force before is shortened to the limit of now, and the rest of the way leads
-   straight towards what is wanted. Up to H = 3/4 C^2 of heat, which follows |F|^2, the peak is allowed; from there to C^2
-   the limit sinks to the continuous one, C. */
-
-#define TOUCH_LIMIT_USED (1.0 - 1.0 / 1099511627776.0) /* 1 - 2^-40: the rest is for the rounding of those who check */
-#define TOUCH_STEP_ROUNDING (1.0 / 562949953421312.0)  /* 2^-49 of a peak: what differences of forces may be off by */
-#define TOUCH_COOL_FRACTION 0.75                       /* of C^2: below this heat the peak is allowed */
-
-/* Advance the heat by a time in which the force before was put out; the limit that goes with it. */
-static inline double touch_heat_limit(const touch_settings *settings, const touch_limits *limits, touch_limited *state,
-                                      double dt_s) {
-    state->heat += (touch_dot(state->output, state->output) - state->heat) * -expm1(-dt_s / settings->thermal_s);
-    if (limits->continuous <= 0.0) return limits->peak;
-    double max_heat = limits->continuous * limits->continuous;
-    double cool = (max_heat - state->heat) / ((1.0 - TOUCH_COOL_FRACTION) * max_heat);
-    return limits->continuous + (limits->peak - limits->continuous) * touch_clamp(cool, 0.0, 1.0);
-}
-
-/* The force, N, or torque, N m, that may be put out where `wanted` is; stored in the state, with heat and limit. */
-static inline touch_vector touch_limit_output(const touch_settings *settings, const touch_limits *limits, touch_limited *state,
-                                       touch_vector wanted, double dt_s) {
-    touch_vector before = state->output;
-    if (!touch_has_passed(settings, dt_s)) return before;
-    double limit = touch_heat_limit(settings, limits, state, dt_s);
-    if (!touch_is_finite(wanted)) wanted = touch_zero();
-    double max_step = limits->slew_per_s * touch_clamped_dt(settings, dt_s) * TOUCH_LIMIT_USED;
-    max_step -= TOUCH_STEP_ROUNDING * limits->peak;
-    if (max_step <= 0.0) return before; /* the time is too short for any step that a double can represent */
-    limit = touch_fmax(limit, state->limit - 0.5 * max_step);
-    state->limit = limit;
-    limit *= TOUCH_LIMIT_USED;
-    double size = touch_norm(wanted);
-    if (size > limit) wanted = touch_scale(limit / size, wanted);
-    size = touch_norm(before);
-    if (size > limit) {
-        before = touch_scale(limit / size, before);
-        max_step = touch_fmax(0.0, max_step - (size - limit));
-    }
-    touch_vector step = touch_subtract(wanted, before);
-    size = touch_norm(step);
-    if (size > max_step) wanted = touch_add_scaled(before, max_step / size, step);
-    state->output = touch_add(wanted, touch_zero()); /* -0.0 becomes 0.0 */
-    return state->output;
-}
-
 /* -- velocity --------------------------------------------------------------------------------------------------------- */
 
-/* Update the velocity in the field, a low-pass of first order, after a way in `since_s` seconds. */
-static inline void touch_update_velocity(touch_receiver *receiver, touch_vector way_m, double since_s) {
+/* Update the velocity in the field, a low-pass of first order, after a displacement in `since_s` seconds. */
+static inline void touch_update_velocity(touch_receiver *receiver, touch_vector displacement_m, double since_s) {
     touch_tick_state *state = &receiver->state;
     double weight = -expm1(-receiver->settings.velocity_cutoff_rad_s * since_s);
     touch_vector before = touch_scale(1.0 - weight, state->velocity_m_s);
-    touch_vector velocity = touch_add_scaled(before, weight / since_s, way_m);
+    touch_vector velocity = touch_add_scaled(before, weight / since_s, displacement_m);
     state->velocity_m_s = touch_is_finite(velocity) ? velocity : touch_zero();
 }
 
@@ -94,17 +57,24 @@ static inline void touch_update_velocity(touch_receiver *receiver, touch_vector 
 
 #define TOUCH_STIFFNESS_DECAY 0.8      /* of the added stiffness, in each tick */
 #define TOUCH_MIN_PULL_BACK 0.25       /* of the pull before; less is a proxy that comes to rest, or rounding */
-#define TOUCH_NEW_COUPLING 0.5         /* of its softness: a coupling that has less has just been added */
+#define TOUCH_NEW_COUPLING 0.5         /* of the compliance of the settings: a coupling that has less is new */
 #define TOUCH_CHANGE_PER_TICK 0.02     /* of the way to another damper in contact, and to another coupling */
-#define TOUCH_MIN_WAY2_M2 1e-18        /* of the proxy; a shorter way tells no stiffness */
+#define TOUCH_MIN_STEP2_M2 1e-18        /* of the proxy: a shorter step tells no stiffness */
 
 /* The largest eigenvalue of a symmetric matrix with diagonal a, b, c and, beside it, d = xy, e = xz, f = yz. */
 static inline double touch_largest_eigenvalue(double a, double b, double c, double d, double e, double f) {
     double mean = (a + b + c) / 3.0;
-    a -= mean, b -= mean, c -= mean;
+    a -= mean;
+    b -= mean;
+    c -= mean;
     double spread = sqrt((a * a + b * b + c * c + 2.0 * (d * d + e * e + f * f)) / 6.0);
     if (!(spread > 0.0)) return mean;
-    a /= spread, b /= spread, c /= spread, d /= spread, e /= spread, f /= spread;
+    a /= spread;
+    b /= spread;
+    c /= spread;
+    d /= spread;
+    e /= spread;
+    f /= spread;
     double half = (a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e)) / 2.0;
     return mean + 2.0 * spread * cos(acos(touch_clamp(half, -1.0, 1.0)) / 3.0);
 }
@@ -129,8 +99,9 @@ static inline touch_vector touch_solve_step(double c, const touch_matrix *j, tou
 static inline double touch_added_stiffness(touch_proxy *proxy, touch_vector pull_n) {
     touch_vector step = proxy->coupling_step_m;
     double added = proxy->added_n_per_m * TOUCH_STIFFNESS_DECAY;
-    double way2 = touch_dot(step, step), before = touch_dot(proxy->coupling_pull_n, step), now = touch_dot(pull_n, step);
-    if (way2 > TOUCH_MIN_WAY2_M2 && now < -TOUCH_MIN_PULL_BACK * before) added = touch_fmax(added, (before - now) / way2);
+    double step2 = touch_dot(step, step);
+    double before = touch_dot(proxy->coupling_pull_n, step), now = touch_dot(pull_n, step);
+    if (step2 > TOUCH_MIN_STEP2_M2 && now < -TOUCH_MIN_PULL_BACK * before) added = touch_fmax(added, (before - now) / step2);
     proxy->added_n_per_m = added;
     return added;
 }
@@ -138,10 +109,11 @@ static inline double touch_added_stiffness(touch_proxy *proxy, touch_vector pull
 /* Place the proxy at the hand; where the coupling is new in a running contact, it takes over the present force. */
 static inline void touch_start_coupling(touch_receiver *receiver, const touch_instant *t, touch_vector hand_m) {
     touch_proxy *proxy = &receiver->state.proxy;
-    double k = 1.0 / receiver->state.softness_m_per_n;
-    proxy->is_active = 1, proxy->added_n_per_m = 0.0;
+    double k = 1.0 / receiver->state.compliance_m_per_n;
+    proxy->is_active = 1;
+    proxy->added_n_per_m = 0.0;
     proxy->position_m = proxy->hand_m = hand_m;
-    if (receiver->state.softness_m_per_n * receiver->settings.coupling_n_per_m < TOUCH_NEW_COUPLING)
+    if (receiver->state.compliance_m_per_n * receiver->settings.coupling_n_per_m < TOUCH_NEW_COUPLING)
         proxy->position_m = touch_add_scaled(hand_m, 1.0 / k, touch_force_at(t, hand_m));
     proxy->coupling_step_m = proxy->coupling_pull_n = touch_zero();
 }
@@ -149,7 +121,7 @@ static inline void touch_start_coupling(touch_receiver *receiver, const touch_in
 /* The force of the coupling on a hand at `*point_m`, N; `*point_m` becomes the place of the proxy. */
 static inline touch_vector touch_coupling_force(touch_receiver *receiver, const touch_instant *t, touch_vector *point_m) {
     touch_proxy *proxy = &receiver->state.proxy;
-    double k = 1.0 / receiver->state.softness_m_per_n;
+    double k = 1.0 / receiver->state.compliance_m_per_n;
     touch_vector hand = *point_m;
     if (!proxy->is_active) touch_start_coupling(receiver, t, hand);
     touch_vector q = proxy->position_m, force = touch_force_at(t, q);
@@ -165,21 +137,23 @@ static inline touch_vector touch_coupling_force(touch_receiver *receiver, const 
         proxy->is_active = 0;
         return touch_zero();
     }
-    proxy->position_m = *point_m = q, proxy->hand_m = hand;
-    proxy->coupling_step_m = step, proxy->coupling_pull_n = pull;
+    proxy->position_m = *point_m = q;
+    proxy->hand_m = hand;
+    proxy->coupling_step_m = step;
+    proxy->coupling_pull_n = pull;
     return touch_scale(k, touch_subtract(q, hand));
 }
 
 /* Approach the damper in contact and the coupling of the settings, at once in the first tick. */
-static inline void touch_approach_settings(touch_receiver *receiver) {
+static inline void touch_smooth_settings(touch_receiver *receiver) {
     const touch_settings *settings = &receiver->settings;
     touch_tick_state *state = &receiver->state;
-    double softness = settings->coupling_n_per_m > 0.0 ? 1.0 / settings->coupling_n_per_m : 0.0;
+    double compliance = settings->coupling_n_per_m > 0.0 ? 1.0 / settings->coupling_n_per_m : 0.0;
     double weight = state->is_started ? TOUCH_CHANGE_PER_TICK : 1.0;
     state->brake_n_s_per_m += weight * (settings->brake_n_s_per_m - state->brake_n_s_per_m);
     /* the pull changes with the coupling, and then tells nothing of the field */
-    if (fabs(softness - state->softness_m_per_n) > 1e-3 * softness) state->proxy.coupling_step_m = touch_zero();
-    state->softness_m_per_n += weight * (softness - state->softness_m_per_n);
+    if (fabs(compliance - state->compliance_m_per_n) > 1e-3 * compliance) state->proxy.coupling_step_m = touch_zero();
+    state->compliance_m_per_n += weight * (compliance - state->compliance_m_per_n);
 }
 
 /* -- friction and damping --------------------------------------------------------------------------------------------- */
@@ -203,7 +177,8 @@ static inline touch_vector touch_friction(touch_vector force_n, touch_vector vel
     double f_max = touch_largest_component(force_n), v_max = touch_largest_component(velocity_m_s);
     if (f_max == 0.0 || v_max == 0.0 || mu == 0.0) return touch_zero();
     int f_exponent, v_exponent, mu_exponent;
-    (void)frexp(f_max, &f_exponent), (void)frexp(v_max, &v_exponent);
+    (void)frexp(f_max, &f_exponent);
+    (void)frexp(v_max, &v_exponent);
     touch_vector n = touch_scale_by_power(force_n, -f_exponent);
     double length = sqrt(touch_dot(n, n));
     n = touch_vector_of(n.x / length, n.y / length, n.z / length);
@@ -230,49 +205,6 @@ static inline touch_vector touch_damped(const touch_tick_state *state, touch_vec
     return touch_scale(1.0 - touch_clamp(fraction, -1.0, 1.0), force_n);
 }
 
-/* -- passivity -------------------------------------------------------------------------------------------------------- */
-
-/* The observer adds up what the hand did: a force F that acted while it went dx gave it F dx. If the next step would give
-   more than was taken before, a damper takes out what is lacking, F - a v (Hannaford and Ryu 2002), no more than cancels
-   what drives the hand and what a hand of 50 g bears in a loop of this rate (m / 2T); the rest later. */
-
-#define TOUCH_MIN_HAND_KG 0.05
-#define TOUCH_MIN_SPEED_M_S 1e-9 /* slower than this nothing can be damped */
-#define TOUCH_MIN_WAY_M 1e-18
-
-/* Add the force before to those that are still to act, without the constant one for the handle's weight. */
-static inline void touch_store_past_force(touch_receiver *receiver) {
-    touch_tick_state *state = &receiver->state;
-    for (int n = TOUCH_PAST_FORCES - 1; n > 0; n--) state->past_forces_n[n] = state->past_forces_n[n - 1];
-    state->past_forces_n[0] = touch_add_scaled(state->force.output, -state->gain, receiver->settings.gravity_n);
-}
-
-/* Add up the energy of a way of the hand, metres of the device, against the force of `delay_ticks` ticks before. */
-static inline void touch_observe_energy(touch_receiver *receiver, touch_vector way_m) {
-    touch_tick_state *state = &receiver->state;
-    double delay = receiver->settings.delay_ticks;
-    int whole = (int)touch_clamp(delay, 0.0, TOUCH_MAX_DELAY);
-    double work = touch_dot(state->past_forces_n[whole], way_m);
-    if (delay > whole) work += (delay - whole) * (touch_dot(state->past_forces_n[whole + 1], way_m) - work);
-    if (isfinite(work)) state->energy_j -= work;
-}
-
-/* A force, in the device's axes, with the damper of the passivity controller. Forces that are on their way count as done. */
-static inline touch_vector touch_passive_force(const touch_receiver *receiver, touch_vector force_n, touch_vector velocity_m_s,
-                                               double dt_s) {
-    const touch_settings *settings = &receiver->settings;
-    double speed = touch_norm(velocity_m_s), way = speed * dt_s;
-    if (!settings->is_passive || !(speed > TOUCH_MIN_SPEED_M_S && way > TOUCH_MIN_WAY_M)) return force_n;
-    double energy = receiver->state.energy_j, left = settings->delay_ticks;
-    for (int n = 0; left > 0.0 && n < TOUCH_PAST_FORCES; n++, left -= 1.0)
-        energy -= touch_fmin(left, 1.0) * touch_dot(receiver->state.past_forces_n[n], touch_scale(dt_s, velocity_m_s));
-    touch_vector onwards = touch_vector_of(velocity_m_s.x / speed, velocity_m_s.y / speed, velocity_m_s.z / speed);
-    double driving = touch_dot(force_n, onwards), lacking = driving - energy / way;
-    if (!(lacking > 0.0)) return force_n;
-    double max_braking = touch_fmax(driving, 0.0) + 0.5 * TOUCH_MIN_HAND_KG * settings->rate_hz * speed;
-    return touch_add_scaled(force_n, -touch_fmin(lacking, max_braking), onwards);
-}
-
 /* -- vibration -------------------------------------------------------------------------------------------------------- */
 
 /* The phase of a sine after dt, within a turn: the sine stays exact however long it plays. */
@@ -297,7 +229,7 @@ static inline double touch_vibration_force(touch_receiver *receiver, const touch
 /* A texture is a sum of sines, four in each third of an octave, whose power is that of the table at the speed of the hand
    along the surface and the force that it presses with: linear between, to zero below the first, the last beyond. A band
    that the loop cannot render is left out; what the slew limit forbids makes all weaker by one factor. Stick-slip is a
-   sawtooth of mu over the way, from kinetic to static; where it would go too fast, its mean. */
+   sawtooth of mu over the distance, from kinetic to static; where it would go too fast, its mean. */
 
 enum { TOUCH_BAND_SINES = 4, TOUCH_BANDS = TOUCH_SINE_COUNT / TOUCH_BAND_SINES };
 #define TOUCH_BAND_EDGE 1.0292005271944282 /* 10^(0.05 / 4): from the highest sine of a band to its edge */
@@ -362,10 +294,12 @@ static inline touch_bracket touch_find(const double *row, int64_t count, double 
     double before = 0.0;
     for (int64_t n = 0; n < count; n++) {
         if (x < row[n]) {
-            found.high = n, found.fraction = (x - before) / (row[n] - before);
+            found.high = n;
+            found.fraction = (x - before) / (row[n] - before);
             return found;
         }
-        found.low = n, before = row[n];
+        found.low = n;
+        before = row[n];
     }
     found.low = found.high = count - 1;
     return found;
@@ -382,10 +316,10 @@ static inline double touch_band_level(const double *levels, int64_t speed, int64
 typedef struct {
     double force_n;      /* the sum of the sines */
     double change2_n2_s2; /* mean square of its rate of change */
-} touch_chord;
+} touch_sine_sum;
 
 /* Advance the sines of a band by dt, and add them. */
-static inline void touch_add_band(touch_chord *chord, touch_material_sines *sines, int band, double level, double dt_s) {
+static inline void touch_add_band(touch_sine_sum *chord, touch_material_sines *sines, int band, double level, double dt_s) {
     for (int n = TOUCH_BAND_SINES * band; n < TOUCH_BAND_SINES * (band + 1); n++) {
         double w = sines->frequency_rad_s[n], turns = (sines->phase_rad[n] + w * dt_s) / (2.0 * TOUCH_PI);
         sines->phase_rad[n] = 2.0 * TOUCH_PI * (turns - floor(turns));
@@ -394,7 +328,7 @@ static inline void touch_add_band(touch_chord *chord, touch_material_sines *sine
     }
 }
 
-/* The vibration of a material, N, for a force of the field and a velocity of the hand; counts the way to the next slip. */
+/* The vibration of a material, N, for a force of the field and a velocity of the hand; counts the distance to the next slip. */
 static inline double touch_texture(touch_receiver *receiver, const touch_material *material, touch_vector force_n,
                                    touch_vector velocity_m_s, double dt_s) {
     const touch_settings *settings = &receiver->settings;
@@ -403,15 +337,15 @@ static inline double touch_texture(touch_receiver *receiver, const touch_materia
     if (!(size > 0.0)) return 0.0;
     double normal_speed = touch_dot(velocity_m_s, force_n) / size;
     double speed = touch_norm(touch_add_scaled(velocity_m_s, -normal_speed / size, force_n));
-    double way = state->slid_m + speed * dt_s;
-    state->slid_m = way - material->slip_m * floor(way / material->slip_m);
+    double distance = state->slid_m + speed * dt_s;
+    state->slid_m = distance - material->slip_m * floor(distance / material->slip_m);
     if (!material->force_count) return 0.0;
     touch_bracket at_speed = touch_find(touch_table(receiver, material->speed_offset), material->speed_count, speed);
     touch_bracket at_force = touch_find(touch_table(receiver, material->force_offset), material->force_count, size);
     touch_material_sines *sines = touch_sines(receiver);
     const double *levels = touch_table(receiver, material->level_offset);
     double max_rad_s = TOUCH_PI * settings->rate_hz / TOUCH_BAND_EDGE;
-    touch_chord chord = {0.0, 0.0};
+    touch_sine_sum chord = {0.0, 0.0};
     for (int band = 0; band < TOUCH_BANDS; band++) {
         double slow = touch_band_level(levels + band, at_speed.low, material->force_count, at_force);
         double fast = touch_band_level(levels + band, at_speed.high, material->force_count, at_force);
@@ -421,6 +355,99 @@ static inline double touch_texture(touch_receiver *receiver, const touch_materia
     }
     double max_change = (double)TOUCH_MATERIAL_CREST * sqrt(chord.change2_n2_s2) * settings->force_scale;
     return max_change > 0.0 ? chord.force_n * touch_fmin(1.0, settings->force_limits.slew_per_s / max_change) : 0.0;
+}
+
+/* -- passivity -------------------------------------------------------------------------------------------------------- */
+
+/* The passivity observer adds up what the hand did: a force F that acted while it moved by dx gave it F dx. If the next step
+   would give more than was taken before, the passivity controller takes out what is lacking by a damper, F - a v (Hannaford
+   and Ryu 2002): no more than cancels what drives the hand and what a hand of 50 g bears in a loop of this rate (m / 2T); the
+   rest later. */
+
+#define TOUCH_MIN_HAND_KG 0.05
+#define TOUCH_MIN_SPEED_M_S 1e-9 /* slower than this nothing can be damped */
+#define TOUCH_MIN_DISTANCE_M 1e-18
+
+/* Add the force before to those that are still to act, without the constant one for the handle's weight. */
+static inline void touch_store_past_force(touch_receiver *receiver) {
+    touch_tick_state *state = &receiver->state;
+    for (int n = TOUCH_PAST_FORCES - 1; n > 0; n--) state->past_forces_n[n] = state->past_forces_n[n - 1];
+    state->past_forces_n[0] = touch_add_scaled(state->force.output, -state->gain, receiver->settings.gravity_n);
+}
+
+/* Add up the energy of a displacement of the hand, metres of the device, against the force of `delay_ticks` ticks before. */
+static inline void touch_passivity_observer(touch_receiver *receiver, touch_vector displacement_m) {
+    touch_tick_state *state = &receiver->state;
+    double delay = receiver->settings.delay_ticks;
+    int whole = (int)touch_clamp(delay, 0.0, TOUCH_MAX_DELAY);
+    double work = touch_dot(state->past_forces_n[whole], displacement_m);
+    if (delay > whole) work += (delay - whole) * (touch_dot(state->past_forces_n[whole + 1], displacement_m) - work);
+    if (isfinite(work)) state->energy_j -= work;
+}
+
+/* A force, in the device's axes, with the damper of the passivity controller. Forces that are on their way count as done. */
+static inline touch_vector touch_passivity_controller(const touch_receiver *receiver, touch_vector force_n,
+                                                      touch_vector velocity_m_s, double dt_s) {
+    const touch_settings *settings = &receiver->settings;
+    double speed = touch_norm(velocity_m_s);
+    double distance = speed * dt_s;
+    if (!settings->is_passive || !(speed > TOUCH_MIN_SPEED_M_S && distance > TOUCH_MIN_DISTANCE_M)) return force_n;
+    double energy = receiver->state.energy_j, left = settings->delay_ticks;
+    for (int n = 0; left > 0.0 && n < TOUCH_PAST_FORCES; n++, left -= 1.0)
+        energy -= touch_fmin(left, 1.0) * touch_dot(receiver->state.past_forces_n[n], touch_scale(dt_s, velocity_m_s));
+    touch_vector onwards = touch_vector_of(velocity_m_s.x / speed, velocity_m_s.y / speed, velocity_m_s.z / speed);
+    double driving = touch_dot(force_n, onwards), lacking = driving - energy / distance;
+    if (!(lacking > 0.0)) return force_n;
+    double max_braking = touch_fmax(driving, 0.0) + 0.5 * TOUCH_MIN_HAND_KG * settings->rate_hz * speed;
+    return touch_add_scaled(force_n, -touch_fmin(lacking, max_braking), onwards);
+}
+
+/* -- limits ----------------------------------------------------------------------------------------------------------- */
+
+/* |F| <= limit and |F - F_before| <= slew dt hold of the doubles that are returned, because the limit itself sinks by at
+   most half of what the slew limit allows: the force before is shortened to the limit of now, and the rest of the way leads
+   straight towards what is desired. Up to H = 3/4 C^2 of heat, which follows |F|^2, the peak is allowed; from there to C^2
+   the limit sinks to the continuous one, C. */
+
+#define TOUCH_LIMIT_USED (1.0 - 1.0 / 1099511627776.0) /* 1 - 2^-40: the rest is for the rounding of those who check */
+#define TOUCH_STEP_ROUNDING (1.0 / 562949953421312.0)  /* 2^-49 of a peak: what differences of forces may be off by */
+#define TOUCH_COOL_FRACTION 0.75                       /* of C^2: below this heat the peak is allowed */
+
+/* Advance the heat by a time in which the force before was put out; the limit that goes with it. */
+static inline double touch_heat_limit(const touch_settings *settings, const touch_limits *limits, touch_limited *state,
+                                      double dt_s) {
+    state->heat += (touch_dot(state->output, state->output) - state->heat) * -expm1(-dt_s / settings->thermal_s);
+    if (limits->continuous <= 0.0) return limits->peak;
+    double max_heat = limits->continuous * limits->continuous;
+    double cool = (max_heat - state->heat) / ((1.0 - TOUCH_COOL_FRACTION) * max_heat);
+    return limits->continuous + (limits->peak - limits->continuous) * touch_clamp(cool, 0.0, 1.0);
+}
+
+/* The force, N, or torque, N m, that may be put out where `desired` is; stored in the state, with heat and limit. */
+static inline touch_vector touch_limit_output(const touch_settings *settings, const touch_limits *limits, touch_limited *state,
+                                       touch_vector desired, double dt_s) {
+    touch_vector before = state->output;
+    if (!touch_is_time_step(settings, dt_s)) return before;
+    double limit = touch_heat_limit(settings, limits, state, dt_s);
+    if (!touch_is_finite(desired)) desired = touch_zero();
+    double max_step = limits->slew_per_s * touch_clamped_dt(settings, dt_s) * TOUCH_LIMIT_USED;
+    max_step -= TOUCH_STEP_ROUNDING * limits->peak;
+    if (max_step <= 0.0) return before; /* the time is too short for any step that a double can represent */
+    limit = touch_fmax(limit, state->limit - 0.5 * max_step);
+    state->limit = limit;
+    limit *= TOUCH_LIMIT_USED;
+    double size = touch_norm(desired);
+    if (size > limit) desired = touch_scale(limit / size, desired);
+    size = touch_norm(before);
+    if (size > limit) {
+        before = touch_scale(limit / size, before);
+        max_step = touch_fmax(0.0, max_step - (size - limit));
+    }
+    touch_vector step = touch_subtract(desired, before);
+    size = touch_norm(step);
+    if (size > max_step) desired = touch_add_scaled(before, max_step / size, step);
+    state->output = touch_add(desired, touch_zero()); /* -0.0 becomes 0.0 */
+    return state->output;
 }
 
 #endif

@@ -241,7 +241,7 @@ static int is_within(const touch_settings *settings, const touch_limits *limits,
                      double dt_s) {
     touch_vector step = touch_subtract(now, before);
     if (!touch_is_finite(now) || touch_norm(now) > limits->peak) return 0;
-    if (!touch_has_passed(settings, dt_s)) return touch_norm(step) == 0.0;
+    if (!touch_is_time_step(settings, dt_s)) return touch_norm(step) == 0.0;
     return touch_norm(step) <= limits->slew_per_s * touch_clamped_dt(settings, dt_s);
 }
 

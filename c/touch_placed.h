@@ -35,14 +35,22 @@ typedef struct { /* the cells of all objects, joined */
 static inline void touch_place_object(const double pose[7], const double lattice[6], const double motion[6],
                                       touch_placement *out) {
     double w = pose[0], x = pose[1], y = pose[2], z = pose[3], *r = out->rotation;
-    r[0] = 1.0 - 2.0 * (y * y + z * z), r[1] = 2.0 * (x * y - w * z), r[2] = 2.0 * (x * z + w * y);
-    r[3] = 2.0 * (x * y + w * z), r[4] = 1.0 - 2.0 * (x * x + z * z), r[5] = 2.0 * (y * z - w * x);
-    r[6] = 2.0 * (x * z - w * y), r[7] = 2.0 * (y * z + w * x), r[8] = 1.0 - 2.0 * (x * x + y * y);
+    r[0] = 1.0 - 2.0 * (y * y + z * z);
+    r[1] = 2.0 * (x * y - w * z);
+    r[2] = 2.0 * (x * z + w * y);
+    r[3] = 2.0 * (x * y + w * z);
+    r[4] = 1.0 - 2.0 * (x * x + z * z);
+    r[5] = 2.0 * (y * z - w * x);
+    r[6] = 2.0 * (x * z - w * y);
+    r[7] = 2.0 * (y * z + w * x);
+    r[8] = 1.0 - 2.0 * (x * x + y * y);
     for (int i = 0; i < 3; i++) {
         for (int j = 0; j < 3; j++) out->to_samples[3 * i + j] = r[3 * j + i] / lattice[i];
         out->corner[i] = lattice[3 + i] / lattice[i];
-        out->position_m[i] = pose[4 + i], out->spacing_m[i] = lattice[i];
-        out->damping_n[i] = motion[i], out->damping_n_per_m[i] = motion[3 + i];
+        out->position_m[i] = pose[4 + i];
+        out->spacing_m[i] = lattice[i];
+        out->damping_n[i] = motion[i];
+        out->damping_n_per_m[i] = motion[3 + i];
     }
 }
 
@@ -86,8 +94,10 @@ TOUCH_INLINE touch_cell_point touch_placed_point(const touch_placed_objects *all
     touch_cell_point found = {NULL, {0.0, 0.0, 0.0}};
     if (!touch_is_in_placed_box(box, p)) return found;
     int64_t i = (int64_t)p.x, j = (int64_t)p.y, k = (int64_t)p.z, brick = touch_box_brick(box, i, j, k);
-    if (brick != last->brick)
-        last->brick = brick, last->index = touch_find_brick(all->table + 2 * box->table_start, box->table_shift, brick);
+    if (brick != last->brick) {
+        last->brick = brick;
+        last->index = touch_find_brick(all->table + 2 * box->table_start, box->table_shift, brick);
+    }
     if (last->index < 0 || !touch_is_supported(all->supported, last->index, i, j, k)) return found;
     found.corner = all->samples + touch_corner_of(last->index, i, j, k);
     found.fraction = touch_vector_of(p.x - (double)i, p.y - (double)j, p.z - (double)k);
@@ -111,7 +121,9 @@ static inline void touch_placed_at_points(const touch_placed_objects *all, int64
             if (touch_dot(force, force) > floor2_n2) sum = touch_add(sum, touch_placed_force(o, force, d));
         }
         sum = touch_clipped(sum, all->limit_n);
-        out[3 * p] = (float)sum.x, out[3 * p + 1] = (float)sum.y, out[3 * p + 2] = (float)sum.z;
+        out[3 * p] = (float)sum.x;
+        out[3 * p + 1] = (float)sum.y;
+        out[3 * p + 2] = (float)sum.z;
     }
 }
 
@@ -135,7 +147,8 @@ static inline void touch_brick_reach(const touch_lattice *lattice, const touch_p
                                      double body_reach[3]) {
     const double rounding = 1e-6;
     for (int a = 0; a < 3; a++) {
-        reach[a] = rounding, body_reach[a] = 4.0 + rounding;
+        reach[a] = rounding;
+        body_reach[a] = 4.0 + rounding;
         for (int b = 0; b < 3; b++) {
             reach[a] += 4.0 * fabs(o->rotation[3 * a + b]) * o->spacing_m[b] / lattice->spacing_m[a];
             body_reach[a] += 3.5 * fabs(o->to_samples[3 * a + b]) * lattice->spacing_m[b];
@@ -154,7 +167,8 @@ static inline int touch_bricks_around(const touch_lattice *lattice, const touch_
         double first = touch_fmax(centre - reach[a], 0.0);
         double last = touch_fmin(centre + reach[a], (double)lattice->shape[a] - 1.0);
         if (!(first <= last)) return 0;
-        low[a] = (int64_t)ceil(first) >> 3, high[a] = (int64_t)last >> 3;
+        low[a] = (int64_t)ceil(first) >> 3;
+        high[a] = (int64_t)last >> 3;
     }
     return 1;
 }
@@ -185,7 +199,9 @@ static inline int touch_add_reached(const touch_lattice *lattice, const touch_pl
                 if (stamp[number] == n + 1 || !touch_bricks_meet(lattice, o, brick, body_reach, at)) continue;
                 if (out->count == out->capacity) return TOUCH_REACHED_NO_ROOM;
                 stamp[number] = (int32_t)(n + 1);
-                out->pair[2 * out->count] = number, out->pair[2 * out->count + 1] = n, out->count++;
+                out->pair[2 * out->count] = number;
+                out->pair[2 * out->count + 1] = n;
+                out->count++;
             }
     return TOUCH_REACHED;
 }
@@ -231,7 +247,10 @@ static inline int touch_add_to_brick(const touch_placed_objects *all, int64_t n,
                 if (!(touch_dot(force, force) > floor2_n2)) continue;
                 force = touch_placed_force(o, force, touch_vector_of(dx, dy, dz + (double)k * h[2]));
                 double *sum = total + 3 * (64 * i + 8 * j + k);
-                sum[0] += force.x, sum[1] += force.y, sum[2] += force.z, has_force = 1;
+                sum[0] += force.x;
+                sum[1] += force.y;
+                sum[2] += force.z;
+                has_force = 1;
             }
         }
     }
@@ -257,7 +276,9 @@ static inline void touch_fill_lattice(const touch_placed_objects *all, const tou
             touch_vector sum = touch_vector_of(total[n], total[n + 1], total[n + 2]);
             if (!(sum.x != 0.0 || sum.y != 0.0 || sum.z != 0.0)) continue;
             sum = touch_clipped(sum, all->limit_n);
-            out[n] = (float)sum.x, out[n + 1] = (float)sum.y, out[n + 2] = (float)sum.z;
+            out[n] = (float)sum.x;
+            out[n + 1] = (float)sum.y;
+            out[n + 2] = (float)sum.z;
             has_force[s] |= (uint8_t)touch_has_force(out + n);
         }
         memset(total, 0, sizeof total);

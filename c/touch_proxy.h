@@ -1,59 +1,74 @@
-/* touch_proxy.h: the proxy, a point that stays on the surface while the hand is pressed into it. A spring pulls the hand
-   towards it (the god object of Zilles and Salisbury).
+/* touch_proxy.h: the proxy, or god object (Zilles and Salisbury 1995; cAlgorithmFingerProxy of CHAI3D): a point that stays
+   on a surface while the hand, the device's point, is pressed into it. A spring pulls the hand towards it.
 
-   The surface lies where the force of the field reaches a level, and its normal is the direction of the force (Salisbury and
-   Tarr 1997). In a tick the proxy goes towards the hand in steps of half a sample, or less where those of the tick before
-   went to and fro, so that it comes to rest. Where a step ends within a surface, the point where it went in is sought, and
-   the proxy slides on across the normal, in a corner across two or three. The hand is pulled to it by a spring,
-   F = K (proxy - hand + x), with x the depth of the proxy below the surface that the ramp of forces behind it extrapolates
-   to: what is thick is rendered as the field has it, what is thin still stops the hand.
+   There is no mesh. The surface is where the force of the field reaches a level, |F| = level_n, and its outward normal is
+   the direction of the force (Salisbury and Tarr 1997). A point where |F| is larger is within.
 
+   One tick is touch_contact_force, the last function of this file; it calls those above it:
+
+       touch_carried_position          the proxy of the tick before, moved with the body that it touches
+       touch_move_proxy                towards the hand without friction, at most eight steps of half a sample:
+           touch_push_out                  out of a surface that moved over it
+           touch_constrained_motion        the motion to the hand, along the constraint planes: one, two or three
+           touch_find_surface              a step that ends within a surface is brought back onto it
+           touch_add_constraint            its tangent plane constrains the next step
+       touch_ramp_depth                how far the proxy lies below the surface of what was coded, x
+       touch_apply_friction_cone       back towards where it was, as far as the friction cone allows
+       touch_store_proxy               for the next tick
+
+   The force is that of a spring, F = K (proxy - hand + x), along proxy - hand. The low-pass of a field makes a ramp of each
+   wall, and x extrapolates that ramp: what is thick is rendered as the field has it, what is thin still stops the hand.
    Friction lets the proxy stay as long as its spring pulls along the surface by less than mu times the pressure (Harwin and
-   Melder 2002). A body that moves carries it, in the body's axes; a surface that moves over it pushes it out, some steps a
-   tick. */
+   Melder 2002). Steps get shorter where those of the tick before went to and fro, so that the proxy comes to rest. */
 #ifndef TOUCH_PROXY_H
 #define TOUCH_PROXY_H
 
 #include "touch_query.h"
 
 #define TOUCH_PROXY_STEPS 8             /* of one tick: some four samples */
-#define TOUCH_PROXY_NO_WAY_M 1e-7       /* a shorter way is none */
+#define TOUCH_PROXY_MIN_MOTION_M 1e-7   /* a shorter motion is none */
 #define TOUCH_PROXY_MIN_STEP 0.003      /* of the longest step */
-#define TOUCH_PROXY_TURN_BACK 0.25      /* of the way before: a way that goes back by so much has crossed an edge */
+#define TOUCH_PROXY_TURN_BACK 0.25      /* of the motion before: one that goes back by so much has crossed an edge */
 #define TOUCH_PROXY_SAME_NORMAL 0.9     /* cosine of normals that are those of one surface */
 #define TOUCH_PROXY_SLIDE_LEVELS 6.0    /* a step along a surface that ends below so much is moved out along the normal */
+#define TOUCH_PROXY_TOUCHING_LEVELS 0.9  /* a proxy with more than this is on a surface at the start of a tick */
+#define TOUCH_PROXY_FREE_LEVELS 0.5      /* a proxy with less than this has left the surface */
 #define TOUCH_PROXY_OFF_LEVELS 1.5      /* more is no point of a surface */
 #define TOUCH_PROXY_TOLERANCE 0.01      /* of the level: how well the proxy lies on the surface */
 #define TOUCH_PROXY_ROUNDS 4            /* of a search for the surface */
 #define TOUCH_PROXY_RAMP_SAMPLES 2.0    /* behind the surface, from where on the low-pass leaves a ramp as it is */
 #define TOUCH_PROXY_RAMP_DOUBT 0.05     /* samples: by so much a ramp within the low-pass overestimates */
 
-typedef struct { /* the field at this time and its surfaces */
+typedef struct { /* the field at this time, and what defines its surface */
     touch_receiver *receiver;
     const touch_instant *instant;
-    double stiffness_n_per_m, level_n;
-    double max_step_m;
-    touch_vector spacing_m;
-} touch_wall;
+    double stiffness_n_per_m; /* K of the spring; the field's |F| grows by about as much inwards */
+    double level_n;           /* the surface is where |F| is this */
+    double max_step_m;        /* of the proxy: half a sample */
+    touch_vector spacing_m;   /* of the samples */
+} touch_isosurface;
 
-typedef struct { /* a point of the field: size and direction of the force there */
+typedef struct { /* a point, and the force there by size and direction */
     touch_vector position_m;
-    double force_n;
-    touch_vector normal; /* zero without a force */
-} touch_contact;
+    double force_n;      /* |F|: above level_n the point is within the surface */
+    touch_vector normal; /* F / |F|, outwards; zero without a force */
+} touch_field_point;
 
-typedef struct { /* the surfaces that stop the proxy: up to three normals, the latest first */
+typedef struct { /* the tangent planes of the surfaces that stop the proxy, by their normals, the latest first */
     touch_vector normal[3];
     int count;
-} touch_planes;
+} touch_constraint_planes;
 
 /* Half the time of touch_norm, where no square is beyond the range of double. */
 static inline double touch_magnitude(touch_vector v) { return sqrt(touch_dot(v, v)); }
 
-static inline touch_contact touch_probe(const touch_wall *s, touch_vector point_m) {
+/* The field at a point. */
+static inline touch_field_point touch_probe(const touch_isosurface *s, touch_vector point_m) {
     touch_vector force = touch_force_at(s->instant, point_m);
-    touch_contact found;
-    found.position_m = point_m, found.force_n = touch_magnitude(force), found.normal = touch_zero();
+    touch_field_point found;
+    found.position_m = point_m;
+    found.force_n = touch_magnitude(force);
+    found.normal = touch_zero();
     if (found.force_n > 0.0 && found.force_n < HUGE_VAL)
         found.normal = touch_scale(1.0 / found.force_n, force);
     else
@@ -64,41 +79,44 @@ static inline touch_contact touch_probe(const touch_wall *s, touch_vector point_
 /* -- points on the surface -------------------------------------------------------------------------------------------- */
 
 /* A point at a surface, moved onto it along the normal by the secant method. */
-static inline touch_contact touch_move_onto_surface(const touch_wall *s, touch_contact at) {
+static inline touch_field_point touch_move_onto_surface(const touch_isosurface *s, touch_field_point at) {
     double slope = s->stiffness_n_per_m;
     for (int n = 0; n < TOUCH_PROXY_ROUNDS; n++) {
         if (fabs(at.force_n - s->level_n) <= TOUCH_PROXY_TOLERANCE * s->level_n) break;
-        double way = touch_clamp((at.force_n - s->level_n) / slope, -s->max_step_m, s->max_step_m);
-        touch_contact next = touch_probe(s, touch_add_scaled(at.position_m, way, at.normal));
-        if (next.force_n == 0.0) { /* outside of the field: a shorter way */
+        double motion = touch_clamp((at.force_n - s->level_n) / slope, -s->max_step_m, s->max_step_m);
+        touch_field_point next = touch_probe(s, touch_add_scaled(at.position_m, motion, at.normal));
+        if (next.force_n == 0.0) { /* outside of the field: a shorter motion */
             slope *= 4.0;
             continue;
         }
-        slope = (at.force_n - next.force_n) / way;
+        slope = (at.force_n - next.force_n) / motion;
         slope = touch_clamp(slope, 0.05 * s->stiffness_n_per_m, 4.0 * s->stiffness_n_per_m);
         at = next;
     }
     return at;
 }
 
-/* Where the way from a point outside to one within enters the surface: false position, with the value at an end that stays
+/* Where the line from a point outside to one within enters the surface: false position, with the value at an end that stays
    halved (the Illinois rule). */
-static inline touch_contact touch_find_crossing(const touch_wall *s, touch_contact outside, touch_contact inside) {
+static inline touch_field_point touch_find_crossing(const touch_isosurface *s, touch_field_point outside,
+                                                    touch_field_point inside) {
     double low = 0.0, high = 1.0, low_n = outside.force_n - s->level_n, high_n = inside.force_n - s->level_n;
-    touch_vector way = touch_subtract(inside.position_m, outside.position_m);
-    touch_contact found = inside;
+    touch_vector motion = touch_subtract(inside.position_m, outside.position_m);
+    touch_field_point found = inside;
     int moved = 0; /* the end that moved last: 1 is the inner one, -1 the outer one */
     for (int n = 0; n < 2 * TOUCH_PROXY_ROUNDS; n++) {
         double fraction = (low * high_n - high * low_n) / (high_n - low_n);
-        found = touch_probe(s, touch_add_scaled(outside.position_m, fraction, way));
+        found = touch_probe(s, touch_add_scaled(outside.position_m, fraction, motion));
         double off = found.force_n - s->level_n;
         if (fabs(off) <= TOUCH_PROXY_TOLERANCE * s->level_n) break;
         if (off > 0.0) {
-            high = fraction, high_n = off;
+            high = fraction;
+            high_n = off;
             if (moved == 1) low_n *= 0.5;
             moved = 1;
         } else {
-            low = fraction, low_n = off;
+            low = fraction;
+            low_n = off;
             if (moved == -1) high_n *= 0.5;
             moved = -1;
         }
@@ -107,46 +125,50 @@ static inline touch_contact touch_find_crossing(const touch_wall *s, touch_conta
 }
 
 /* Spacing of the samples along a direction, metres. */
-static inline double touch_sample_length(const touch_wall *s, touch_vector normal) {
+static inline double touch_sample_length(const touch_isosurface *s, touch_vector normal) {
     touch_vector d = s->spacing_m;
     return touch_magnitude(touch_vector_of(d.x * normal.x, d.y * normal.y, d.z * normal.z));
 }
 
 /* The normal at the surface: that of the force some samples behind it, which is steadier; its own where the wall is thin. */
-static inline touch_vector touch_steady_normal(const touch_wall *s, touch_contact at) {
+static inline touch_vector touch_steady_normal(const touch_isosurface *s, touch_field_point at) {
     double depth = TOUCH_PROXY_RAMP_SAMPLES * touch_sample_length(s, at.normal);
     touch_vector behind = touch_probe(s, touch_add_scaled(at.position_m, -depth, at.normal)).normal;
     return touch_dot(behind, at.normal) > TOUCH_PROXY_SAME_NORMAL ? behind : at.normal;
 }
 
-/* -- ways along surfaces ---------------------------------------------------------------------------------------------- */
+/* -- constraint planes ------------------------------------------------------------------------------------------------ */
 
-/* True if a way goes into none of the planes. */
-static inline int touch_is_free_way(touch_vector way, const touch_planes *planes) {
+/* True if a motion goes into none of the planes. */
+static inline int touch_is_free_motion(touch_vector motion, const touch_constraint_planes *planes) {
     for (int n = 0; n < planes->count; n++)
-        if (touch_dot(way, planes->normal[n]) < -1e-9 * touch_magnitude(way)) return 0;
+        if (touch_dot(motion, planes->normal[n]) < -1e-9 * touch_magnitude(motion)) return 0;
     return 1;
 }
 
-/* What is left of a way in front of up to three planes: the nearest way that goes into none, first along a plane, else along
-   the line where two of them meet; zero in a corner. */
-static inline touch_vector touch_allowed_way(touch_vector way, const touch_planes *planes) {
+/* A motion as far as up to three planes let it: the nearest one that goes into none of them. It is the motion itself, or its
+   projection onto one plane, or else onto the line where two of them meet; zero in a corner of three. */
+static inline touch_vector touch_constrained_motion(touch_vector motion, const touch_constraint_planes *planes) {
     touch_vector best = touch_zero();
     double longest = 0.0;
-    if (touch_is_free_way(way, planes)) return way;
+    if (touch_is_free_motion(motion, planes)) return motion;
     for (int n = 0; n < planes->count; n++) {
-        touch_vector along = touch_add_scaled(way, -touch_dot(way, planes->normal[n]), planes->normal[n]);
-        if (touch_magnitude(along) > longest && touch_is_free_way(along, planes))
-            best = along, longest = touch_magnitude(along);
+        touch_vector along = touch_add_scaled(motion, -touch_dot(motion, planes->normal[n]), planes->normal[n]);
+        if (touch_magnitude(along) > longest && touch_is_free_motion(along, planes)) {
+            best = along;
+            longest = touch_magnitude(along);
+        }
     }
     if (longest > 0.0) return best;
     for (int n = 0; n < planes->count; n++) {
         for (int m = 0; m < n; m++) {
             touch_vector line = touch_cross(planes->normal[n], planes->normal[m]);
             double square = touch_dot(line, line);
-            touch_vector along = touch_scale(square > 1e-12 ? touch_dot(way, line) / square : 0.0, line);
-            if (touch_magnitude(along) > longest && touch_is_free_way(along, planes))
-                best = along, longest = touch_magnitude(along);
+            touch_vector along = touch_scale(square > 1e-12 ? touch_dot(motion, line) / square : 0.0, line);
+            if (touch_magnitude(along) > longest && touch_is_free_motion(along, planes)) {
+                best = along;
+                longest = touch_magnitude(along);
+            }
         }
     }
     return best;
@@ -154,51 +176,53 @@ static inline touch_vector touch_allowed_way(touch_vector way, const touch_plane
 
 /* Add the surface that the proxy has just met. It replaces one of about the same normal. A proxy on one surface leaves it
    for the next, as over an edge; only once it comes back to the one before do both stop it, as in a corner. */
-static inline void touch_add_plane(touch_planes *planes, touch_vector normal) {
+static inline void touch_add_constraint(touch_constraint_planes *planes, touch_vector normal) {
     touch_vector *known = planes->normal;
     if (touch_dot(known[0], normal) > TOUCH_PROXY_SAME_NORMAL) {
         known[0] = normal;
         if (planes->count < 1) planes->count = 1;
     } else if (planes->count <= 1) {
         planes->count = touch_dot(known[1], normal) > TOUCH_PROXY_SAME_NORMAL ? 2 : 1;
-        known[1] = known[0], known[0] = normal;
+        known[1] = known[0];
+        known[0] = normal;
     } else if (touch_dot(known[1], normal) > TOUCH_PROXY_SAME_NORMAL) {
         known[1] = normal;
     } else {
-        known[2] = normal, planes->count = 3;
+        known[2] = normal;
+        planes->count = 3;
     }
 }
 
 /* -- the search of a tick --------------------------------------------------------------------------------------------- */
 
 /* Move a proxy out of a surface that came over it, some steps, and onto the surface. */
-static inline touch_contact touch_push_out(const touch_wall *s, touch_contact at) {
+static inline touch_field_point touch_push_out(const touch_isosurface *s, touch_field_point at) {
     for (int n = 0; n < TOUCH_PROXY_STEPS && at.force_n > TOUCH_PROXY_SLIDE_LEVELS * s->level_n; n++) {
-        double way = touch_fmin((at.force_n - s->level_n) / s->stiffness_n_per_m, s->max_step_m);
-        at = touch_probe(s, touch_add_scaled(at.position_m, way, at.normal));
+        double motion = touch_fmin((at.force_n - s->level_n) / s->stiffness_n_per_m, s->max_step_m);
+        at = touch_probe(s, touch_add_scaled(at.position_m, motion, at.normal));
     }
     return at.force_n > s->level_n ? touch_move_onto_surface(s, at) : at;
 }
 
-/* Adapt the length of the steps: shorter where the way turns back over an edge, so that the proxy comes to rest between, and
-   longer again where it goes on. */
-static inline void touch_adapt_step(const touch_wall *s, touch_vector way, touch_vector before, double *step_m,
+/* Adapt the length of the steps: shorter where the motion turns back over an edge, so that the proxy comes to rest between,
+   and longer again where it goes on. */
+static inline void touch_adapt_step(const touch_isosurface *s, touch_vector motion, touch_vector before, double *step_m,
                                     double *growth) {
-    double cosine = touch_dot(way, before);
+    double cosine = touch_dot(motion, before);
     if (cosine < -TOUCH_PROXY_TURN_BACK * touch_dot(before, before))
         *step_m = 0.4 * *step_m, *growth = 1.0;
-    else if (cosine > TOUCH_PROXY_SAME_NORMAL * touch_magnitude(way) * touch_magnitude(before))
+    else if (cosine > TOUCH_PROXY_SAME_NORMAL * touch_magnitude(motion) * touch_magnitude(before))
         *step_m = touch_fmin(*growth * *step_m, s->max_step_m);
 }
 
 /* Bring the end of a step onto the surface. 0: it cannot be found, as where forces turn within a sample. */
-static inline int touch_find_surface(const touch_wall *s, touch_contact at, touch_vector way, int is_sliding,
-                                     touch_vector hand_m, touch_contact *next) {
-    double max_approach = is_sliding ? 0.5 * touch_magnitude(way) : 0.0;
-    if (next->force_n <= TOUCH_PROXY_SLIDE_LEVELS * s->level_n && touch_dot(next->normal, way) <= max_approach) {
+static inline int touch_find_surface(const touch_isosurface *s, touch_field_point at, touch_vector motion, int is_sliding,
+                                     touch_vector hand_m, touch_field_point *next) {
+    double max_approach = is_sliding ? 0.5 * touch_magnitude(motion) : 0.0;
+    if (next->force_n <= TOUCH_PROXY_SLIDE_LEVELS * s->level_n && touch_dot(next->normal, motion) <= max_approach) {
         *next = touch_move_onto_surface(s, *next);
     } else if (next->force_n > s->level_n) {
-        if (at.force_n > s->level_n) return 0; /* no way in can be sought from within */
+        if (at.force_n > s->level_n) return 0; /* from within, no crossing can be found */
         *next = touch_find_crossing(s, at, *next);
     }
     double farther = touch_magnitude(touch_subtract(hand_m, next->position_m));
@@ -206,46 +230,49 @@ static inline int touch_find_surface(const touch_wall *s, touch_contact at, touc
     return !(next->force_n > TOUCH_PROXY_OFF_LEVELS * s->level_n || farther > s->max_step_m);
 }
 
-/* Move `*position_m` to where the proxy comes to without friction; whether a surface stops it there. */
-static inline int touch_seek_goal(const touch_wall *s, touch_vector hand_m, touch_vector *position_m) {
+/* Move the proxy from `*position_m` towards the hand, without friction. 1: a surface stops it; 0: the hand is free. */
+static inline int touch_move_proxy(const touch_isosurface *s, touch_vector hand_m, touch_vector *position_m) {
     touch_proxy *proxy = &s->receiver->state.proxy;
-    touch_planes planes = {{{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}}, 0};
-    touch_contact at = touch_push_out(s, touch_probe(s, *position_m));
-    if (at.force_n > 0.9 * s->level_n) touch_add_plane(&planes, touch_steady_normal(s, at));
+    touch_constraint_planes planes = {{{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}}, 0};
+    touch_field_point at = touch_push_out(s, touch_probe(s, *position_m));
+    if (at.force_n > TOUCH_PROXY_TOUCHING_LEVELS * s->level_n) touch_add_constraint(&planes, touch_steady_normal(s, at));
     touch_vector before = touch_zero();
     int left_planes = 0; /* how many planes the proxy left; they hold on where no step is left to find out */
     double growth = 2.0, step_m = s->max_step_m, min_step_m = TOUCH_PROXY_MIN_STEP * s->max_step_m;
     if (proxy->is_in_contact) step_m = touch_fmax(proxy->step_m, 2.0 * min_step_m);
     for (int n = 0; n < TOUCH_PROXY_STEPS; n++) {
-        touch_vector way = touch_allowed_way(touch_subtract(hand_m, at.position_m), &planes);
-        double length = touch_magnitude(way);
-        touch_adapt_step(s, way, before, &step_m, &growth);
-        if (length <= TOUCH_PROXY_NO_WAY_M || step_m < min_step_m) break;
-        before = way;
-        touch_contact next = touch_probe(s, touch_add_scaled(at.position_m, touch_fmin(length, step_m) / length, way));
+        touch_vector motion = touch_constrained_motion(touch_subtract(hand_m, at.position_m), &planes);
+        double length = touch_magnitude(motion);
+        touch_adapt_step(s, motion, before, &step_m, &growth);
+        if (length <= TOUCH_PROXY_MIN_MOTION_M || step_m < min_step_m) break;
+        before = motion;
+        touch_field_point next = touch_probe(s, touch_add_scaled(at.position_m, touch_fmin(length, step_m) / length, motion));
+        int is_free = next.force_n < TOUCH_PROXY_FREE_LEVELS * s->level_n;
         int is_leaving = touch_dot(touch_subtract(hand_m, next.position_m), next.normal) >= 0.0;
-        if (next.force_n <= s->level_n && (next.force_n < 0.5 * s->level_n || is_leaving)) {
-            if (!planes.count && length <= step_m) { /* the hand itself is free */
+        if (next.force_n <= s->level_n && (is_free || is_leaving)) { /* no surface stops this step */
+            if (!planes.count && length <= step_m) {                 /* it ends at the hand */
                 *position_m = next.position_m;
                 return 0;
             }
             if (planes.count > left_planes) left_planes = planes.count;
-            at = next, planes.count = 0;
+            at = next;
+            planes.count = 0;
             continue;
         }
-        if (!touch_find_surface(s, at, way, planes.count > 0, hand_m, &next)) break;
+        if (!touch_find_surface(s, at, motion, planes.count > 0, hand_m, &next)) break;
         at = next;
-        touch_add_plane(&planes, touch_steady_normal(s, at));
+        touch_add_constraint(&planes, touch_steady_normal(s, at));
     }
     int count = planes.count > 0 ? planes.count : left_planes;
-    proxy->step_m = step_m, *position_m = at.position_m;
+    proxy->step_m = step_m;
+    *position_m = at.position_m;
     return count > 0 && touch_dot(touch_subtract(hand_m, at.position_m), planes.normal[count - 1]) < 0.0;
 }
 
 /* -- bodies that move ------------------------------------------------------------------------------------------------- */
 
-/* Where a body has carried the proxy of the tick before. */
-static inline touch_vector touch_carried_position(const touch_wall *s) {
+/* Where the proxy of the tick before lies now, if the body that it touches has moved. */
+static inline touch_vector touch_carried_position(const touch_isosurface *s) {
     const touch_proxy *proxy = &s->receiver->state.proxy;
     if (proxy->body < 0 || proxy->body >= touch_body_count(s->instant)) return proxy->position_m;
     touch_matrix rotation = touch_body_rotation(s->instant, proxy->body);
@@ -253,30 +280,34 @@ static inline touch_vector touch_carried_position(const touch_wall *s) {
 }
 
 /* Store the position of the proxy, also in the axes of the body that pushes most there. */
-static inline void touch_store_proxy(const touch_wall *s, touch_vector position_m, int is_in_contact) {
+static inline void touch_store_proxy(const touch_isosurface *s, touch_vector position_m, int is_in_contact) {
     touch_proxy *proxy = &s->receiver->state.proxy;
     const touch_body_pose *poses = (const touch_body_pose *)(s->instant->before + 1);
-    proxy->is_active = 1, proxy->is_in_contact = is_in_contact, proxy->body = -1;
+    proxy->is_active = 1;
+    proxy->is_in_contact = is_in_contact;
+    proxy->body = -1;
     proxy->position_m = position_m;
     if (!is_in_contact || poses->is_identity) return; /* voxels carry nothing */
     int64_t body = touch_strongest_body(s->instant, position_m);
     if (body < 0) return;
     touch_matrix rotation = touch_body_rotation(s->instant, body);
     touch_vector arm = touch_subtract(position_m, touch_body_position(s->instant, body));
-    proxy->body = body, proxy->body_position_m = touch_rotate_back(&rotation, arm);
+    proxy->body = body;
+    proxy->body_position_m = touch_rotate_back(&rotation, arm);
 }
 
 /* -- the force -------------------------------------------------------------------------------------------------------- */
 
-/* Where friction leaves a proxy on its way to the goal: at most `max_m` from there. */
-static inline touch_vector touch_drag(const touch_wall *s, touch_vector before_m, touch_vector goal_m, double max_m) {
-    touch_vector way = touch_subtract(before_m, goal_m);
-    double length = touch_magnitude(way);
+/* Where friction lets the proxy stay: where it was, or at most `max_m` from where it would be without friction. */
+static inline touch_vector touch_apply_friction_cone(const touch_isosurface *s, touch_vector before_m,
+                                                     touch_vector frictionless_m, double max_m) {
+    touch_vector back = touch_subtract(before_m, frictionless_m);
+    double length = touch_magnitude(back);
     if (length <= max_m) return before_m;
-    touch_vector position = touch_add_scaled(goal_m, max_m / length, way);
+    touch_vector position = touch_add_scaled(frictionless_m, max_m / length, back);
     if (max_m > 0.0) {
-        touch_contact at = touch_probe(s, position);
-        if (at.force_n > 0.5 * s->level_n) position = touch_move_onto_surface(s, at).position_m;
+        touch_field_point at = touch_probe(s, position);
+        if (at.force_n > TOUCH_PROXY_FREE_LEVELS * s->level_n) position = touch_move_onto_surface(s, at).position_m;
     }
     return position;
 }
@@ -284,41 +315,47 @@ static inline touch_vector touch_drag(const touch_wall *s, touch_vector before_m
 /* Depth of a proxy below the surface that the ramp of forces behind it extrapolates to, metres; negative above. Two samples
    behind the surface the low-pass of the field is over. Where the force has its maximum before that, or the wall ends, the
    force half as far behind is taken, with a margin. */
-static inline double touch_ramp_depth(const touch_wall *s, touch_vector position_m, touch_vector inwards, double depth_m) {
+static inline double touch_ramp_depth(const touch_isosurface *s, touch_vector position_m, touch_vector inwards,
+                                      double depth_m) {
     double sample = touch_sample_length(s, inwards), k = s->stiffness_n_per_m;
-    double far_n = touch_probe(s, touch_add_scaled(position_m, TOUCH_PROXY_RAMP_SAMPLES * sample, inwards)).force_n;
-    double near_n = touch_probe(s, touch_add_scaled(position_m, sample, inwards)).force_n;
-    double depth = far_n / k - TOUCH_PROXY_RAMP_SAMPLES * sample;
-    depth = touch_fmax(depth, near_n / k - (1.0 + TOUCH_PROXY_RAMP_DOUBT) * sample);
+    double deep_n = touch_probe(s, touch_add_scaled(position_m, TOUCH_PROXY_RAMP_SAMPLES * sample, inwards)).force_n;
+    double shallow_n = touch_probe(s, touch_add_scaled(position_m, sample, inwards)).force_n;
+    double depth = deep_n / k - TOUCH_PROXY_RAMP_SAMPLES * sample;
+    depth = touch_fmax(depth, shallow_n / k - (1.0 + TOUCH_PROXY_RAMP_DOUBT) * sample);
     depth = touch_fmax(depth, -sample);
     return touch_fmin(touch_fmin(depth, sample), 0.5 * depth_m);
 }
 
-/* The force of the proxy on a hand, N, without friction; `*friction_n` is what friction adds. */
+/* The force of the proxy on the hand, N, without friction; `*friction_n` is what friction adds. One tick of the proxy. */
 static inline touch_vector touch_contact_force(touch_receiver *receiver, const touch_instant *t, touch_vector hand_m,
                                                touch_vector *friction_n) {
     const touch_settings *settings = &receiver->settings;
     const touch_tick_state *state = &receiver->state;
-    touch_wall s = {receiver, t, settings->wall_n_per_m, settings->wall_level_n, 0.0, settings->wall_spacing_m};
+    touch_isosurface s = {receiver, t, settings->wall_n_per_m, settings->wall_level_n, 0.0, settings->wall_spacing_m};
     s.max_step_m = 0.5 * touch_fmin(touch_fmin(s.spacing_m.x, s.spacing_m.y), s.spacing_m.z);
     int was_in_contact = state->proxy.is_active && state->proxy.is_in_contact;
-    touch_vector before = state->proxy.is_active ? touch_carried_position(&s) : hand_m, goal = before;
+    touch_vector before = state->proxy.is_active ? touch_carried_position(&s) : hand_m;
+    touch_vector frictionless = before;
     *friction_n = touch_zero();
-    if (!touch_seek_goal(&s, hand_m, &goal)) {
-        touch_store_proxy(&s, goal, 0);
+    if (!touch_move_proxy(&s, hand_m, &frictionless)) {
+        touch_store_proxy(&s, frictionless, 0);
         return touch_zero();
     }
-    touch_vector pull = touch_subtract(goal, hand_m);
-    double k = 1.0 / (1.0 / s.stiffness_n_per_m + state->softness_m_per_n); /* softer where the loop would be unstable */
-    double depth = touch_magnitude(pull), mu = state->friction;
+    touch_vector pull = touch_subtract(frictionless, hand_m);
+    double k = 1.0 / (1.0 / s.stiffness_n_per_m + state->compliance_m_per_n); /* softer where the loop would be unstable */
+    double depth = touch_magnitude(pull);
     touch_vector outwards = touch_scale(1.0 / depth, pull);
-    double force = touch_fmax(0.0, k * (depth + touch_ramp_depth(&s, goal, touch_scale(-1.0, outwards), depth)));
-    touch_vector position = was_in_contact ? touch_drag(&s, before, goal, mu * force / k) : goal;
+    double ramp_depth = touch_ramp_depth(&s, frictionless, touch_scale(-1.0, outwards), depth);
+    double force = touch_fmax(0.0, k * (depth + ramp_depth));
+
+    double mu = state->friction;
+    touch_vector position = frictionless;
+    if (was_in_contact) position = touch_apply_friction_cone(&s, before, frictionless, mu * force / k);
     touch_store_proxy(&s, position, 1);
-    touch_vector way = touch_subtract(position, goal);
+    touch_vector back = touch_subtract(position, frictionless);
     /* moved onto the surface the proxy may be a little farther off than friction allows */
-    double max_fraction = mu * force / touch_fmax(k * touch_magnitude(way), 1e-12);
-    *friction_n = touch_scale(k * touch_fmin(1.0, max_fraction), way);
+    double max_fraction = mu * force / touch_fmax(k * touch_magnitude(back), 1e-12);
+    *friction_n = touch_scale(k * touch_fmin(1.0, max_fraction), back);
     return touch_scale(force, outwards);
 }
 

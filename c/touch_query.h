@@ -1,5 +1,16 @@
 /* touch_query.h: the force, its gradient and the vibration of a field at points and times, from frames in the memory of a
-   receiver (touch_receiver.h). Nothing is allocated. touch_tool.h has the force on a tool of many points. */
+   receiver (touch_receiver.h). Nothing is allocated. touch_tool.h has the force on a tool of many points.
+
+   A field is a sum over bodies, each with forces in its own axes: no surface, no mesh. touch_force_at, the penalty force:
+
+       touch_bent_force            with a deformation: the point moved by u(x), F rotated and stretched by (I + grad u)^T
+       touch_stored_force          the sum over the bodies, clipped to force_max_n
+           touch_arm_of                from the body's origin to the point; beyond its reach there is no force
+           touch_body_force            the arm into the body's axes, and the force back out
+               touch_own_force             of one frame, or of two, blended
+                   touch_locate                brick, cell and fraction of the cell: touch_cells.h
+                   touch_cell_force            trilinear between eight corners
+           touch_motion_force          what the motion of the surface adds: damping times velocity */
 #ifndef TOUCH_QUERY_H
 #define TOUCH_QUERY_H
 
@@ -41,8 +52,13 @@ static inline void touch_yield(touch_receiver *receiver, const touch_instant *t,
 
 static inline touch_instant touch_instant_of(const void *memory, int64_t before_offset, int64_t after_offset, double blend) {
     touch_instant t;
-    if (before_offset == after_offset || !(blend > TOUCH_AT_FRAME)) after_offset = before_offset, blend = 0.0;
-    else if (blend >= 1.0 - TOUCH_AT_FRAME) before_offset = after_offset, blend = 0.0;
+    if (before_offset == after_offset || !(blend > TOUCH_AT_FRAME)) {
+        after_offset = before_offset;
+        blend = 0.0;
+    } else if (blend >= 1.0 - TOUCH_AT_FRAME) {
+        before_offset = after_offset;
+        blend = 0.0;
+    }
     t.memory = (const char *)memory;
     t.before = (const touch_frame_header *)(const void *)(t.memory + before_offset);
     t.after = (const touch_frame_header *)(const void *)(t.memory + after_offset);
@@ -158,7 +174,10 @@ TOUCH_INLINE touch_vector touch_body_force(const touch_body_pair *b, double blen
     if (!touch_is_moved(b)) return touch_own_force(b, blend, arm_m);
     const touch_matrix *r = &b->before->rotation; /* as it is, without a copy, where one frame is shown */
     touch_matrix mixed;
-    if (blend != 0.0) mixed = touch_pair_rotation(b, blend), r = &mixed;
+    if (blend != 0.0) {
+        mixed = touch_pair_rotation(b, blend);
+        r = &mixed;
+    }
     return touch_rotate(r, touch_own_force(b, blend, touch_rotate_back(r, arm_m)));
 }
 
@@ -188,7 +207,10 @@ static inline int64_t touch_strongest_body(const touch_instant *t, touch_vector 
         touch_vector arm_m = touch_arm_of(&b, t->blend, point_m);
         if (touch_is_far(&b, arm_m)) continue;
         double size_n = touch_norm(touch_body_force(&b, t->blend, arm_m));
-        if (size_n > largest_n) strongest = n, largest_n = size_n;
+        if (size_n > largest_n) {
+            strongest = n;
+            largest_n = size_n;
+        }
     }
     return strongest;
 }
@@ -213,13 +235,20 @@ static inline touch_spline_point touch_spline_at(int64_t point_count, double cor
     int64_t cells = point_count - 3;
     double s = (x_m - corner_m) * cells_per_m;
     p.is_inside = 0.0 <= s && s <= (double)cells;
-    if (!p.is_inside) cells_per_m = 0.0, s = s > (double)cells ? (double)cells : 0.0;
+    if (!p.is_inside) {
+        cells_per_m = 0.0;
+        s = s > (double)cells ? (double)cells : 0.0;
+    }
     p.first = (int64_t)s < cells - 1 ? (int64_t)s : cells - 1;
     double t = s - (double)p.first, r = 1.0 - t, half = 0.5 * cells_per_m;
-    p.weight[0] = r * r * r / 6.0, p.weight[1] = (3.0 * t * t * t - 6.0 * t * t + 4.0) / 6.0;
-    p.weight[2] = (3.0 * r * r * r - 6.0 * r * r + 4.0) / 6.0, p.weight[3] = t * t * t / 6.0;
-    p.slope[0] = -half * r * r, p.slope[1] = half * (3.0 * t * t - 4.0 * t);
-    p.slope[2] = -half * (3.0 * r * r - 4.0 * r), p.slope[3] = half * t * t;
+    p.weight[0] = r * r * r / 6.0;
+    p.weight[1] = (3.0 * t * t * t - 6.0 * t * t + 4.0) / 6.0;
+    p.weight[2] = (3.0 * r * r * r - 6.0 * r * r + 4.0) / 6.0;
+    p.weight[3] = t * t * t / 6.0;
+    p.slope[0] = -half * r * r;
+    p.slope[1] = half * (3.0 * t * t - 4.0 * t);
+    p.slope[2] = -half * (3.0 * r * r - 4.0 * r);
+    p.slope[3] = half * t * t;
     return p;
 }
 
@@ -263,10 +292,12 @@ static inline touch_bend touch_bend_at(const touch_instant *t, touch_vector poin
             int64_t point = ((x->first + m) * ny + y->first + n) * nz + z->first;
             for (int o = 0; o < 4; o++) {
                 touch_vector v = touch_displacement_at(t, before, after, point + o);
-                sum = touch_add_scaled(sum, z->weight[o], v), slope = touch_add_scaled(slope, z->slope[o], v);
+                sum = touch_add_scaled(sum, z->weight[o], v);
+                slope = touch_add_scaled(slope, z->slope[o], v);
             }
             double weight = x->weight[m] * y->weight[n];
-            bend.u = touch_add_scaled(bend.u, weight, sum), bend.dz = touch_add_scaled(bend.dz, weight, slope);
+            bend.u = touch_add_scaled(bend.u, weight, sum);
+            bend.dz = touch_add_scaled(bend.dz, weight, slope);
             bend.dx = touch_add_scaled(bend.dx, x->slope[m] * y->weight[n], sum);
             bend.dy = touch_add_scaled(bend.dy, x->weight[m] * y->slope[n], sum);
         }
@@ -329,7 +360,9 @@ static inline touch_matrix touch_gradient_at(const touch_instant *t, touch_vecto
     touch_vector ahead_m = {touch_step_ahead(point_m.x), touch_step_ahead(point_m.y), touch_step_ahead(point_m.z)};
     touch_vector point[3] = {point_m, point_m, point_m}, step_m = touch_subtract(ahead_m, point_m);
     touch_matrix slopes;
-    point[0].x = ahead_m.x, point[1].y = ahead_m.y, point[2].z = ahead_m.z;
+    point[0].x = ahead_m.x;
+    point[1].y = ahead_m.y;
+    point[2].z = ahead_m.z;
     for (int axis = 0; axis < 3; axis++) slopes.row[axis] = touch_subtract(touch_inlined_force(t, point[axis]), force_n);
     slopes.row[0] = touch_scale(1.0 / step_m.x, slopes.row[0]);
     slopes.row[1] = touch_scale(1.0 / step_m.y, slopes.row[1]);
@@ -357,7 +390,10 @@ static inline void touch_frame_vibration(const touch_instant *t, const touch_fra
         int i = c >> 2, j = c >> 1 & 1, k = c & 1;
         const float *corner = p.corner + TOUCH_NEXT_X * i + TOUCH_NEXT_Y * j + TOUCH_NEXT_Z * k;
         double weight = (i ? f.x : 1.0 - f.x) * (j ? f.y : 1.0 - f.y) * (k ? f.z : 1.0 - f.z);
-        if (touch_exceeds(weight * corner[0], largest)) largest = weight * corner[0], *frequency_hz = corner[1];
+        if (touch_exceeds(weight * corner[0], largest)) {
+            largest = weight * corner[0];
+            *frequency_hz = corner[1];
+        }
     }
 }
 

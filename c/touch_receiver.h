@@ -22,24 +22,24 @@ enum { TOUCH_RECEIVER_VERSION = 1 };
    [2^table_bits][2] of brick number and index (-1: a free entry), the bits uint64 [n][8] of cells with a force at any
    corner, and the samples float [n][9][9][9][3], newtons. */
 typedef struct {
-    int64_t brick_count[3]; /* of the box along x, y, z; 0 for a field without a force */
-    int64_t table_shift;    /* 64 - table_bits */
+    int64_t brick_count[3];      /* of the box along x, y, z; 0 for a field without a force */
+    int64_t table_shift;         /* 64 - table_bits */
     int64_t table_offset, supported_offset, samples_offset;
     touch_vector samples_per_m;
-    touch_vector corner_m;     /* of the box, in the frame of the field's body */
-    double reach2_m2;       /* square of the distance from the body's origin within which all forces lie; or -1 */
+    touch_vector corner_m;       /* of the box, in the frame of the field's body */
+    double reach2_m2;            /* square of the distance from the body's origin within which all forces lie; or -1 */
     int64_t reserved[2];
 } touch_cells;
 
 /* A body in a frame; body n of two successive frames is the same body. Voxels are one body that is not moved. */
 typedef struct {
     int64_t cells_offset;
-    int64_t is_identity;              /* neither rotated nor moved, in any frame */
-    double quaternion[4];             /* scene from body, unit, w first */
+    int64_t is_identity;         /* neither rotated nor moved, in any frame */
+    double quaternion[4];        /* scene from body, unit, w first */
     touch_vector position_m;
-    touch_vector surface_damping_n;      /* velocity times surface damping */
+    touch_vector surface_damping_n; /* velocity times surface damping */
     touch_vector surface_damping_n_per_m; /* angular velocity times surface damping */
-    touch_matrix rotation;               /* of the quaternion */
+    touch_matrix rotation;       /* of the quaternion */
 } touch_body_pose;
 
 /* A frame; its bodies lie behind it, then its deformation. */
@@ -56,7 +56,7 @@ typedef struct {
 typedef struct {
     int64_t point_count[3];
     int64_t yield_offset;        /* of displacements that follow the force, double [nx][ny][nz][3]; 0: it does not yield */
-    touch_vector corner_m;          /* of the first cell */
+    touch_vector corner_m;       /* of the first cell */
     touch_vector cells_per_m;
     double compliance_m_per_n, relaxation_s, max_yield_m;
 } touch_deformation;
@@ -66,27 +66,27 @@ typedef struct {
 typedef struct {
     int64_t version, size_bytes;
     int64_t directory_offset, directory_slots; /* touch_directory_entry [slots]; a power of two */
-    int64_t log_offset, log_rows;              /* touch_log_row [rows], a ring */
-    int64_t arena_offset;                      /* where frames are written */
+    int64_t log_offset, log_rows; /* touch_log_row [rows], a ring */
+    int64_t arena_offset;        /* where frames are written */
     int64_t frame_count;
     double frame_rate_hz;
     int64_t is_loop;
     int64_t tick_ns;
-    int64_t ramp_limit_ns;                     /* the longest time that a force may need to become zero */
-    int64_t is_simulated;                      /* time is the number of the tick divided by the rate */
-    int64_t is_paced;                          /* a driver calls: the next deadline follows its call */
+    int64_t ramp_limit_ns;       /* the longest time that a force may need to become zero */
+    int64_t is_simulated;        /* time is the number of the tick divided by the rate */
+    int64_t is_paced;            /* a driver calls: the next deadline follows its call */
     int64_t reserved[2];
 } touch_receiver_layout;
 
 typedef struct { /* where a frame lies; `tag` is written last */
-    int64_t tag;                               /* generation << TOUCH_FRAME_BITS | unrolled frame; -1: none */
+    int64_t tag;                 /* generation << TOUCH_FRAME_BITS | unrolled frame; -1: none */
     int64_t frame_offset;
 } touch_directory_entry;
 
 enum { TOUCH_FRAME_BITS = 40 }; /* of an unrolled frame, which counts on in a loop; a generation stands above them */
 
 typedef struct {
-    double peak, continuous; /* 0: no continuous limit */
+    double peak, continuous;     /* 0: no continuous limit */
     double slew_per_s;
 } touch_limits;
 
@@ -96,20 +96,20 @@ typedef struct { /* what the user and the device want; units in the names */
     double damping_n_s_per_m;
     double slip_speed_m_s;       /* below it friction falls with the speed */
     double coupling_n_per_m;     /* K of the virtual coupling; 0: none */
-    double brake_n_s_per_m;      /* of the damper in contact */
-    int64_t is_passive;           /* the passivity controller is on */
+    double brake_n_s_per_m;      /* of the damper in contact, along the force of the field */
+    int64_t is_passive;          /* the passivity controller is on */
     double scale;                /* metres of the field for a metre of the device */
-    touch_vector clutch_m;          /* of the field, where the device's origin lies */
+    touch_vector clutch_m;       /* of the field, where the device's origin lies */
     double force_scale;
-    touch_vector gravity_n;         /* compensates the weight of the handle, in the device's axes */
-    touch_matrix axes;              /* rotates a vector of the device into one of the field */
+    touch_vector gravity_n;      /* compensates the weight of the handle, in the device's axes */
+    touch_matrix axes;           /* rotates a vector of the device into one of the field */
     double handedness;           /* of the axes: 1 or -1 */
     double thermal_s, ramp_s;
     double velocity_cutoff_rad_s;
     double delay_ticks;          /* from a force to its effect on the hand, perhaps a fraction; at most TOUCH_MAX_DELAY */
     double wall_n_per_m;         /* stiffness of the proxy's walls; 0: the field is rendered as it is */
     double wall_level_n;         /* force that defines the surface */
-    touch_vector wall_spacing_m;    /* of the samples */
+    touch_vector wall_spacing_m; /* of the samples */
     touch_limits force_limits;   /* N, N/s */
     touch_limits torque_limits;  /* N m, N m/s; 0: the device shows no torque */
     int64_t material_offset, material_count;
@@ -161,8 +161,8 @@ typedef struct { /* what the device reports besides its position */
 } touch_grip;
 
 typedef struct { /* of a force, N, or a torque, N m, that is limited */
-    touch_vector output;            /* what the device got, in its axes */
-    touch_vector wanted;            /* before gain and limits */
+    touch_vector output;         /* what the device got, in its axes */
+    touch_vector desired;        /* before gain and limits */
     double heat;                 /* low-pass of |output|^2 */
     double limit;                /* of |output| at present */
 } touch_limited;
@@ -170,9 +170,9 @@ typedef struct { /* of a force, N, or a torque, N m, that is limited */
 typedef struct { /* the proxy, or the other end of the virtual coupling */
     int64_t is_active;
     touch_vector position_m;
-    int64_t is_in_contact;        /* a surface stops it */
+    int64_t is_in_contact;       /* a surface stops it */
     int64_t body;                /* that carries it; -1: none */
-    touch_vector body_position_m;   /* in the axes of that body */
+    touch_vector body_position_m; /* in the axes of that body */
     double step_m;               /* of its search in this tick */
     touch_vector coupling_step_m, coupling_pull_n, hand_m; double added_n_per_m; /* of the coupling's latest step */
 } touch_proxy;
@@ -180,7 +180,7 @@ typedef struct { /* the proxy, or the other end of the virtual coupling */
 typedef struct { /* what one tick leaves for the next */
     int64_t is_started;
     double since_s;              /* the latest position */
-    touch_vector device_m;          /* position, in the device's axes */
+    touch_vector device_m;       /* position, in the device's axes */
     touch_vector position_m, velocity_m_s; /* in the field */
     touch_vector field_force_n, friction_n;
     touch_vector field_torque_nm;
@@ -191,10 +191,10 @@ typedef struct { /* what one tick leaves for the next */
     double vibration_phase;      /* rad */
     touch_proxy proxy;
     double brake_n_s_per_m;      /* on its way to that of the settings */
-    double softness_m_per_n;     /* 1 / K of the coupling, on its way */
+    double compliance_m_per_n;   /* 1 / K of the virtual coupling, on its way to that of the settings */
     double friction;             /* mu at this point */
     double slid_m;               /* since friction last gave way */
-    touch_matrix tool_rotation;     /* field from tool */
+    touch_matrix tool_rotation;  /* field from tool */
 } touch_tick_state;
 
 enum { TOUCH_TIME_BINS = 3000 }; /* of 1 us; one more has all above */

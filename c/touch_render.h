@@ -1,5 +1,5 @@
-/* touch_render.h: one tick of the servo. From the position of the device and the frames in memory it computes the force for
-   the device, writes a row of the log, and counts. Nothing is allocated, and nothing waits.
+/* touch_render.h: one tick of the servo, from the position of the device to a limited force, as a cGenericForceAlgorithm of
+   CHAI3D computes it. Nothing is allocated, and nothing waits.
 
        touch_receiver *receiver = memory;   // laid out as touch_receiver.h says, with settings, frames and a first order
        while (!receiver->clock.is_released) {
@@ -12,21 +12,30 @@
    touch_publish, and plays, pauses, seeks and stops with touch_give_order. It need not wait for the servo, nor the servo
    for it; clock.needs tells which frames it may overwrite.
 
-       touch_receiver_tick   the force at a time of the clock: orders, media clock, frames, force, log, counts
-       touch_tick            the force alone, between two given frames
-       touch_release         the next force on the way to zero
-       touch_give_order      an order of the player
-       touch_publish         shows a frame that is written
-       touch_unrolled_frame  the frame at a media time
+   One tick. The sections of this file are in its order; within a section a function stands behind those that it calls:
 
-   The order of a tick:
+       touch_receiver_tick             all of it, at a time of the clock
+           touch_count_time            jitter, missed ticks, the next deadline
+           touch_take_order            play, pause, seek, stop
+           touch_find_frames           media clock; the two frames around now, and how far between them (an instant)
+           touch_tick                  the force:
+               touch_move_device           device to field: axes, scale, clutch; velocity; passivity observer
+               touch_desired_force
+                   touch_field_force           one of four:
+                       touch_contact_force         proxy (god object)                         touch_proxy.h
+                       touch_tool_force            penalty forces on the points of a tool     touch_tool.h
+                       touch_coupling_force        virtual coupling                           touch_effects.h
+                       touch_force_at              penalty force at the point                 touch_query.h
+                   touch_friction, touch_damped, touch_vibration_force, touch_texture         touch_effects.h
+                   touch_passivity_controller                                                 touch_effects.h
+               ramp                        a gain of 0 to 1, in the time of the settings
+               touch_limit_both            peak, heat (continuous force) and slew limits      touch_effects.h
+           touch_release               in place of touch_tick after a stop: the next force on the way to zero
+           touch_write_row             the log
 
-       position -> axes, scale, clutch -> velocity -> proxy, or tool, or coupling, or field -> friction, damping
-                -> vibration, texture -> axes, force scale -> passivity -> gravity -> gain -> limits -> force
-
-   touch_tick and touch_release are the only two that put forces out, and both do so through touch_limit_output. Without a
-   frame or a position (or an orientation) of the device the gain goes to zero in the time of the ramp, and so does the last
-   force.
+   Two frames of reference: "device" is the axes of the device, metres of the workspace; "field" is that of the medium. Only
+   touch_tick and touch_release put forces out, and both do so through touch_limit_both. Without a frame, a position or an
+   orientation of the device the gain goes to zero in the time of the ramp, and so does the last force.
 
    The media clock stands at the beginning and after a seek until the first frames are there. Where a later one is late there
    is no force, but the clock goes on; only where nothing more will come does it stand. */
@@ -51,174 +60,6 @@
 static inline int64_t touch_shared(const int64_t *number) { return *(const volatile int64_t *)number; }
 static inline void touch_share(int64_t *number, int64_t value) { *(volatile int64_t *)number = value; }
 
-/* -- the force at a position ------------------------------------------------------------------------------------------ */
-
-#define TOUCH_MAX_POSITION_M 1e6           /* what lies farther off is no position of a hand */
-#define TOUCH_MAX_TICK_S 60.0              /* a tick that comes later is as good as a first one */
-#define TOUCH_MIN_SOFTNESS_M_PER_N 1e-9    /* a stiffer coupling is none */
-#define TOUCH_MIN_ORIENTATION_SQUARE 0.81  /* |q|^2 of a quaternion that was meant to be of length 1 */
-#define TOUCH_MAX_ORIENTATION_SQUARE 1.21
-
-/* False also where it is not a number. */
-static inline int touch_is_position(touch_vector p) {
-    return fabs(p.x) <= TOUCH_MAX_POSITION_M && fabs(p.y) <= TOUCH_MAX_POSITION_M && fabs(p.z) <= TOUCH_MAX_POSITION_M;
-}
-
-/* Whether the orientation of the grip is known, if there is a tool; sets that of the tool in the field. */
-static inline int touch_orient_tool(touch_receiver *receiver) {
-    const double *q = receiver->grip.orientation;
-    if (!receiver->settings.tool_point_count) return 1;
-    touch_vector v = touch_vector_of(q[1], q[2], q[3]);
-    double square = q[0] * q[0] + touch_dot(v, v);
-    if (!(square >= TOUCH_MIN_ORIENTATION_SQUARE && square <= TOUCH_MAX_ORIENTATION_SQUARE)) return 0;
-    const touch_matrix *axes = &receiver->settings.axes;
-    touch_matrix grip = touch_rotation_of(q[0], v), columns;
-    for (int n = 0; n < 3; n++) /* axes . grip . axes^T, column by column */
-        columns.row[n] = touch_rotate(axes, touch_rotate(&grip, axes->row[n]));
-    touch_matrix *rotation = &receiver->state.tool_rotation;
-    rotation->row[0] = touch_vector_of(columns.row[0].x, columns.row[1].x, columns.row[2].x);
-    rotation->row[1] = touch_vector_of(columns.row[0].y, columns.row[1].y, columns.row[2].y);
-    rotation->row[2] = touch_vector_of(columns.row[0].z, columns.row[1].z, columns.row[2].z);
-    return 1;
-}
-
-/* Take over a position of the device: where that is in the field, how fast it came there, what energy that took. */
-static inline void touch_move_device(touch_receiver *receiver, touch_vector device_m) {
-    const touch_settings *settings = &receiver->settings;
-    touch_tick_state *state = &receiver->state;
-    touch_vector rotated = touch_rotate(&settings->axes, device_m);
-    touch_vector position = touch_add_scaled(settings->clutch_m, settings->scale, rotated);
-    if (state->is_started) {
-        touch_observe_energy(receiver, touch_subtract(device_m, state->device_m));
-        touch_update_velocity(receiver, touch_subtract(position, state->position_m), state->since_s);
-    } else {
-        state->velocity_m_s = touch_zero();
-    }
-    touch_approach_settings(receiver);
-    state->is_started = 1, state->since_s = 0.0;
-    state->device_m = device_m, state->position_m = position;
-}
-
-/* The torque before gain and limits: a lever of the field is `scale` times the device's. */
-static inline void touch_want_torque(touch_receiver *receiver) {
-    const touch_settings *settings = &receiver->settings;
-    touch_vector torque = receiver->state.field_torque_nm;
-    if (!touch_is_finite(torque)) torque = touch_zero();
-    double scale = settings->handedness * settings->force_scale / settings->scale;
-    receiver->state.torque.wanted = touch_scale(scale, touch_rotate_back(&settings->axes, torque));
-}
-
-/* The force of the field on the hand, N, without friction, and what friction adds. `*point_m` is the hand, and becomes the
-   other end of the coupling if there is one. */
-static inline touch_vector touch_field_force(touch_receiver *receiver, const touch_instant *t, touch_vector *point_m,
-                                             touch_vector *friction_n, double dt_s) {
-    const touch_settings *settings = &receiver->settings;
-    touch_tick_state *state = &receiver->state;
-    touch_vector force;
-    if (settings->wall_n_per_m > 0.0) return touch_contact_force(receiver, t, *point_m, friction_n);
-    if (settings->tool_point_count > 0) {
-        force = touch_tool_force(receiver, t, *point_m, &state->field_torque_nm);
-        touch_want_torque(receiver);
-    } else if (state->softness_m_per_n > TOUCH_MIN_SOFTNESS_M_PER_N) {
-        force = touch_coupling_force(receiver, t, point_m);
-    } else {
-        force = touch_force_at(t, *point_m);
-    }
-    if (!touch_is_finite(force)) force = touch_zero();
-    touch_yield(receiver, t, *point_m, force, dt_s);
-    *friction_n = touch_friction(force, state->velocity_m_s, state->friction, settings->slip_speed_m_s);
-    return force;
-}
-
-/* The force before gain and limits, N, in the device's axes. */
-static inline touch_vector touch_wanted_force(touch_receiver *receiver, const touch_instant *t, double dt_s) {
-    const touch_settings *settings = &receiver->settings;
-    touch_tick_state *state = &receiver->state;
-    touch_vector point = state->position_m, velocity = state->velocity_m_s, friction;
-    const touch_material *material = settings->material_count > 0 ? touch_find_material(receiver, t, point) : NULL;
-    touch_vector force = touch_field_force(receiver, t, &point, &friction, dt_s);
-    state->field_force_n = force, state->friction_n = friction;
-
-    double size = touch_norm(force), vibration = touch_vibration_force(receiver, t, point, dt_s);
-    if (material) vibration += touch_texture(receiver, material, force, velocity, dt_s);
-    touch_vector added = touch_add_scaled(friction, -settings->damping_n_s_per_m, velocity);
-    touch_vector shaking = touch_vector_of(0.0, 0.0, vibration); /* along the force; upwards where there is none */
-    if (size > 0.0)
-        shaking = touch_vector_of(force.x / size * vibration, force.y / size * vibration, force.z / size * vibration);
-    added = touch_add(added, shaking);
-
-    force = touch_add(touch_damped(state, force, velocity), added);
-    force = touch_scale(settings->force_scale, touch_rotate_back(&settings->axes, force));
-    touch_vector device_velocity = touch_scale(1.0 / settings->scale, touch_rotate_back(&settings->axes, velocity));
-    return touch_add(touch_passive_force(receiver, force, device_velocity, dt_s), settings->gravity_n);
-}
-
-/* The hand leaves the field: no force and no friction act. */
-static inline void touch_leave_field(touch_tick_state *state) {
-    state->proxy.is_active = 0;
-    state->field_force_n = state->friction_n = state->field_torque_nm = touch_zero();
-}
-
-/* Force and torque through the limits, at fractions of what is wanted or was put out before. */
-static inline touch_vector touch_put_out(touch_receiver *receiver, touch_vector force_n, touch_vector torque_nm, double dt_s) {
-    const touch_settings *settings = &receiver->settings;
-    touch_tick_state *state = &receiver->state;
-    (void)touch_limit_output(settings, &settings->torque_limits, &state->torque, torque_nm, dt_s);
-    return touch_limit_output(settings, &settings->force_limits, &state->force, force_n, dt_s);
-}
-
-/* The force of one tick, N, in the device's axes, for a device at `device_m`. The torque is in state.torque.output.
-
-   The offsets are those of the frames before and after this time, 0: there is none; `blend` goes from the one to the other.
-   A `dt_s` that is not positive and finite gives the force before once more. */
-static inline touch_vector touch_tick(touch_receiver *receiver, int64_t before_offset, int64_t after_offset, double blend,
-                                      touch_vector device_m, double dt_s) {
-    const touch_settings *settings = &receiver->settings;
-    touch_tick_state *state = &receiver->state;
-    if (!touch_has_passed(settings, dt_s)) return state->force.output;
-    dt_s = touch_fmin(dt_s, TOUCH_MAX_TICK_S);
-    state->since_s += dt_s;
-    touch_store_past_force(receiver);
-    int is_known = touch_is_position(device_m) && touch_orient_tool(receiver);
-    if (is_known) touch_move_device(receiver, device_m);
-    double gain_step = touch_clamped_dt(settings, dt_s) / settings->ramp_s;
-    if (before_offset && after_offset && is_known) {
-        touch_instant t = touch_instant_of(receiver, before_offset, after_offset, blend);
-        double gain = touch_fmin(1.0, state->gain + gain_step);
-        state->force.wanted = touch_wanted_force(receiver, &t, dt_s);
-        state->gain = gain;
-    } else {
-        state->gain = touch_fmax(0.0, state->gain - gain_step);
-        touch_leave_field(state);
-        if (state->gain == 0.0) state->force.wanted = touch_zero();
-    }
-    if (state->gain == 0.0) state->torque.wanted = touch_zero();
-    touch_vector force = touch_scale(state->gain, state->force.wanted);
-    return touch_put_out(receiver, force, touch_scale(state->gain, state->torque.wanted), dt_s);
-}
-
-/* The next force on the way to zero within the ramp or the slew limit, N, in the device's axes; in the end zero for ever. */
-static inline touch_vector touch_release(touch_receiver *receiver, double dt_s) {
-    const touch_settings *settings = &receiver->settings;
-    touch_tick_state *state = &receiver->state;
-    if (!touch_has_passed(settings, dt_s)) return state->force.output;
-    double gain = touch_fmax(0.0, state->gain - touch_clamped_dt(settings, dt_s) / settings->ramp_s);
-    double fraction = gain > 0.0 ? gain / state->gain : 0.0;
-    state->gain = gain, state->is_started = 0;
-    touch_leave_field(state);
-    state->force.wanted = state->torque.wanted = touch_zero();
-    touch_vector force = touch_scale(fraction, state->force.output);
-    return touch_put_out(receiver, force, touch_scale(fraction, state->torque.output), dt_s);
-}
-
-/* -- orders of the player --------------------------------------------------------------------------------------------- */
-
-/* A player that gave no sign of life for so long is taken for dead, and the force goes to zero. */
-#define TOUCH_MAX_SILENCE_NS INT64_C(1000000000)
-
-/* Of a frame's number: a time that was meant to be a frame's own is that frame, and not the end of the one before. */
-#define TOUCH_FRAME_ROUNDING 1e-6
-
 static inline int64_t touch_tag(int64_t generation, int64_t unrolled_frame) {
     return (int64_t)((uint64_t)generation << TOUCH_FRAME_BITS) | unrolled_frame;
 }
@@ -228,145 +69,64 @@ static inline touch_directory_entry *touch_slot_of(touch_receiver *receiver, int
     return entries + (unrolled_frame & (receiver->layout.directory_slots - 1));
 }
 
-/* Write one order of the player; the servo takes it whole or not yet. */
-static inline void touch_give_order(touch_receiver *receiver, int64_t generation, double start_s, double speed, int64_t mode,
-                                    int64_t is_stopping) {
-    touch_orders *orders = &receiver->orders;
-    touch_share(&orders->sequence, orders->sequence + 1);
-    TOUCH_FENCE();
-    orders->generation = generation, orders->start_s = start_s, orders->speed = speed;
-    orders->mode = mode, orders->is_stopping = is_stopping;
-    TOUCH_FENCE();
-    touch_share(&orders->sequence, orders->sequence + 1);
-}
+/* -- a tick of the servo ---------------------------------------------------------------------------------------------- */
 
-/* Show an unrolled frame that is written at an offset. */
-static inline void touch_publish(touch_receiver *receiver, int64_t generation, int64_t unrolled_frame, int64_t frame_offset) {
-    touch_directory_entry *entry = touch_slot_of(receiver, unrolled_frame);
-    touch_share(&entry->tag, -1);
-    TOUCH_FENCE();
-    touch_share(&entry->frame_offset, frame_offset);
-    TOUCH_FENCE();
-    touch_share(&entry->tag, touch_tag(generation, unrolled_frame));
-}
+/* A player that gave no sign of life for so long is taken for dead, and the force goes to zero. */
+#define TOUCH_MAX_SILENCE_NS INT64_C(1000000000)
 
-/* The frame that is shown at a media time. */
-static inline int64_t touch_unrolled_frame(double media_s, double rate_hz) {
-    return (int64_t)floor(media_s * rate_hz + TOUCH_FRAME_ROUNDING);
-}
-
-/* -- media clock and frames ------------------------------------------------------------------------------------------- */
-
-static inline double touch_media_time(const touch_clock *clock, double clock_s) {
-    if (clock->mode == TOUCH_PLAYING && (clock->feed == TOUCH_RUNNING || clock->feed == TOUCH_STALLED))
-        return clock->anchor_media_s + (clock_s - clock->anchor_clock_s) * clock->speed;
-    return clock->media_s;
-}
-
-/* From now on the media time is counted from here. */
-static inline void touch_anchor(touch_clock *clock, double media_s, double clock_s) {
-    clock->anchor_media_s = media_s, clock->anchor_clock_s = clock_s;
-}
-
-/* Take the latest order of the player, if it is complete and new. */
-static inline void touch_take_order(touch_receiver *receiver, double clock_s) {
-    touch_clock *clock = &receiver->clock;
-    int64_t sequence = touch_shared(&receiver->orders.sequence);
-    if (sequence == clock->sequence_seen || (sequence & 1)) return;
-    TOUCH_FENCE();
-    touch_orders orders = receiver->orders;
-    TOUCH_FENCE();
-    if (touch_shared(&receiver->orders.sequence) != sequence) return; /* written meanwhile; the next tick will have it */
-    double media_s = touch_media_time(clock, clock_s);
-    if (orders.generation != clock->generation) {
-        clock->generation = orders.generation, clock->feed = TOUCH_READY;
-        media_s = orders.start_s;
-    } else if (orders.mode != clock->mode && clock->feed != TOUCH_ENDED) {
-        clock->feed = TOUCH_READY;
-    }
-    clock->media_s = media_s;
-    touch_anchor(clock, media_s, clock_s);
-    clock->speed = orders.speed, clock->mode = orders.mode, clock->is_stop_ordered = orders.is_stopping;
-    TOUCH_FENCE();
-    touch_share(&clock->sequence_seen, sequence); /* last: who sees it sees no state of the order before */
-}
-
-/* Where an unrolled frame lies; 0 if it is not there. */
-static inline int64_t touch_frame_offset(touch_receiver *receiver, int64_t unrolled_frame) {
-    const touch_directory_entry *entry = touch_slot_of(receiver, unrolled_frame);
-    if (touch_shared(&entry->tag) != touch_tag(receiver->clock.generation, unrolled_frame)) return 0;
-    TOUCH_FENCE();
-    return touch_shared(&entry->frame_offset);
-}
-
-typedef struct { /* the frames of an instant */
-    int64_t before_offset, after_offset; /* 0: no force */
+typedef struct { /* the frames of an instant, by their offsets from the first byte of the receiver */
+    int64_t before_offset, after_offset; /* 0: there is none, hence no force */
     double blend;
     int64_t first_frame; /* the first one that may still be read */
 } touch_frames;
 
-/* The media clock runs again: these frames are there. */
-static inline void touch_use_frames(touch_receiver *receiver, double media_s, double clock_s, int64_t unrolled_frame) {
-    touch_clock *clock = &receiver->clock;
-    if (clock->mode == TOUCH_PLAYING && clock->feed != TOUCH_RUNNING) {
-        touch_anchor(clock, media_s, clock_s);
-        clock->feed = TOUCH_RUNNING;
-    }
-    int64_t tag = touch_tag(clock->generation, unrolled_frame);
-    if (tag != clock->used) clock->used = tag, receiver->counts.frames_used++;
-}
+static inline void touch_count_time(touch_receiver *receiver, int64_t now_ns);
+static inline void touch_take_order(touch_receiver *receiver, double clock_s);
+static inline touch_frames touch_find_frames(touch_receiver *receiver, double clock_s, int is_silent);
+static inline touch_vector touch_tick(touch_receiver *receiver, int64_t before_offset, int64_t after_offset, double blend,
+                                      touch_vector device_m, double dt_s);
+static inline touch_vector touch_release(touch_receiver *receiver, double dt_s);
+static inline int64_t touch_flags(const touch_clock *clock, int is_silent, int is_stopping);
+static inline void touch_write_row(touch_receiver *receiver, double clock_s, touch_vector force_n, int64_t flags);
 
-/* Frames are missing, or the player is silent: count that, and let the media clock stand where nothing more will come. */
-static inline void touch_wait_for_frames(touch_receiver *receiver, double media_s, double clock_s, int is_silent) {
+static inline int touch_is_zero(touch_vector v) { return v.x == 0.0 && v.y == 0.0 && v.z == 0.0; }
+
+/* The force, N, in the device's axes, for a device at `device_m`, at `now_ns` of a clock that never goes back. The torque,
+   N m, is in state.torque.output. What the grip reports is to be in `grip` before. */
+static inline touch_vector touch_receiver_tick(touch_receiver *receiver, touch_vector device_m, int64_t now_ns) {
     touch_clock *clock = &receiver->clock;
-    touch_counts *counts = &receiver->counts;
-    int is_over = is_silent || touch_shared(&receiver->orders.has_feed_failed); /* no frame will come */
-    if (clock->mode != TOUCH_PLAYING) return;
-    if (clock->feed == TOUCH_RUNNING)
-        clock->feed = TOUCH_STALLED, counts->underruns += !is_over;
-    else if (clock->feed == TOUCH_READY)
-        clock->feed = TOUCH_WAITING, counts->waits++;
-    if (clock->feed == TOUCH_STALLED)
-        counts->stalled_ticks++;
+    int64_t ticks = receiver->counts.ticks;
+    int64_t heartbeat_ns = touch_shared(&receiver->orders.heartbeat_ns);
+    double dt_s = 1.0 / receiver->settings.rate_hz;
+    double clock_s = (double)ticks / receiver->settings.rate_hz;
+    touch_count_time(receiver, now_ns);
+    if (!receiver->layout.is_simulated) {
+        clock_s = 1e-9 * (double)(now_ns - receiver->counts.first_ns);
+        if (ticks) dt_s = touch_fmax(clock_s - clock->clock_s, 0.0);
+    }
+    clock->clock_s = clock_s;
+
+    touch_take_order(receiver, clock_s);
+    int is_silent = heartbeat_ns != 0 && now_ns - heartbeat_ns > TOUCH_MAX_SILENCE_NS;
+    int is_stopping = clock->is_stop_ordered || touch_shared(&clock->is_stopping);
+    touch_frames frames = touch_find_frames(receiver, clock_s, is_silent);
+
+    touch_vector force;
+    if (is_stopping)
+        force = touch_release(receiver, dt_s);
     else
-        counts->waiting_ticks++;
-    if (is_over) {
-        clock->media_s = media_s;
-        touch_anchor(clock, media_s, clock_s);
-    }
+        force = touch_tick(receiver, frames.before_offset, frames.after_offset, frames.blend, device_m, dt_s);
+    int is_zero = touch_is_zero(force) && touch_is_zero(receiver->state.torque.output);
+
+    touch_write_row(receiver, clock_s, force, touch_flags(clock, is_silent, is_stopping));
+    TOUCH_FENCE();
+    touch_share(&clock->needs, touch_tag(clock->generation, frames.first_frame));
+    touch_share(&clock->is_resting, is_zero);
+    if (is_stopping && is_zero) touch_share(&clock->is_released, 1);
+    return force;
 }
 
-/* Advance the media clock, and find the two frames of this instant. */
-static inline touch_frames touch_find_frames(touch_receiver *receiver, double clock_s, int is_silent) {
-    touch_clock *clock = &receiver->clock;
-    int64_t count = receiver->layout.frame_count, is_loop = receiver->layout.is_loop, following = 0;
-    double rate_hz = receiver->layout.frame_rate_hz, media_s = touch_media_time(clock, clock_s), before_s = clock->media_s;
-    touch_frames none = {0, 0, 0.0, 0}, found = none;
-    if (count > 1) {
-        int64_t frame = none.first_frame = touch_unrolled_frame(media_s, rate_hz);
-        if (!is_loop && frame >= count) {
-            clock->media_s = (double)count / rate_hz, clock->feed = TOUCH_ENDED;
-            none.first_frame = count;
-            return none;
-        }
-        following = frame == count - 1 && !is_loop ? frame : frame + 1;
-        found.blend = touch_clamp(media_s * rate_hz - (double)frame, 0.0, 1.0);
-    }
-    clock->media_s = media_s;
-    if (clock->mode == TOUCH_PLAYING) receiver->counts.played_ticks++;
-    if (clock->mode == TOUCH_IDLE) return none;
-    found.first_frame = none.first_frame;
-    found.before_offset = touch_frame_offset(receiver, found.first_frame);
-    found.after_offset = touch_frame_offset(receiver, following);
-    if (!found.before_offset || !found.after_offset || is_silent) {
-        touch_wait_for_frames(receiver, before_s, clock_s, is_silent);
-        return none;
-    }
-    touch_use_frames(receiver, media_s, clock_s, found.first_frame);
-    return found;
-}
-
-/* -- a tick at a time of the clock ------------------------------------------------------------------------------------ */
+/* -- time: periods and deadlines -------------------------------------------------------------------------------------- */
 
 static inline int64_t touch_bin(int64_t ns) {
     int64_t us = ns / 1000;
@@ -401,6 +161,335 @@ static inline void touch_count_time(touch_receiver *receiver, int64_t now_ns) {
     touch_share(&counts->ticks, counts->ticks + 1);
 }
 
+/* -- the player: orders and frames ------------------------------------------------------------------------------------ */
+
+/* Write one order of the player; the servo takes it whole or not yet. */
+static inline void touch_give_order(touch_receiver *receiver, int64_t generation, double start_s, double speed, int64_t mode,
+                                    int64_t is_stopping) {
+    touch_orders *orders = &receiver->orders;
+    touch_share(&orders->sequence, orders->sequence + 1);
+    TOUCH_FENCE();
+    orders->generation = generation;
+    orders->start_s = start_s;
+    orders->speed = speed;
+    orders->mode = mode;
+    orders->is_stopping = is_stopping;
+    TOUCH_FENCE();
+    touch_share(&orders->sequence, orders->sequence + 1);
+}
+
+/* Show an unrolled frame that is written at an offset. */
+static inline void touch_publish(touch_receiver *receiver, int64_t generation, int64_t unrolled_frame, int64_t frame_offset) {
+    touch_directory_entry *entry = touch_slot_of(receiver, unrolled_frame);
+    touch_share(&entry->tag, -1);
+    TOUCH_FENCE();
+    touch_share(&entry->frame_offset, frame_offset);
+    TOUCH_FENCE();
+    touch_share(&entry->tag, touch_tag(generation, unrolled_frame));
+}
+
+/* -- the media clock, and its frames ---------------------------------------------------------------------------------- */
+
+/* Of a frame's number: a time that was meant to be a frame's own is that frame, and not the end of the one before. */
+#define TOUCH_FRAME_ROUNDING 1e-6
+
+/* The frame that is shown at a media time. */
+static inline int64_t touch_unrolled_frame(double media_s, double rate_hz) {
+    return (int64_t)floor(media_s * rate_hz + TOUCH_FRAME_ROUNDING);
+}
+
+static inline double touch_media_time(const touch_clock *clock, double clock_s) {
+    if (clock->mode == TOUCH_PLAYING && (clock->feed == TOUCH_RUNNING || clock->feed == TOUCH_STALLED))
+        return clock->anchor_media_s + (clock_s - clock->anchor_clock_s) * clock->speed;
+    return clock->media_s;
+}
+
+/* From now on the media time is counted from here. */
+static inline void touch_anchor(touch_clock *clock, double media_s, double clock_s) {
+    clock->anchor_media_s = media_s;
+    clock->anchor_clock_s = clock_s;
+}
+
+/* Take the latest order of the player, if it is complete and new. */
+static inline void touch_take_order(touch_receiver *receiver, double clock_s) {
+    touch_clock *clock = &receiver->clock;
+    int64_t sequence = touch_shared(&receiver->orders.sequence);
+    if (sequence == clock->sequence_seen || (sequence & 1)) return;
+    TOUCH_FENCE();
+    touch_orders orders = receiver->orders;
+    TOUCH_FENCE();
+    if (touch_shared(&receiver->orders.sequence) != sequence) return; /* written meanwhile; the next tick will have it */
+    double media_s = touch_media_time(clock, clock_s);
+    if (orders.generation != clock->generation) {
+        clock->generation = orders.generation;
+        clock->feed = TOUCH_READY;
+        media_s = orders.start_s;
+    } else if (orders.mode != clock->mode && clock->feed != TOUCH_ENDED) {
+        clock->feed = TOUCH_READY;
+    }
+    clock->media_s = media_s;
+    touch_anchor(clock, media_s, clock_s);
+    clock->speed = orders.speed;
+    clock->mode = orders.mode;
+    clock->is_stop_ordered = orders.is_stopping;
+    TOUCH_FENCE();
+    touch_share(&clock->sequence_seen, sequence); /* last: who sees it sees no state of the order before */
+}
+
+/* Where an unrolled frame lies; 0 if it is not there. */
+static inline int64_t touch_frame_offset(touch_receiver *receiver, int64_t unrolled_frame) {
+    const touch_directory_entry *entry = touch_slot_of(receiver, unrolled_frame);
+    if (touch_shared(&entry->tag) != touch_tag(receiver->clock.generation, unrolled_frame)) return 0;
+    TOUCH_FENCE();
+    return touch_shared(&entry->frame_offset);
+}
+
+/* The media clock runs again: these frames are there. */
+static inline void touch_use_frames(touch_receiver *receiver, double media_s, double clock_s, int64_t unrolled_frame) {
+    touch_clock *clock = &receiver->clock;
+    if (clock->mode == TOUCH_PLAYING && clock->feed != TOUCH_RUNNING) {
+        touch_anchor(clock, media_s, clock_s);
+        clock->feed = TOUCH_RUNNING;
+    }
+    int64_t tag = touch_tag(clock->generation, unrolled_frame);
+    if (tag != clock->used) {
+        clock->used = tag;
+        receiver->counts.frames_used++;
+    }
+}
+
+/* Frames are missing, or the player is silent: count that, and let the media clock stand where nothing more will come. */
+static inline void touch_wait_for_frames(touch_receiver *receiver, double media_s, double clock_s, int is_silent) {
+    touch_clock *clock = &receiver->clock;
+    touch_counts *counts = &receiver->counts;
+    int is_over = is_silent || touch_shared(&receiver->orders.has_feed_failed); /* no frame will come */
+    if (clock->mode != TOUCH_PLAYING) return;
+    if (clock->feed == TOUCH_RUNNING) {
+        clock->feed = TOUCH_STALLED;
+        counts->underruns += !is_over;
+    } else if (clock->feed == TOUCH_READY) {
+        clock->feed = TOUCH_WAITING;
+        counts->waits++;
+    }
+    if (clock->feed == TOUCH_STALLED)
+        counts->stalled_ticks++;
+    else
+        counts->waiting_ticks++;
+    if (is_over) {
+        clock->media_s = media_s;
+        touch_anchor(clock, media_s, clock_s);
+    }
+}
+
+/* Advance the media clock, and find the two frames of this instant. */
+static inline touch_frames touch_find_frames(touch_receiver *receiver, double clock_s, int is_silent) {
+    touch_clock *clock = &receiver->clock;
+    int64_t count = receiver->layout.frame_count, is_loop = receiver->layout.is_loop, following = 0;
+    double rate_hz = receiver->layout.frame_rate_hz;
+    double media_s = touch_media_time(clock, clock_s), before_s = clock->media_s;
+    touch_frames none = {0, 0, 0.0, 0}, found = none;
+    if (count > 1) {
+        int64_t frame = none.first_frame = touch_unrolled_frame(media_s, rate_hz);
+        if (!is_loop && frame >= count) {
+            clock->media_s = (double)count / rate_hz;
+            clock->feed = TOUCH_ENDED;
+            none.first_frame = count;
+            return none;
+        }
+        following = frame == count - 1 && !is_loop ? frame : frame + 1;
+        found.blend = touch_clamp(media_s * rate_hz - (double)frame, 0.0, 1.0);
+    }
+    clock->media_s = media_s;
+    if (clock->mode == TOUCH_PLAYING) receiver->counts.played_ticks++;
+    if (clock->mode == TOUCH_IDLE) return none;
+    found.first_frame = none.first_frame;
+    found.before_offset = touch_frame_offset(receiver, found.first_frame);
+    found.after_offset = touch_frame_offset(receiver, following);
+    if (!found.before_offset || !found.after_offset || is_silent) {
+        touch_wait_for_frames(receiver, before_s, clock_s, is_silent);
+        return none;
+    }
+    touch_use_frames(receiver, media_s, clock_s, found.first_frame);
+    return found;
+}
+
+/* -- the device: position, orientation, velocity ---------------------------------------------------------------------- */
+
+#define TOUCH_MAX_POSITION_M 1e6           /* what lies farther off is no position of a hand */
+#define TOUCH_MAX_TICK_S 60.0              /* a tick that comes later is as good as a first one */
+#define TOUCH_MIN_COMPLIANCE_M_PER_N 1e-9  /* 1 / K of the coupling: a stiffer one is none */
+#define TOUCH_MIN_ORIENTATION_SQUARE 0.81  /* |q|^2 of a quaternion that was meant to be of length 1 */
+#define TOUCH_MAX_ORIENTATION_SQUARE 1.21
+
+/* False also where it is not a number. */
+static inline int touch_is_position(touch_vector p) {
+    return fabs(p.x) <= TOUCH_MAX_POSITION_M && fabs(p.y) <= TOUCH_MAX_POSITION_M && fabs(p.z) <= TOUCH_MAX_POSITION_M;
+}
+
+/* Whether the orientation of the grip is known, if there is a tool; sets that of the tool in the field. */
+static inline int touch_orient_tool(touch_receiver *receiver) {
+    const double *q = receiver->grip.orientation;
+    if (!receiver->settings.tool_point_count) return 1;
+    touch_vector v = touch_vector_of(q[1], q[2], q[3]);
+    double square = q[0] * q[0] + touch_dot(v, v);
+    if (!(square >= TOUCH_MIN_ORIENTATION_SQUARE && square <= TOUCH_MAX_ORIENTATION_SQUARE)) return 0;
+    const touch_matrix *axes = &receiver->settings.axes;
+    touch_matrix grip = touch_rotation_of(q[0], v), columns;
+    for (int n = 0; n < 3; n++) /* axes . grip . axes^T, column by column */
+        columns.row[n] = touch_rotate(axes, touch_rotate(&grip, axes->row[n]));
+    touch_matrix *rotation = &receiver->state.tool_rotation;
+    rotation->row[0] = touch_vector_of(columns.row[0].x, columns.row[1].x, columns.row[2].x);
+    rotation->row[1] = touch_vector_of(columns.row[0].y, columns.row[1].y, columns.row[2].y);
+    rotation->row[2] = touch_vector_of(columns.row[0].z, columns.row[1].z, columns.row[2].z);
+    return 1;
+}
+
+/* Take a position of the device: its position and velocity in the field, and the energy of its motion. */
+static inline void touch_move_device(touch_receiver *receiver, touch_vector device_m) {
+    const touch_settings *settings = &receiver->settings;
+    touch_tick_state *state = &receiver->state;
+    touch_vector rotated = touch_rotate(&settings->axes, device_m);
+    touch_vector position = touch_add_scaled(settings->clutch_m, settings->scale, rotated);
+    if (state->is_started) {
+        touch_passivity_observer(receiver, touch_subtract(device_m, state->device_m));
+        touch_update_velocity(receiver, touch_subtract(position, state->position_m), state->since_s);
+    } else {
+        state->velocity_m_s = touch_zero();
+    }
+    touch_smooth_settings(receiver);
+    state->is_started = 1;
+    state->since_s = 0.0;
+    state->device_m = device_m;
+    state->position_m = position;
+}
+
+/* -- the force that is desired: field, friction, damping, vibration --------------------------------------------------- */
+
+/* The torque before gain and limits, N m, in the device's axes: a lever of the field is `scale` times the device's. */
+static inline void touch_desired_torque(touch_receiver *receiver) {
+    const touch_settings *settings = &receiver->settings;
+    touch_vector torque = receiver->state.field_torque_nm;
+    if (!touch_is_finite(torque)) torque = touch_zero();
+    double scale = settings->handedness * settings->force_scale / settings->scale;
+    receiver->state.torque.desired = touch_scale(scale, touch_rotate_back(&settings->axes, torque));
+}
+
+/* The force of the field on the hand, N, in the field's axes, without friction, and what friction adds. By settings: proxy,
+   tool, virtual coupling, or the force at the point itself. `*point_m` is the hand; with a virtual coupling it becomes the
+   position of the proxy. */
+static inline touch_vector touch_field_force(touch_receiver *receiver, const touch_instant *t, touch_vector *point_m,
+                                             touch_vector *friction_n, double dt_s) {
+    const touch_settings *settings = &receiver->settings;
+    touch_tick_state *state = &receiver->state;
+    touch_vector force;
+    if (settings->wall_n_per_m > 0.0) return touch_contact_force(receiver, t, *point_m, friction_n);
+    if (settings->tool_point_count > 0) {
+        force = touch_tool_force(receiver, t, *point_m, &state->field_torque_nm);
+        touch_desired_torque(receiver);
+    } else if (state->compliance_m_per_n > TOUCH_MIN_COMPLIANCE_M_PER_N) {
+        force = touch_coupling_force(receiver, t, point_m);
+    } else {
+        force = touch_force_at(t, *point_m);
+    }
+    if (!touch_is_finite(force)) force = touch_zero();
+    touch_yield(receiver, t, *point_m, force, dt_s);
+    *friction_n = touch_friction(force, state->velocity_m_s, state->friction, settings->slip_speed_m_s);
+    return force;
+}
+
+/* The force before gain and limits, N, in the device's axes: that of the field with friction, damping and vibration, as far
+   as the passivity controller lets it, and what carries the weight of the handle. */
+static inline touch_vector touch_desired_force(touch_receiver *receiver, const touch_instant *t, double dt_s) {
+    const touch_settings *settings = &receiver->settings;
+    touch_tick_state *state = &receiver->state;
+    touch_vector point = state->position_m, velocity = state->velocity_m_s, friction;
+    const touch_material *material = NULL;
+    if (settings->material_count > 0) material = touch_find_material(receiver, t, point);
+    touch_vector force = touch_field_force(receiver, t, &point, &friction, dt_s);
+    state->field_force_n = force;
+    state->friction_n = friction;
+
+    double size = touch_norm(force);
+    double vibration = touch_vibration_force(receiver, t, point, dt_s);
+    if (material) vibration += touch_texture(receiver, material, force, velocity, dt_s);
+    touch_vector added = touch_add_scaled(friction, -settings->damping_n_s_per_m, velocity);
+    touch_vector vibration_n = touch_vector_of(0.0, 0.0, vibration); /* along the force; upwards where there is none */
+    if (size > 0.0)
+        vibration_n = touch_vector_of(force.x / size * vibration, force.y / size * vibration, force.z / size * vibration);
+    added = touch_add(added, vibration_n);
+    force = touch_add(touch_damped(state, force, velocity), added);
+
+    /* from the field's axes into the device's */
+    force = touch_scale(settings->force_scale, touch_rotate_back(&settings->axes, force));
+    touch_vector device_velocity = touch_scale(1.0 / settings->scale, touch_rotate_back(&settings->axes, velocity));
+    force = touch_passivity_controller(receiver, force, device_velocity, dt_s);
+    return touch_add(force, settings->gravity_n);
+}
+
+/* -- the force that is put out: ramp and limits ----------------------------------------------------------------------- */
+
+/* The hand leaves the field: no force and no friction act. */
+static inline void touch_leave_field(touch_tick_state *state) {
+    state->proxy.is_active = 0;
+    state->field_force_n = state->friction_n = state->field_torque_nm = touch_zero();
+}
+
+/* Limit force and torque by peak, heat and slew. The force; the torque is in state.torque.output. */
+static inline touch_vector touch_limit_both(touch_receiver *receiver, touch_vector force_n, touch_vector torque_nm,
+                                            double dt_s) {
+    const touch_settings *settings = &receiver->settings;
+    touch_tick_state *state = &receiver->state;
+    (void)touch_limit_output(settings, &settings->torque_limits, &state->torque, torque_nm, dt_s);
+    return touch_limit_output(settings, &settings->force_limits, &state->force, force_n, dt_s);
+}
+
+/* The force of one tick, N, in the device's axes, for a device at `device_m`. The torque is in state.torque.output.
+
+   The offsets are those of the frames before and after this time, 0: there is none; `blend` goes from the one to the other.
+   A `dt_s` that is not positive and finite gives the force before once more. */
+static inline touch_vector touch_tick(touch_receiver *receiver, int64_t before_offset, int64_t after_offset, double blend,
+                                      touch_vector device_m, double dt_s) {
+    const touch_settings *settings = &receiver->settings;
+    touch_tick_state *state = &receiver->state;
+    if (!touch_is_time_step(settings, dt_s)) return state->force.output;
+    dt_s = touch_fmin(dt_s, TOUCH_MAX_TICK_S);
+    state->since_s += dt_s;
+    touch_store_past_force(receiver);
+    int is_pose_known = touch_is_position(device_m) && touch_orient_tool(receiver);
+    if (is_pose_known) touch_move_device(receiver, device_m);
+    double gain_step = touch_clamped_dt(settings, dt_s) / settings->ramp_s;
+    if (before_offset && after_offset && is_pose_known) {
+        touch_instant t = touch_instant_of(receiver, before_offset, after_offset, blend);
+        double gain = touch_fmin(1.0, state->gain + gain_step);
+        state->force.desired = touch_desired_force(receiver, &t, dt_s);
+        state->gain = gain;
+    } else {
+        state->gain = touch_fmax(0.0, state->gain - gain_step);
+        touch_leave_field(state);
+        if (state->gain == 0.0) state->force.desired = touch_zero();
+    }
+    if (state->gain == 0.0) state->torque.desired = touch_zero();
+    touch_vector force = touch_scale(state->gain, state->force.desired);
+    return touch_limit_both(receiver, force, touch_scale(state->gain, state->torque.desired), dt_s);
+}
+
+/* The next force on the way to zero within the ramp or the slew limit, N, in the device's axes; in the end zero for ever. */
+static inline touch_vector touch_release(touch_receiver *receiver, double dt_s) {
+    const touch_settings *settings = &receiver->settings;
+    touch_tick_state *state = &receiver->state;
+    if (!touch_is_time_step(settings, dt_s)) return state->force.output;
+    double gain = touch_fmax(0.0, state->gain - touch_clamped_dt(settings, dt_s) / settings->ramp_s);
+    double fraction = gain > 0.0 ? gain / state->gain : 0.0;
+    state->gain = gain;
+    state->is_started = 0;
+    touch_leave_field(state);
+    state->force.desired = state->torque.desired = touch_zero();
+    touch_vector force = touch_scale(fraction, state->force.output);
+    return touch_limit_both(receiver, force, touch_scale(fraction, state->torque.output), dt_s);
+}
+
+/* -- the log ---------------------------------------------------------------------------------------------------------- */
+
 static inline int64_t touch_flags(const touch_clock *clock, int is_silent, int is_stopping) {
     static const int64_t feed_flags[] = {0, TOUCH_FLAG_WAITING, TOUCH_FLAG_RUNNING, TOUCH_FLAG_STALLED, TOUCH_FLAG_ENDED};
     int64_t flags = clock->feed >= TOUCH_READY && clock->feed <= TOUCH_ENDED ? feed_flags[clock->feed] : 0;
@@ -416,48 +505,21 @@ static inline void touch_write_row(touch_receiver *receiver, double clock_s, tou
     if (layout->log_rows <= 0) return;
     touch_log_row *rows = (touch_log_row *)((char *)receiver + layout->log_offset);
     touch_log_row *row = rows + receiver->clock.log_written % layout->log_rows;
-    row->time_s = clock_s, row->media_s = receiver->clock.media_s;
-    row->position_m = state->position_m, row->velocity_m_s = state->velocity_m_s;
-    row->field_force_n = state->field_force_n, row->friction_n = state->friction_n;
+    row->time_s = clock_s;
+    row->media_s = receiver->clock.media_s;
+    row->position_m = state->position_m;
+    row->velocity_m_s = state->velocity_m_s;
+    row->field_force_n = state->field_force_n;
+    row->friction_n = state->friction_n;
     row->force_n = force_n;
     row->flags = flags;
     for (int n = 0; n < 4; n++) row->orientation[n] = receiver->grip.orientation[n];
-    row->field_torque_nm = state->field_torque_nm, row->torque_nm = state->torque.output;
-    row->buttons = receiver->grip.buttons, row->gripper_m = receiver->grip.gripper_m;
+    row->field_torque_nm = state->field_torque_nm;
+    row->torque_nm = state->torque.output;
+    row->buttons = receiver->grip.buttons;
+    row->gripper_m = receiver->grip.gripper_m;
     TOUCH_FENCE();
     touch_share(&receiver->clock.log_written, receiver->clock.log_written + 1);
-}
-
-static inline int touch_is_zero(touch_vector v) { return v.x == 0.0 && v.y == 0.0 && v.z == 0.0; }
-
-/* The force, N, in the device's axes, for a device at `device_m`, at `now_ns` of a clock that never goes back. The torque,
-   N m, is in state.torque.output. What the grip reports is to be in `grip` before. */
-static inline touch_vector touch_receiver_tick(touch_receiver *receiver, touch_vector device_m, int64_t now_ns) {
-    touch_clock *clock = &receiver->clock;
-    int64_t ticks = receiver->counts.ticks, heartbeat_ns = touch_shared(&receiver->orders.heartbeat_ns);
-    double period_s = 1.0 / receiver->settings.rate_hz, clock_s, dt_s = period_s;
-    touch_count_time(receiver, now_ns);
-    if (receiver->layout.is_simulated) {
-        clock_s = (double)ticks / receiver->settings.rate_hz;
-    } else {
-        clock_s = 1e-9 * (double)(now_ns - receiver->counts.first_ns);
-        if (ticks) dt_s = touch_fmax(clock_s - clock->clock_s, 0.0);
-    }
-    clock->clock_s = clock_s;
-    touch_take_order(receiver, clock_s);
-    int is_silent = heartbeat_ns != 0 && now_ns - heartbeat_ns > TOUCH_MAX_SILENCE_NS;
-    int is_stopping = clock->is_stop_ordered || touch_shared(&clock->is_stopping);
-    touch_frames frames = touch_find_frames(receiver, clock_s, is_silent);
-    touch_vector force = is_stopping ? touch_release(receiver, dt_s)
-                                     : touch_tick(receiver, frames.before_offset, frames.after_offset, frames.blend,
-                                                  device_m, dt_s);
-    int is_zero = touch_is_zero(force) && touch_is_zero(receiver->state.torque.output);
-    touch_write_row(receiver, clock_s, force, touch_flags(clock, is_silent, is_stopping));
-    TOUCH_FENCE();
-    touch_share(&clock->needs, touch_tag(clock->generation, frames.first_frame));
-    touch_share(&clock->is_resting, is_zero);
-    if (is_stopping && is_zero) touch_share(&clock->is_released, 1);
-    return force;
 }
 
 #endif

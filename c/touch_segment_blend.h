@@ -36,10 +36,14 @@ static inline void touch_blend_bricks(const touch_blend_rule *rule, int64_t bric
             float *to = out + TOUCH_BRICK_FLOATS * n + s;
             touch_vector a = touch_vector_of(p[0], p[1], p[2]), b = touch_vector_of(q[0], q[1], q[2]);
             touch_vector d = touch_subtract(b, a);
-            to[0] = q[0], to[1] = q[1], to[2] = q[2];
+            to[0] = q[0];
+            to[1] = q[1];
+            to[2] = q[2];
             if (touch_is_one_source(rule, a, b, d)) {
                 a = touch_add_scaled(a, rule->weight, d);
-                to[0] = (float)a.x, to[1] = (float)a.y, to[2] = (float)a.z;
+                to[0] = (float)a.x;
+                to[1] = (float)a.y;
+                to[2] = (float)a.z;
             }
             has_force[n] |= (uint8_t)touch_has_force(to);
         }

@@ -12,10 +12,12 @@ TOUCH_INLINE double touch_cell_slope(const float *corner, touch_vector *slope) {
     double sum[4], along_z[4]; /* of the two corners along z; of x and y: lower lower, lower upper, upper lower, upper upper */
     for (int c = 0; c < 4; c++) {
         const float *lower = corner + TOUCH_NEXT_X * (c >> 1) + TOUCH_NEXT_Y * (c & 1), *upper = lower + TOUCH_NEXT_Z;
-        sum[c] = (double)*upper + (double)*lower, along_z[c] = (double)*upper - (double)*lower;
+        sum[c] = (double)*upper + (double)*lower;
+        along_z[c] = (double)*upper - (double)*lower;
     }
     double lower = sum[0] + sum[1], upper = sum[2] + sum[3];
-    slope->x = (upper - lower) / 4.0, slope->y = ((sum[1] - sum[0]) + (sum[3] - sum[2])) / 4.0;
+    slope->x = (upper - lower) / 4.0;
+    slope->y = ((sum[1] - sum[0]) + (sum[3] - sum[2])) / 4.0;
     slope->z = ((along_z[0] + along_z[1]) + (along_z[2] + along_z[3])) / 4.0;
     return (lower + upper) / 8.0;
 }
@@ -27,7 +29,8 @@ static inline void touch_count_slopes(const float *samples, const uint64_t *supp
         if (!(supported[n >> 6] >> (n & 63) & 1)) continue;
         const float *corner = samples + touch_corner_of(n >> 9, n >> 6, n >> 3, n);
         touch_vector slope[3], force;
-        force.x = touch_cell_slope(corner, slope), force.y = touch_cell_slope(corner + 1, slope + 1);
+        force.x = touch_cell_slope(corner, slope);
+        force.y = touch_cell_slope(corner + 1, slope + 1);
         force.z = touch_cell_slope(corner + 2, slope + 2);
         double square = touch_dot(force, force);
         if (!(0.0 < square && square < (double)INFINITY)) continue;

@@ -1,10 +1,18 @@
-/* touch_tool.h: force and torque on a tool of many points in a field, in place of a single point. The weight of each point
-   is explained in src/touchfield/render/tool.py: s max(0, -n . F / |F|) F, with the outward normal n.
+/* touch_tool.h: force and torque on a tool of many points in a field, in place of a single point: a sum of penalty forces, as
+   for the pointshell of the voxmap method (McNeely, Puterbaugh and Troy 1999). A point with the outward normal n weighs its
+   force F by s max(0, -n . F / |F|); src/touchfield/render/tool.py explains why.
 
-   Some hundred points at a time, in float and in plain loops that a processor does many at once: where they lie in a
-   body's cells; the force there, with the brick of the point before at hand; that force in the tool's own axes, added to
-   those of other bodies; and the sum of all. Only the sum leaves float, in which a position in a lattice of 1000 samples
-   is known to a ten thousandth of one. */
+   Blocks of some hundred points, in float and in plain loops that a processor does many at once:
+
+       touch_tool_force            all blocks
+           touch_add_tool_body         for each body that the tool may reach: its pose in the body's axes, then
+               touch_locate_tool           brick, cell and fraction of each point
+               touch_add_tool_samples      the force there; the brick of the point before is at hand
+               touch_gather_tool           into the tool's axes, with what the motion of the surface adds
+           touch_weight_tool           by the normals
+           touch_sum_tool              force and torque
+
+   Only the sum leaves float, in which a position in a lattice of 1000 samples is known to a ten thousandth of one. */
 #ifndef TOUCH_TOOL_H
 #define TOUCH_TOOL_H
 
@@ -33,7 +41,9 @@ typedef struct {
 
 TOUCH_INLINE touch_float_vector touch_float_of(touch_vector v) {
     touch_float_vector f;
-    f.x = (float)v.x, f.y = (float)v.y, f.z = (float)v.z;
+    f.x = (float)v.x;
+    f.y = (float)v.y;
+    f.z = (float)v.z;
     return f;
 }
 
@@ -57,12 +67,16 @@ static inline int touch_locate_tool(const touch_cells *cells, const touch_tool_p
         float z = start.z + row[2].x * px[n] + row[2].y * py[n] + row[2].z * pz[n];
         int is_in_box = (x >= 0.0f) & (y >= 0.0f) & (z >= 0.0f) & (x < high_x) & (y < high_y) & (z < high_z);
         is_any_in_box |= is_in_box;
-        x = is_in_box ? x : 0.0f, y = is_in_box ? y : 0.0f, z = is_in_box ? z : 0.0f;
+        x = is_in_box ? x : 0.0f;
+        y = is_in_box ? y : 0.0f;
+        z = is_in_box ? z : 0.0f;
         int32_t i = (int32_t)x, j = (int32_t)y, k = (int32_t)z;
         out->brick[n] = is_in_box ? ((i >> 3) * ny + (j >> 3)) * nz + (k >> 3) : -1;
         out->cell[n] = (i & 7) << 6 | (j & 7) << 3 | (k & 7);
         out->corner[n] = (i & 7) * TOUCH_NEXT_X + (j & 7) * TOUCH_NEXT_Y + (k & 7) * TOUCH_NEXT_Z;
-        out->fraction.x[n] = x - (float)i, out->fraction.y[n] = y - (float)j, out->fraction.z[n] = z - (float)k;
+        out->fraction.x[n] = x - (float)i;
+        out->fraction.y[n] = y - (float)j;
+        out->fraction.z[n] = z - (float)k;
     }
     return is_any_in_box;
 }
@@ -78,11 +92,16 @@ static inline void touch_add_tool_samples(const touch_cells *cells, float weight
     float own_n[3];
     for (int n = 0; n < count; n++) {
         if (at->brick[n] < 0) continue;
-        if (at->brick[n] != brick) brick = at->brick[n], index = touch_find_brick(table, cells->table_shift, brick);
+        if (at->brick[n] != brick) {
+            brick = at->brick[n];
+            index = touch_find_brick(table, cells->table_shift, brick);
+        }
         if (index < 0 || !(supported[8 * index + (at->cell[n] >> 6)] >> (at->cell[n] & 63) & 1)) continue;
         const float *corner = samples + index * TOUCH_NEXT_BRICK + at->corner[n];
         touch_interpolate_float(corner, at->fraction.x[n], at->fraction.y[n], at->fraction.z[n], own_n);
-        force->x[n] += weight * own_n[0], force->y[n] += weight * own_n[1], force->z[n] += weight * own_n[2];
+        force->x[n] += weight * own_n[0];
+        force->y[n] += weight * own_n[1];
+        force->z[n] += weight * own_n[2];
     }
 }
 
@@ -110,7 +129,9 @@ static inline void touch_weight_tool(const touch_tool_points *p, float limit_n, 
         float square = x * x + y * y + z * z, facing = -(nx[n] * x + ny[n] * y + nz[n] * z);
         float size = sqrtf(square > tiny ? square : tiny), clip = limit_n / size;
         float weight = (facing > 0.0f ? facing : 0.0f) * (clip < 1.0f ? clip : 1.0f) / size;
-        force->x[n] = weight * x, force->y[n] = weight * y, force->z[n] = weight * z;
+        force->x[n] = weight * x;
+        force->y[n] = weight * y;
+        force->z[n] = weight * z;
     }
 }
 
@@ -122,7 +143,9 @@ static inline void touch_sum_tool(const touch_tool_points *p, const touch_tool_v
         int lanes = p->count - n < TOUCH_TOOL_LANES ? p->count - n : (int)TOUCH_TOOL_LANES;
         for (int l = 0; l < lanes; l++) {
             float x = force->x[n + l], y = force->y[n + l], z = force->z[n + l];
-            sum[0][l] += x, sum[1][l] += y, sum[2][l] += z;
+            sum[0][l] += x;
+            sum[1][l] += y;
+            sum[2][l] += z;
             sum[3][l] += p->y[n + l] * z - p->z[n + l] * y;
             sum[4][l] += p->z[n + l] * x - p->x[n + l] * z;
             sum[5][l] += p->x[n + l] * y - p->y[n + l] * x;
@@ -170,7 +193,8 @@ static inline void touch_add_tool_body(const touch_receiver *receiver, const tou
         tool_from_body.row[n] = touch_rotate_back(&r, tool_from_body.row[n]);
         row[n] = touch_float_of(tool_from_body.row[n]);
     }
-    pose.rotation = touch_transposed(&tool_from_body), pose.origin_m = touch_rotate_back(&r, arm_m);
+    pose.rotation = touch_transposed(&tool_from_body);
+    pose.origin_m = touch_rotate_back(&r, arm_m);
     memset(&force, 0, sizeof force);
     int is_one_field = b->cells_before == b->cells_after;
     int is_reached = touch_add_tool_cells(b->cells_before, is_one_field ? 1.0 : 1.0 - blend, &pose, p, &force);

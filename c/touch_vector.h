@@ -21,7 +21,9 @@ typedef struct {
 
 TOUCH_INLINE touch_vector touch_vector_of(double x, double y, double z) {
     touch_vector v;
-    v.x = x, v.y = y, v.z = z;
+    v.x = x;
+    v.y = y;
+    v.z = z;
     return v;
 }
 

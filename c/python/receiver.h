@@ -84,8 +84,8 @@ static PyObject *py_limited(PyObject *self, PyObject *const *arguments, Py_ssize
         !read_receiver(arguments[0], &view, &receiver))
         return NULL;
     const touch_settings *settings = &receiver->settings;
-    touch_vector wanted = vector_of(numbers);
-    touch_vector force = touch_limit_output(settings, &settings->force_limits, &receiver->state.force, wanted, numbers[3]);
+    touch_vector desired = vector_of(numbers);
+    touch_vector force = touch_limit_output(settings, &settings->force_limits, &receiver->state.force, desired, numbers[3]);
     PyBuffer_Release(&view);
     return tuple_of_vector(force);
 }

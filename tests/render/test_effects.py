@@ -74,7 +74,7 @@ def test_friction_and_damping_only_dissipate(way: list[tuple[float, ...]], mu: f
         v, f, t = (FIELD.value(f"state.{name}") for name in ("velocity_m_s", "field_force_n", "friction_n"))
         assert math.fsum(t * v) <= 2e-16 * float(np.abs(t * v).sum())
         assert math.hypot(*t) <= mu * math.hypot(*f) * (1 + 1e-12) + 1e-300  # squares below 1e-154 underflow
-        added = FIELD.value("state.force.wanted") - f - t
+        added = FIELD.value("state.force.desired") - f - t
         assert added @ v <= 1e-9 * (1 + np.abs(f).sum()) * (1 + b * (v @ v))
 
 

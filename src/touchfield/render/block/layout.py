@@ -194,7 +194,7 @@ GRIP: Final = np.dtype(
 LIMITED: Final = np.dtype(
     [
         ("output", np.float64, (3,)),
-        ("wanted", np.float64, (3,)),
+        ("desired", np.float64, (3,)),
         ("heat", np.float64),
         ("limit", np.float64),
     ]
@@ -233,7 +233,7 @@ TICK_STATE: Final = np.dtype(
         ("vibration_phase", np.float64),
         ("proxy", PROXY),
         ("brake_n_s_per_m", np.float64),
-        ("softness_m_per_n", np.float64),
+        ("compliance_m_per_n", np.float64),
         ("friction", np.float64),
         ("slid_m", np.float64),
         ("tool_rotation", np.float64, (3, 3)),
