@@ -48,18 +48,18 @@ TOUCH_INLINE touch_float_vector touch_float_of(touch_vector v) {
 }
 
 typedef struct { /* where the points of a block lie in cells */
-    int32_t brick[TOUCH_TOOL_BLOCK];  /* its number; -1: outside of the box */
-    int32_t cell[TOUCH_TOOL_BLOCK];   /* 64 i + 8 j + k within the brick */
-    int32_t corner[TOUCH_TOOL_BLOCK]; /* of the cell, floats from the first sample of the brick */
-    touch_tool_vectors fraction;      /* of the way through the cell */
+    int32_t i[TOUCH_TOOL_BLOCK]; /* the cell, from the corner of the box; -1: outside of it */
+    int32_t j[TOUCH_TOOL_BLOCK];
+    int32_t k[TOUCH_TOOL_BLOCK];
+    touch_tool_vectors fraction; /* of the way through the cell */
 } touch_tool_cells;
 
 /* Find the points in cells: row . point + start, in samples; 0: none is in the box. */
 static inline int touch_locate_tool(const touch_cells *cells, const touch_tool_points *p, const touch_float_vector row[3],
                                     touch_float_vector start, touch_tool_cells *__restrict out) {
     const float *__restrict px = p->x, *__restrict py = p->y, *__restrict pz = p->z;
-    int32_t ny = (int32_t)cells->brick_count[1], nz = (int32_t)cells->brick_count[2];
-    float high_x = (float)(8 * cells->brick_count[0]), high_y = (float)(8 * ny), high_z = (float)(8 * nz);
+    float high_x = (float)(8 * cells->brick_count[0]), high_y = (float)(8 * cells->brick_count[1]);
+    float high_z = (float)(8 * cells->brick_count[2]);
     int is_any_in_box = 0;
     for (int n = 0; n < p->count; n++) {
         float x = start.x + row[0].x * px[n] + row[0].y * py[n] + row[0].z * pz[n];
@@ -67,13 +67,13 @@ static inline int touch_locate_tool(const touch_cells *cells, const touch_tool_p
         float z = start.z + row[2].x * px[n] + row[2].y * py[n] + row[2].z * pz[n];
         int is_in_box = (x >= 0.0f) & (y >= 0.0f) & (z >= 0.0f) & (x < high_x) & (y < high_y) & (z < high_z);
         is_any_in_box |= is_in_box;
-        x = is_in_box ? x : 0.0f;
+        x = is_in_box ? x : -1.0f;
         y = is_in_box ? y : 0.0f;
         z = is_in_box ? z : 0.0f;
         int32_t i = (int32_t)x, j = (int32_t)y, k = (int32_t)z;
-        out->brick[n] = is_in_box ? ((i >> 3) * ny + (j >> 3)) * nz + (k >> 3) : -1;
-        out->cell[n] = (i & 7) << 6 | (j & 7) << 3 | (k & 7);
-        out->corner[n] = (i & 7) * TOUCH_NEXT_X + (j & 7) * TOUCH_NEXT_Y + (k & 7) * TOUCH_NEXT_Z;
+        out->i[n] = i;
+        out->j[n] = j;
+        out->k[n] = k;
         out->fraction.x[n] = x - (float)i;
         out->fraction.y[n] = y - (float)j;
         out->fraction.z[n] = z - (float)k;
@@ -87,17 +87,20 @@ static inline void touch_add_tool_samples(const touch_cells *cells, float weight
     const int64_t *table = touch_table_of(cells);
     const uint64_t *supported = touch_supported_of(cells);
     const float *samples = touch_samples_of(cells);
-    int64_t index = -1;
-    int32_t brick = -1;
+    int64_t ny = cells->brick_count[1], nz = cells->brick_count[2], index = -1;
+    int32_t last_i = -1, last_j = 0, last_k = 0; /* a cell of the brick at hand; -1: there is none */
     float own_n[3];
     for (int n = 0; n < count; n++) {
-        if (at->brick[n] < 0) continue;
-        if (at->brick[n] != brick) {
-            brick = at->brick[n];
-            index = touch_find_brick(table, cells->table_shift, brick);
+        int32_t i = at->i[n], j = at->j[n], k = at->k[n];
+        if (i < 0) continue;
+        if (((i ^ last_i) | (j ^ last_j) | (k ^ last_k)) & ~7) { /* another brick */
+            index = touch_find_brick(table, cells->table_shift, ((i >> 3) * ny + (j >> 3)) * nz + (k >> 3));
+            last_i = i;
+            last_j = j;
+            last_k = k;
         }
-        if (index < 0 || !(supported[8 * index + (at->cell[n] >> 6)] >> (at->cell[n] & 63) & 1)) continue;
-        const float *corner = samples + index * TOUCH_NEXT_BRICK + at->corner[n];
+        if (index < 0 || !touch_is_supported(supported, index, i, j, k)) continue;
+        const float *corner = samples + touch_corner_of(index, i, j, k);
         touch_interpolate_float(corner, at->fraction.x[n], at->fraction.y[n], at->fraction.z[n], own_n);
         force->x[n] += weight * own_n[0];
         force->y[n] += weight * own_n[1];
