@@ -87,8 +87,6 @@ typedef struct {
 /* -- opening ---------------------------------------------------------------------------------------------------------- */
 
 #define TOUCH_PLAY_ALIGNMENT 64
-#define TOUCH_PLAY_BLEND_S 0.1            /* length of a blend; see src/touchfield/render/segment_blend.py */
-#define TOUCH_PLAY_MAX_UNBLENDED_HZ 20.0  /* highest frame rate that is not blended */
 #define TOUCH_PLAY_FLOOR_FRACTION 1e-9    /* of F_max: a body's force below it is a rounding error at its edge */
 
 static inline int touch_play_fail(touch_play *play, int code, const char *error) {
@@ -211,14 +209,13 @@ static inline int touch_play_gather(const touch_field *field, touch_arena *arena
 
 /* -- blends of segments ----------------------------------------------------------------------------------------------- */
 
-/* Frames from the start of a segment that are blended: the part of it that can be, at most. */
-static inline double touch_play_blend_frames(const touch_play *play, int64_t first, uint32_t segment) {
-    double frames = TOUCH_PLAY_BLEND_S * play->file.rate_hz;
-    int64_t length = 1, enough = (int64_t)(2.0 * frames) + 2, count = play->file.frame_count;
+/* Frames of a segment; as many as a blend can take, if there are more. */
+static inline int64_t touch_play_segment_length(const touch_play *play, int64_t first, uint32_t segment) {
+    int64_t length = 1, enough = (int64_t)(2.0 * TOUCH_BLEND_S * play->file.rate_hz) + 2, count = play->file.frame_count;
     while (length < enough && first + length < count &&
            touch_segment_of(&play->file, (uint32_t)(first + length)) == segment)
         length++;
-    return first + length < count ? touch_fmin(frames, 0.5 * (double)length) : frames;
+    return length;
 }
 
 /* The first frame of the segment that has a frame. */
@@ -276,7 +273,7 @@ static inline void touch_play_blend(const touch_blend_rule *rule, const touch_pl
 /* The weight of a frame against the last one of the segment before; 1: it is not blended. */
 static inline double touch_play_weight(touch_play *play, int64_t frame) {
     int64_t count = play->file.frame_count, first = touch_play_first_of(play, frame);
-    if (!play->options.blends || count == 1 || play->file.rate_hz <= TOUCH_PLAY_MAX_UNBLENDED_HZ) return 1.0;
+    if (!play->options.blends || count == 1 || play->file.rate_hz <= TOUCH_MAX_UNBLENDED_HZ) return 1.0;
     if (frame == first) {
         touch_play_fields *latest = play->latest;
         play->former_frame = play->latest_frame >= 0 && (play->latest_frame + 1) % count == frame ? play->latest_frame : -1;
@@ -284,10 +281,10 @@ static inline double touch_play_weight(touch_play *play, int64_t frame) {
     } else if (!(first <= play->latest_frame && play->latest_frame < frame)) {
         play->former_frame = -1;
     }
-    double blend_frames = touch_play_blend_frames(play, first, touch_segment_of(&play->file, (uint32_t)frame));
-    double passed = (double)(frame - first + 1);
-    if (passed >= blend_frames) play->former_frame = -1;
-    return play->former_frame < 0 ? 1.0 : 0.5 - 0.5 * cos(TOUCH_PI * passed / blend_frames);
+    int64_t length = touch_play_segment_length(play, first, touch_segment_of(&play->file, (uint32_t)frame));
+    double weight = touch_blend_weight(play->file.rate_hz, frame - first, length, first + length >= count);
+    if (weight == 1.0) play->former_frame = -1;
+    return play->former_frame < 0 ? 1.0 : weight;
 }
 
 /* -- frames in the memory of the receiver ----------------------------------------------------------------------------- */
