@@ -65,6 +65,7 @@ typedef struct { /* the records of a file, compared with each other */
     uint32_t frame_count, segment_count, object_count;
     int device_type;                            /* 1 a point, 2 an array */
     touch_bytes axes, device_name, coder, parameters, index;
+    touch_bytes provenance;                     /* the payload of PROV, checked; 0 bytes: there is none */
     const char *error;                          /* what is wrong, in words */
 } touch_file;
 
@@ -492,6 +493,7 @@ static void touch_walk(touch_file *f, touch_cursor *c) {
             touch_read_head(f, &r.payload);
         } else if (r.tag == TOUCH_PROV) {
             touch_need(c, !provenance_count++ && !is_behind_segment, "PROV twice, or behind a segment");
+            f->provenance.bytes = r.payload.at, f->provenance.size = touch_left(&r.payload);
             touch_read_provenance(&r.payload);
         } else if (r.tag == TOUCH_OBJT) {
             touch_need(c, !is_behind_segment && f->object_count++ < 4096, "OBJT behind a segment, or too many");

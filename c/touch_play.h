@@ -20,15 +20,17 @@
    It plays what touch.h decodes: voxels of coder `touch`, objects and vibration. The memory is that of the decoder
    (touch_room: an upper limit by the bytes of the file, of which a file touches what it needs), thirteen times that of one
    decoded frame (of bodies: of all that the decoder has), the log, and `frames_bytes` for the frames that are decoded
-   ahead: at most `max_ahead` of them. A file of which two frames do not fit there is refused (TOUCH_MEMORY). Frames that the
-   servo has passed are not shown late; no frame is left out in advance, so that a machine that decodes more slowly than the
-   medium plays renders no force. The stiffness of walls is measured in the field; one that the file's provenance states is
-   not read: set `wall_n_per_m`.
-   Deformations, materials and tools are no part of a file: write them as touch_receiver.h says. */
+   ahead: at most `max_ahead` of them. A file of which two frames do not fit there is refused (TOUCH_MEMORY). On a machine
+   that decodes more slowly than the medium plays, frames that cannot be ready at their time are left out, and the frame
+   before is shown in their place: `left_out` counts them. For that, segments must be shorter than `max_ahead`.
+   The stiffness of walls is the one that the file's provenance states, else that of the field.
+   A table of materials that is stored with the medium is not read; `has_materials` and `notice` say so. Deformations and
+   tools are no part of a file. All three can be written as touch_receiver.h says. */
 #ifndef TOUCH_PLAY_H
 #define TOUCH_PLAY_H
 
 #include "touch.h"
+#include "touch_provenance.h"
 #include "touch_render.h"
 #include "touch_segment_blend.h"
 #include "touch_settings.h"
@@ -57,6 +59,15 @@ typedef struct { /* the fields of a frame; the last one is the vibration */
     touch_play_field *field;
 } touch_play_fields;
 
+enum { TOUCH_PLAY_DURATIONS = 16 }; /* latest frames in the mean decoding time */
+
+typedef struct { /* how long decoding takes: time of the servo's ticks, and frames that were decoded in it */
+    double seconds[TOUCH_PLAY_DURATIONS];
+    int64_t frames[TOUCH_PLAY_DURATIONS], count; /* of durations so far */
+    int64_t latest;                              /* unrolled frame, -1: none */
+    double frame_s;                              /* mean; 0: not known yet */
+} touch_play_pace;
+
 typedef struct { /* a frame in the ring */
     int64_t frame, offset;
 } touch_play_slot;
@@ -67,6 +78,9 @@ typedef struct {
     touch_receiver *receiver;
     int code;                /* why it plays no longer: TOUCH_..., and in words */
     const char *error;
+    int has_materials;       /* a table of materials is stored with the medium, and is not read */
+    const char *notice;      /* what of the file is not rendered, in words; or "" */
+    int64_t left_out;        /* frames that could not be decoded in time; read it with touch_shared */
 
     /* of the thread that decodes */
     touch_decoder decoder;
@@ -80,6 +94,8 @@ typedef struct {
     touch_play_slot *slot;   /* the frames in the ring, from first_slot on */
     int64_t first_slot, slots;
     int64_t ring_start, ring_stop, head;
+    int is_published;        /* a frame of this generation */
+    touch_play_pace pace;
     double stiffest_n_per_m;
     touch_field_wall wall;
 } touch_play;
@@ -87,8 +103,6 @@ typedef struct {
 /* -- opening ---------------------------------------------------------------------------------------------------------- */
 
 #define TOUCH_PLAY_ALIGNMENT 64
-#define TOUCH_PLAY_BLEND_S 0.1            /* length of a blend; see src/touchfield/render/segment_blend.py */
-#define TOUCH_PLAY_MAX_UNBLENDED_HZ 20.0  /* highest frame rate that is not blended */
 #define TOUCH_PLAY_FLOOR_FRACTION 1e-9    /* of F_max: a body's force below it is a rounding error at its edge */
 
 static inline int touch_play_fail(touch_play *play, int code, const char *error) {
@@ -103,11 +117,13 @@ static inline uint64_t touch_play_aligned(uint64_t bytes) {
 /* Open a file that lies in memory, and choose options for a device; TOUCH_OK, or play->code and play->error. */
 static inline int touch_play_open(touch_play *play, const void *bytes, uint64_t size, const touch_device *device) {
     memset(play, 0, sizeof *play);
-    play->error = "";
+    play->error = play->notice = "";
     int code = touch_open(&play->file, bytes, size);
     if (code) return touch_play_fail(play, code, play->file.error);
     if (!(device->force_max_n >= 1e-6 && device->force_max_n <= 1e6))
         return touch_play_fail(play, TOUCH_ARGUMENT, "a device without a greatest force");
+    play->has_materials = touch_has_materials(play->file.provenance.bytes, play->file.provenance.size);
+    if (play->has_materials) play->notice = "the materials that are stored with the medium are not rendered";
     touch_play_options *options = &play->options;
     options->render = touch_render_defaults(), options->device = *device;
     options->blends = 1, options->speed = 1.0;
@@ -211,14 +227,13 @@ static inline int touch_play_gather(const touch_field *field, touch_arena *arena
 
 /* -- blends of segments ----------------------------------------------------------------------------------------------- */
 
-/* Frames from the start of a segment that are blended: the part of it that can be, at most. */
-static inline double touch_play_blend_frames(const touch_play *play, int64_t first, uint32_t segment) {
-    double frames = TOUCH_PLAY_BLEND_S * play->file.rate_hz;
-    int64_t length = 1, enough = (int64_t)(2.0 * frames) + 2, count = play->file.frame_count;
+/* Frames of a segment; as many as a blend can take, if there are more. */
+static inline int64_t touch_play_segment_length(const touch_play *play, int64_t first, uint32_t segment) {
+    int64_t length = 1, enough = (int64_t)(2.0 * TOUCH_BLEND_S * play->file.rate_hz) + 2, count = play->file.frame_count;
     while (length < enough && first + length < count &&
            touch_segment_of(&play->file, (uint32_t)(first + length)) == segment)
         length++;
-    return first + length < count ? touch_fmin(frames, 0.5 * (double)length) : frames;
+    return length;
 }
 
 /* The first frame of the segment that has a frame. */
@@ -276,7 +291,7 @@ static inline void touch_play_blend(const touch_blend_rule *rule, const touch_pl
 /* The weight of a frame against the last one of the segment before; 1: it is not blended. */
 static inline double touch_play_weight(touch_play *play, int64_t frame) {
     int64_t count = play->file.frame_count, first = touch_play_first_of(play, frame);
-    if (!play->options.blends || count == 1 || play->file.rate_hz <= TOUCH_PLAY_MAX_UNBLENDED_HZ) return 1.0;
+    if (!play->options.blends || count == 1 || play->file.rate_hz <= TOUCH_MAX_UNBLENDED_HZ) return 1.0;
     if (frame == first) {
         touch_play_fields *latest = play->latest;
         play->former_frame = play->latest_frame >= 0 && (play->latest_frame + 1) % count == frame ? play->latest_frame : -1;
@@ -284,10 +299,10 @@ static inline double touch_play_weight(touch_play *play, int64_t frame) {
     } else if (!(first <= play->latest_frame && play->latest_frame < frame)) {
         play->former_frame = -1;
     }
-    double blend_frames = touch_play_blend_frames(play, first, touch_segment_of(&play->file, (uint32_t)frame));
-    double passed = (double)(frame - first + 1);
-    if (passed >= blend_frames) play->former_frame = -1;
-    return play->former_frame < 0 ? 1.0 : 0.5 - 0.5 * cos(TOUCH_PI * passed / blend_frames);
+    int64_t length = touch_play_segment_length(play, first, touch_segment_of(&play->file, (uint32_t)frame));
+    double weight = touch_blend_weight(play->file.rate_hz, frame - first, length, first + length >= count);
+    if (weight == 1.0) play->former_frame = -1;
+    return play->former_frame < 0 ? 1.0 : weight;
 }
 
 /* -- frames in the memory of the receiver ----------------------------------------------------------------------------- */
@@ -504,6 +519,8 @@ static inline int touch_play_choose_walls(touch_play *play) {
         if (render->rendering == TOUCH_RENDER_AUTO) return TOUCH_OK;
         return touch_play_fail(play, TOUCH_ARGUMENT, "a field without walls has no proxy");
     }
+    double stated_n_per_m = touch_stated_wall(play->file.provenance.bytes, play->file.provenance.size);
+    if (stated_n_per_m > 0.0) play->wall.stiffness_n_per_m = stated_n_per_m;
     if (render->wall_n_per_m > 0.0) play->wall.stiffness_n_per_m = render->wall_n_per_m;
     settings->wall_n_per_m = play->wall.stiffness_n_per_m, settings->wall_level_n = play->wall.level_n;
     touch_play_adapt(play, play->wall.stiffness_n_per_m);
@@ -592,7 +609,7 @@ static inline int touch_play_start(touch_play *play, void *memory) {
     if (play->code) return play->code;
     if (!memory) return touch_play_fail(play, TOUCH_MEMORY, "no memory");
     if (!touch_play_check(play)) return touch_play_fail(play, TOUCH_ARGUMENT, "options that cannot be played");
-    play->decoded = play->latest_frame = play->former_frame = -1, play->generation = 1;
+    play->decoded = play->latest_frame = play->former_frame = play->pace.latest = -1, play->generation = 1;
     if (touch_play_divide(play, memory)) return play->code;
     touch_play_lay_out(play);
     touch_receiver *receiver = play->receiver;
@@ -609,18 +626,73 @@ static inline int touch_play_start(touch_play *play, void *memory) {
 
 /* -- the thread that decodes ------------------------------------------------------------------------------------------ */
 
+/* Frames that must be decoded for an unrolled frame: from the latest one on, or from the start of its segment. */
+static inline int64_t touch_play_decode_count(const touch_play *play, int64_t frame) {
+    int64_t index = frame % play->file.frame_count, latest = play->pace.latest;
+    int64_t start = frame - index + touch_play_first_of(play, index);
+    return frame - (start <= latest && latest < frame ? latest : start - 1);
+}
+
+/* Note that an unrolled frame was decoded, at the times of the latest ticks before and after. The first frame tells nothing:
+   it is perhaps the first use of code and memory. */
+static inline void touch_play_note_duration(touch_play *play, int64_t frame, int64_t before_ns, int64_t after_ns) {
+    touch_play_pace *pace = &play->pace;
+    if (pace->latest >= 0 && before_ns) {
+        double seconds = 0.0, frames = 0.0;
+        int64_t n = pace->count++ % TOUCH_PLAY_DURATIONS;
+        pace->seconds[n] = 1e-9 * (double)(after_ns - before_ns), pace->frames[n] = touch_play_decode_count(play, frame);
+        for (n = 0; n < pace->count && n < TOUCH_PLAY_DURATIONS; n++)
+            seconds += pace->seconds[n], frames += (double)pace->frames[n];
+        pace->frame_s = seconds / frames;
+    }
+    pace->latest = frame;
+}
+
+#define TOUCH_PLAY_TIME_MARGIN 1.5 /* time that must be left to start a frame, over its expected time */
+
+/* The first frame, before `stop`, that can be ready at its time; else `stop` if the medium ends there, or the next one. */
+static inline int64_t touch_play_first_reachable(const touch_play *play, int64_t stop) {
+    const touch_receiver *receiver = play->receiver;
+    double media_s = touch_shared_double(&receiver->clock.media_s), speed = touch_shared_double(&receiver->clock.speed);
+    if (play->pace.frame_s <= 0.0) return play->next;
+    for (int64_t frame = play->next; frame < stop; frame++) {
+        double left_s = ((double)frame / play->file.rate_hz - media_s) / speed;
+        if (TOUCH_PLAY_TIME_MARGIN * play->pace.frame_s * (double)touch_play_decode_count(play, frame) <= left_s) return frame;
+    }
+    return !receiver->layout.is_loop && stop == receiver->layout.frame_count ? stop : play->next;
+}
+
+/* Count frames that are left out. */
+static inline void touch_play_leave_out(touch_play *play, int64_t frames) {
+    touch_share(&play->left_out, play->left_out + frames);
+}
+
+/* Show the previous frame in place of those that cannot be ready in time. 0: no frame is left. */
+static inline int touch_play_drop_late(touch_play *play, int64_t needed) {
+    touch_receiver *receiver = play->receiver;
+    int64_t feed = touch_shared(&receiver->clock.feed), stop = needed + receiver->layout.directory_slots - 1;
+    int64_t is_loop = receiver->layout.is_loop, count = receiver->layout.frame_count;
+    if (receiver->layout.is_simulated || touch_shared(&receiver->clock.mode) != TOUCH_PLAYING) return 1;
+    if (feed != TOUCH_RUNNING && feed != TOUCH_STALLED) return 1;
+    if (!is_loop && count < stop) stop = count;
+    int64_t frame = touch_play_first_reachable(play, stop);
+    if (frame > play->next) {
+        touch_play_slot *slot = play->slots ? touch_play_slot_at(play, play->slots - 1) : NULL;
+        if (slot && slot->frame < frame) slot->frame = frame - 1; /* until then it is not overwritten */
+        for (int64_t n = play->next; slot && n < frame; n++) touch_publish(receiver, play->generation, n, slot->offset);
+        touch_play_leave_out(play, frame - play->next);
+        play->next = frame;
+    }
+    return is_loop || frame < count;
+}
+
 /* Follow a seek: a new generation of frames. 0: the order is being written. */
 static inline int touch_play_follow_orders(touch_play *play) {
-    const touch_orders *orders = &play->receiver->orders;
-    int64_t sequence = touch_shared(&orders->sequence);
-    TOUCH_FENCE();
-    int64_t generation = touch_shared(&orders->generation);
-    double start_s = orders->start_s;
-    TOUCH_FENCE();
-    if ((sequence & 1) || touch_shared(&orders->sequence) != sequence) return 0;
-    if (generation == play->generation) return 1;
-    play->generation = generation, play->next = touch_unrolled_frame(start_s, play->file.rate_hz);
-    play->is_ready = 0, play->latest_frame = play->former_frame = -1;
+    touch_orders orders;
+    if (!touch_read_orders(play->receiver, &orders)) return 0;
+    if (orders.generation == play->generation) return 1;
+    play->generation = orders.generation, play->next = touch_unrolled_frame(orders.start_s, play->file.rate_hz);
+    play->is_ready = play->is_published = 0, play->latest_frame = play->former_frame = -1;
     play->slots = 0, play->head = play->ring_start;
     return 1;
 }
@@ -638,8 +710,17 @@ static inline int touch_play_publish(touch_play *play, int64_t needed) {
     offset = touch_play_write_frame(play, offset);
     if (!offset) return 0;
     touch_publish(play->receiver, play->generation, play->next, offset);
-    play->next++, play->is_ready = 0;
+    play->next++, play->is_ready = 0, play->is_published = 1;
     return 1;
+}
+
+/* Decode the next frame, and measure how long that takes. */
+static inline int touch_play_prepare_next(touch_play *play) {
+    const int64_t *clock_ns = &play->receiver->counts.last_ns;
+    int64_t before_ns = touch_shared(clock_ns);
+    if (touch_play_prepare(play, play->next % play->file.frame_count)) return 0;
+    touch_play_note_duration(play, play->next, before_ns, touch_shared(clock_ns));
+    return play->is_ready = 1;
 }
 
 static inline int touch_play_step(touch_play *play) {
@@ -648,12 +729,15 @@ static inline int touch_play_step(touch_play *play) {
     int64_t needs = touch_shared(&receiver->clock.needs), needed = needs & (((int64_t)1 << TOUCH_FRAME_BITS) - 1);
     int64_t count = receiver->layout.frame_count;
     int is_accepted = needs >> TOUCH_FRAME_BITS == play->generation;
-    if (is_accepted && needed > play->next) play->next = needed, play->is_ready = 0; /* the servo has passed these */
+    if (is_accepted && needed > play->next) { /* the servo has passed these */
+        if (play->is_published) touch_play_leave_out(play, needed - play->next);
+        play->next = needed, play->is_ready = 0;
+    }
     if (!receiver->layout.is_loop && play->next >= count) return 0;
     if (is_accepted && play->next >= needed + receiver->layout.directory_slots - 1) return 0;
     if (!play->is_ready) {
-        if (touch_play_prepare(play, play->next % count)) return 0;
-        play->is_ready = 1;
+        if (is_accepted && !touch_play_drop_late(play, needed)) return 1;
+        if (!touch_play_prepare_next(play)) return 0;
     }
     return is_accepted && touch_play_publish(play, needed);
 }
@@ -695,7 +779,7 @@ static inline int touch_play_is_over(const touch_play *play) {
     const touch_orders *orders = &play->receiver->orders;
     if (touch_shared(&clock->sequence_seen) != orders->sequence) return 0;
     int64_t feed = touch_shared(&clock->feed);
-    int is_starved = feed == TOUCH_STALLED || feed == TOUCH_WAITING || clock->mode != TOUCH_PLAYING;
+    int is_starved = feed == TOUCH_STALLED || feed == TOUCH_WAITING || touch_shared(&clock->mode) != TOUCH_PLAYING;
     return (feed == TOUCH_ENDED || (touch_shared(&orders->has_feed_failed) && is_starved)) &&
            touch_shared(&clock->is_resting);
 }

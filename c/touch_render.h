@@ -56,9 +56,23 @@
 #define TOUCH_FENCE() MemoryBarrier()
 #endif
 
-/* Numbers that another program writes, or reads, while this one runs. */
+/* Numbers that another thread writes, or reads, while this one runs: what was written before a number is seen by who has
+   seen the number. */
+#if defined(__GNUC__) || defined(__clang__)
+static inline int64_t touch_shared(const int64_t *number) { return __atomic_load_n(number, __ATOMIC_ACQUIRE); }
+static inline void touch_share(int64_t *number, int64_t value) { __atomic_store_n(number, value, __ATOMIC_RELEASE); }
+static inline void touch_share_double(double *number, double value) { __atomic_store(number, &value, __ATOMIC_RELEASE); }
+static inline double touch_shared_double(const double *number) {
+    double value;
+    __atomic_load(number, &value, __ATOMIC_ACQUIRE);
+    return value;
+}
+#else
 static inline int64_t touch_shared(const int64_t *number) { return *(const volatile int64_t *)number; }
 static inline void touch_share(int64_t *number, int64_t value) { *(volatile int64_t *)number = value; }
+static inline void touch_share_double(double *number, double value) { *(volatile double *)number = value; }
+static inline double touch_shared_double(const double *number) { return *(const volatile double *)number; }
+#endif
 
 static inline int64_t touch_tag(int64_t generation, int64_t unrolled_frame) {
     return (int64_t)((uint64_t)generation << TOUCH_FRAME_BITS) | unrolled_frame;
@@ -157,7 +171,7 @@ static inline void touch_count_time(touch_receiver *receiver, int64_t now_ns) {
         following += missed * tick_ns;
     }
     clock->deadline_ns = following;
-    counts->last_ns = now_ns;
+    touch_share(&counts->last_ns, now_ns);
     touch_share(&counts->ticks, counts->ticks + 1);
 }
 
@@ -169,11 +183,11 @@ static inline void touch_give_order(touch_receiver *receiver, int64_t generation
     touch_orders *orders = &receiver->orders;
     touch_share(&orders->sequence, orders->sequence + 1);
     TOUCH_FENCE();
-    orders->generation = generation;
-    orders->start_s = start_s;
-    orders->speed = speed;
-    orders->mode = mode;
-    orders->is_stopping = is_stopping;
+    touch_share(&orders->generation, generation);
+    touch_share_double(&orders->start_s, start_s);
+    touch_share_double(&orders->speed, speed);
+    touch_share(&orders->mode, mode);
+    touch_share(&orders->is_stopping, is_stopping);
     TOUCH_FENCE();
     touch_share(&orders->sequence, orders->sequence + 1);
 }
@@ -210,30 +224,40 @@ static inline void touch_anchor(touch_clock *clock, double media_s, double clock
     clock->anchor_clock_s = clock_s;
 }
 
+/* The latest order of the player; 0: it is being written, and will be complete later. */
+static inline int touch_read_orders(const touch_receiver *receiver, touch_orders *out) {
+    const touch_orders *orders = &receiver->orders;
+    out->sequence = touch_shared(&orders->sequence);
+    TOUCH_FENCE();
+    out->generation = touch_shared(&orders->generation);
+    out->start_s = touch_shared_double(&orders->start_s);
+    out->speed = touch_shared_double(&orders->speed);
+    out->mode = touch_shared(&orders->mode);
+    out->is_stopping = touch_shared(&orders->is_stopping);
+    TOUCH_FENCE();
+    return !(out->sequence & 1) && touch_shared(&orders->sequence) == out->sequence;
+}
+
 /* Take the latest order of the player, if it is complete and new. */
 static inline void touch_take_order(touch_receiver *receiver, double clock_s) {
     touch_clock *clock = &receiver->clock;
-    int64_t sequence = touch_shared(&receiver->orders.sequence);
-    if (sequence == clock->sequence_seen || (sequence & 1)) return;
-    TOUCH_FENCE();
-    touch_orders orders = receiver->orders;
-    TOUCH_FENCE();
-    if (touch_shared(&receiver->orders.sequence) != sequence) return; /* written meanwhile; the next tick will have it */
+    touch_orders orders;
+    if (!touch_read_orders(receiver, &orders) || orders.sequence == clock->sequence_seen) return;
     double media_s = touch_media_time(clock, clock_s);
     if (orders.generation != clock->generation) {
         clock->generation = orders.generation;
-        clock->feed = TOUCH_READY;
+        touch_share(&clock->feed, TOUCH_READY);
         media_s = orders.start_s;
     } else if (orders.mode != clock->mode && clock->feed != TOUCH_ENDED) {
-        clock->feed = TOUCH_READY;
+        touch_share(&clock->feed, TOUCH_READY);
     }
-    clock->media_s = media_s;
+    touch_share_double(&clock->media_s, media_s);
     touch_anchor(clock, media_s, clock_s);
-    clock->speed = orders.speed;
-    clock->mode = orders.mode;
+    touch_share_double(&clock->speed, orders.speed);
+    touch_share(&clock->mode, orders.mode);
     clock->is_stop_ordered = orders.is_stopping;
     TOUCH_FENCE();
-    touch_share(&clock->sequence_seen, sequence); /* last: who sees it sees no state of the order before */
+    touch_share(&clock->sequence_seen, orders.sequence); /* last: who sees it sees no state of the order before */
 }
 
 /* Where an unrolled frame lies; 0 if it is not there. */
@@ -249,7 +273,7 @@ static inline void touch_use_frames(touch_receiver *receiver, double media_s, do
     touch_clock *clock = &receiver->clock;
     if (clock->mode == TOUCH_PLAYING && clock->feed != TOUCH_RUNNING) {
         touch_anchor(clock, media_s, clock_s);
-        clock->feed = TOUCH_RUNNING;
+        touch_share(&clock->feed, TOUCH_RUNNING);
     }
     int64_t tag = touch_tag(clock->generation, unrolled_frame);
     if (tag != clock->used) {
@@ -265,10 +289,10 @@ static inline void touch_wait_for_frames(touch_receiver *receiver, double media_
     int is_over = is_silent || touch_shared(&receiver->orders.has_feed_failed); /* no frame will come */
     if (clock->mode != TOUCH_PLAYING) return;
     if (clock->feed == TOUCH_RUNNING) {
-        clock->feed = TOUCH_STALLED;
+        touch_share(&clock->feed, TOUCH_STALLED);
         counts->underruns += !is_over;
     } else if (clock->feed == TOUCH_READY) {
-        clock->feed = TOUCH_WAITING;
+        touch_share(&clock->feed, TOUCH_WAITING);
         counts->waits++;
     }
     if (clock->feed == TOUCH_STALLED)
@@ -276,7 +300,7 @@ static inline void touch_wait_for_frames(touch_receiver *receiver, double media_
     else
         counts->waiting_ticks++;
     if (is_over) {
-        clock->media_s = media_s;
+        touch_share_double(&clock->media_s, media_s);
         touch_anchor(clock, media_s, clock_s);
     }
 }
@@ -291,15 +315,15 @@ static inline touch_frames touch_find_frames(touch_receiver *receiver, double cl
     if (count > 1) {
         int64_t frame = none.first_frame = touch_unrolled_frame(media_s, rate_hz);
         if (!is_loop && frame >= count) {
-            clock->media_s = (double)count / rate_hz;
-            clock->feed = TOUCH_ENDED;
+            touch_share_double(&clock->media_s, (double)count / rate_hz);
+            touch_share(&clock->feed, TOUCH_ENDED);
             none.first_frame = count;
             return none;
         }
         following = frame == count - 1 && !is_loop ? frame : frame + 1;
         found.blend = touch_clamp(media_s * rate_hz - (double)frame, 0.0, 1.0);
     }
-    clock->media_s = media_s;
+    touch_share_double(&clock->media_s, media_s);
     if (clock->mode == TOUCH_PLAYING) receiver->counts.played_ticks++;
     if (clock->mode == TOUCH_IDLE) return none;
     found.first_frame = none.first_frame;

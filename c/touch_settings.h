@@ -1,6 +1,7 @@
-/* touch_settings.h: the settings of a receiver (touch_settings in touch_receiver.h) for a device and a medium, as
-   src/touchfield/render/spec.py chooses them: limits of the force, damper in contact, virtual coupling, walls for the proxy.
-   A caller may change any of them before the first tick. */
+/* touch_settings.h: chooses the settings of a receiver (touch_settings in touch_receiver.h) for a device and a medium: limits
+   of the force, damper in contact, virtual coupling, walls for the proxy. touch_play.h and Python (render/spec.py) call it.
+   A caller may change any of them before the first tick. Python has the types of the first two structs from this file
+   (c/python/receiver_layout.py); therefore every number of them has eight bytes. */
 #ifndef TOUCH_SETTINGS_H
 #define TOUCH_SETTINGS_H
 
@@ -10,16 +11,15 @@
 typedef struct { /* what the maker of a device states; 0: not stated, or none */
     double force_max_n, force_continuous_n;
     double torque_max_nm, torque_continuous_nm;
-    double delay_s;           /* from a position to the effect of its force, without sampling and hold; 0: 1 ms */
-    double inertia_kg;        /* 0: that of the smallest desktop devices */
+    double delay_s;           /* from a position to the effect of its force, without sampling and hold; 0: 1 ms; -1: none */
+    double inertia_kg;        /* 0: that of the smallest desktop devices; -1: none */
     double damping_n_s_per_m, friction_n;
     double resolution_m;      /* a step of the encoder */
 } touch_device;
 
 enum { TOUCH_RENDER_AUTO, TOUCH_RENDER_PROXY, TOUCH_RENDER_FIELD }; /* AUTO: a proxy where the field has walls */
 
-#define TOUCH_OF_MEDIUM (-1.0) /* for friction and damping */
-#define TOUCH_STABLE (-1.0)    /* for the coupling: the one that the loop can render */
+enum { TOUCH_OF_MEDIUM = -1, TOUCH_STABLE = -1 }; /* for friction and damping; for the coupling that the loop can render */
 
 typedef struct { /* options of the renderer; touch_render_defaults has values that are safe for a hand */
     double rate_hz;           /* of the ticks */
@@ -27,7 +27,7 @@ typedef struct { /* options of the renderer; touch_render_defaults has values th
     double damping_n_s_per_m; /* everywhere, or TOUCH_OF_MEDIUM: the medium's, and in contact the stable value */
     double slip_speed_m_s;
     double coupling_n_per_m;  /* 0: none; or TOUCH_STABLE */
-    int is_passive;
+    int64_t is_passive;
     double scale;             /* metres of the field for a metre of the device */
     touch_vector clutch_m;    /* point of the field at the device's origin */
     touch_matrix axes;        /* rotates a vector of the device into one of the field */
@@ -37,7 +37,7 @@ typedef struct { /* options of the renderer; touch_render_defaults has values th
     double thermal_s;         /* of the heat that lets the force exceed the continuous limit for a while */
     double ramp_s;            /* in which the force goes to zero when there is no frame, and returns */
     double velocity_cutoff_hz;
-    int rendering;            /* TOUCH_RENDER_... */
+    int64_t rendering;        /* TOUCH_RENDER_... */
     double wall_n_per_m;      /* stiffness of the proxy's walls; 0: the field's own */
 } touch_render_options;
 
@@ -57,6 +57,7 @@ static inline touch_render_options touch_render_defaults(void) {
 
 #define TOUCH_PEAK_RISE_S 0.005 /* the default slew limit lets the force rise from zero to its peak in this time */
 #define TOUCH_DEFAULT_DELAY_S 1e-3
+#define TOUCH_MIN_INERTIA_KG 0.045
 #define TOUCH_RAMP_MARGIN_S 1.0
 #define TOUCH_MAX_RAMP_S 10.0
 
@@ -77,23 +78,29 @@ static inline double touch_ramp_limit_s(const touch_limits *limits, double ramp_
 }
 
 static inline double touch_delay_s(const touch_device *device) {
-    return device->delay_s > 0.0 ? device->delay_s : TOUCH_DEFAULT_DELAY_S;
+    return device->delay_s == 0.0 ? TOUCH_DEFAULT_DELAY_S : touch_fmax(device->delay_s, 0.0);
+}
+
+static inline double touch_inertia_kg(const touch_device *device) {
+    return device->inertia_kg == 0.0 ? TOUCH_MIN_INERTIA_KG : touch_fmax(device->inertia_kg, 0.0);
 }
 
 static inline double touch_determinant(const touch_matrix *m) {
     return touch_dot(m->row[0], touch_cross(m->row[1], m->row[2]));
 }
 
-/* Write all settings but those of walls, damper in contact and coupling, and the state before the first tick. Friction and
-   damping are those of the medium. */
+/* Write all settings but those of walls and of the stable damper and coupling, and the state before the first tick. Friction
+   and damping are those of the medium. */
 static inline void touch_choose_settings(touch_receiver *receiver, const touch_render_options *options,
                                          const touch_device *device, double friction, double damping_n_s_per_m) {
     touch_settings *settings = &receiver->settings;
     memset(settings, 0, sizeof *settings), memset(&receiver->state, 0, sizeof receiver->state);
+    memset(&receiver->grip, 0, sizeof receiver->grip);
     settings->rate_hz = options->rate_hz;
     settings->friction = options->friction >= 0.0 ? options->friction : friction;
     settings->damping_n_s_per_m = options->damping_n_s_per_m >= 0.0 ? options->damping_n_s_per_m : damping_n_s_per_m;
     settings->slip_speed_m_s = options->slip_speed_m_s;
+    settings->coupling_n_per_m = touch_fmax(options->coupling_n_per_m, 0.0);
     settings->is_passive = options->is_passive;
     settings->scale = options->scale, settings->clutch_m = options->clutch_m, settings->axes = options->axes;
     settings->handedness = touch_determinant(&options->axes) < 0.0 ? -1.0 : 1.0;
@@ -111,7 +118,7 @@ static inline void touch_choose_settings(touch_receiver *receiver, const touch_r
     receiver->grip.orientation[0] = 1.0;
     double ramp_s = touch_fmax(touch_ramp_limit_s(&settings->force_limits, options->ramp_s),
                                touch_ramp_limit_s(&settings->torque_limits, options->ramp_s));
-    receiver->layout.ramp_limit_ns = (int64_t)(1e9 * ramp_s);
+    receiver->layout.ramp_limit_ns = (int64_t)(1e9 * ramp_s + 0.5);
 }
 
 /* -- damper in contact and coupling ----------------------------------------------------------------------------------- */
@@ -124,7 +131,6 @@ static inline void touch_choose_settings(touch_receiver *receiver, const touch_r
    stiffer field is rendered through a coupling; but a stiffness that Colgate's rule allows for the bare device is rendered
    to within 8 %. */
 
-#define TOUCH_MIN_INERTIA_KG 0.045
 #define TOUCH_HAND_KG 0.05
 #define TOUCH_SAFETY_FACTOR 2.0
 #define TOUCH_MAX_PHASE_SQUARED 0.4       /* (w L)^2, for the oscillation w of hand and wall */
@@ -137,7 +143,7 @@ static inline double touch_max_stiffness(const touch_device *device, const touch
     double tick_s = 1.0 / options->rate_hz, b = device->damping_n_s_per_m;
     double smoothing = -expm1(-2.0 * TOUCH_PI * options->velocity_cutoff_hz * tick_s);
     double damper_lag_s = lag_s + tick_s / 2.0 + tick_s * (1.0 - smoothing) / smoothing;
-    double mass = TOUCH_HAND_KG + (device->inertia_kg > 0.0 ? device->inertia_kg : TOUCH_MIN_INERTIA_KG);
+    double mass = TOUCH_HAND_KG + touch_inertia_kg(device);
     double max_k = touch_fmin((mass / (2.0 * damper_lag_s) + b) / (TOUCH_SAFETY_FACTOR * lag_s),
                               TOUCH_MAX_PHASE_SQUARED * mass / (damper_lag_s * damper_lag_s));
     if (device->resolution_m > 0.0) {
@@ -147,22 +153,37 @@ static inline double touch_max_stiffness(const touch_device *device, const touch
     return touch_fmax(max_k, k * lag_s < b ? TOUCH_MIN_STIFFNESS_FRACTION * k : 0.0);
 }
 
-/* Write the damper in contact and the coupling for a medium with this largest slope; the ticks approach them slowly. */
-static inline void touch_choose_stability(touch_settings *settings, const touch_render_options *options,
-                                          const touch_device *device, double damping_n_s_per_m, double stiffest_n_per_m) {
+typedef struct { /* damper in contact and coupling, in units of the field, 0: none; what is rendered, in those of the device */
+    double brake_n_s_per_m, coupling_n_per_m;
+    double rendered_n_per_m; /* of the medium's largest slope */
+    double bare_n_per_m;     /* that the device alone can render */
+} touch_stability;
+
+/* The damper in contact and the coupling for a medium with this damping and largest slope. */
+static inline touch_stability touch_stability_of(const touch_render_options *options, const touch_device *device,
+                                                 double damping_n_s_per_m, double stiffest_n_per_m) {
+    touch_stability chosen = {0.0, 0.0, 0.0, 0.0};
     double lag_s = 0.5 / options->rate_hz + touch_delay_s(device), scale = options->scale * options->force_scale;
     double field_k = scale * stiffest_n_per_m, coupling = scale * touch_fmax(options->coupling_n_per_m, 0.0), brake = 0.0;
     if (options->coupling_n_per_m < 0.0 && field_k > 0.0) {
         double max_k = touch_max_stiffness(device, options, field_k, lag_s);
         coupling = field_k > max_k ? field_k * max_k / (field_k - max_k) : 0.0;
     }
-    double rendered_k = field_k;
-    if (coupling > 0.0) rendered_k = field_k > 0.0 ? 1.0 / (1.0 / field_k + 1.0 / coupling) : 0.0;
+    chosen.rendered_n_per_m = field_k;
+    if (coupling > 0.0) chosen.rendered_n_per_m = field_k > 0.0 ? 1.0 / (1.0 / field_k + 1.0 / coupling) : 0.0;
     if (options->damping_n_s_per_m < 0.0)
-        brake = touch_fmax(0.0, TOUCH_SAFETY_FACTOR * rendered_k * lag_s - device->damping_n_s_per_m -
+        brake = touch_fmax(0.0, TOUCH_SAFETY_FACTOR * chosen.rendered_n_per_m * lag_s - device->damping_n_s_per_m -
                                     scale * damping_n_s_per_m);
-    settings->brake_n_s_per_m = scale > 0.0 ? brake / scale : 0.0;
-    settings->coupling_n_per_m = scale > 0.0 ? coupling / scale : 0.0;
+    if (scale > 0.0) chosen.brake_n_s_per_m = brake / scale, chosen.coupling_n_per_m = coupling / scale;
+    chosen.bare_n_per_m = device->damping_n_s_per_m / lag_s;
+    return chosen;
+}
+
+/* Write the damper in contact and the coupling; the ticks approach them slowly. */
+static inline void touch_choose_stability(touch_settings *settings, const touch_render_options *options,
+                                          const touch_device *device, double damping_n_s_per_m, double stiffest_n_per_m) {
+    touch_stability chosen = touch_stability_of(options, device, damping_n_s_per_m, stiffest_n_per_m);
+    settings->brake_n_s_per_m = chosen.brake_n_s_per_m, settings->coupling_n_per_m = chosen.coupling_n_per_m;
 }
 
 /* -- slopes and walls of a field -------------------------------------------------------------------------------------- */
@@ -197,7 +218,7 @@ static inline double touch_stiffest_n_per_m(const touch_cells *cells, int64_t br
 #define TOUCH_WALL_MAX_LEVEL_N 0.05
 #define TOUCH_WALL_LEVEL_FRACTION 0.1       /* level of the surface, over a large force */
 
-typedef struct { /* stiffness 0: there is no wall */
+typedef struct { /* stiffness 0: there is no wall; level: force at the surface */
     double stiffness_n_per_m, level_n;
 } touch_field_wall;
 

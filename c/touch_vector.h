@@ -11,6 +11,8 @@
 #define TOUCH_INLINE static inline
 #endif
 
+#define TOUCH_PI 3.14159265358979323846
+
 typedef struct {
     double x, y, z;
 } touch_vector;

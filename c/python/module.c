@@ -11,6 +11,7 @@
 #include "query.h"
 #include "receiver.h"
 #include "segments.h"
+#include "settings.h"
 
 static PyMethodDef methods[] = {
     SEGMENTS_METHODS,
@@ -18,6 +19,7 @@ static PyMethodDef methods[] = {
     QUERY_METHODS,
     FIELDS_METHODS,
     RECEIVER_METHODS,
+    SETTINGS_METHODS,
     HAND_METHODS,
     {NULL, NULL, 0, NULL},
 };

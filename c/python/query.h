@@ -1,11 +1,10 @@
-/* Queries of a field, and what they need: cells, placed objects, slopes and blends (_native.pyi). */
+/* Queries of a field, and what they need: cells, placed objects and blends (_native.pyi). */
 #ifndef TOUCHFIELD_QUERY_H
 #define TOUCHFIELD_QUERY_H
 
 #include "../touch_batch.h"
 #include "../touch_placed.h"
 #include "../touch_segment_blend.h"
-#include "../touch_slopes.h"
 #include "arguments.h"
 
 /* -- arguments -------------------------------------------------------------------------------------------------------- */
@@ -430,27 +429,15 @@ static PyObject *native_fill_lattice(PyObject *module, PyObject *arguments) {
     return done(&arrays, is_done);
 }
 
-/* -- slopes and blends ------------------------------------------------------------------------------------------------ */
+/* -- blends ----------------------------------------------------------------------------------------------------------- */
 
-static PyObject *native_count_slopes(PyObject *module, PyObject *arguments) {
-    PyObject *samples, *supported, *counts;
-    touch_vector samples_per_m;
-    int64_t bricks = -1, bins = TOUCH_SLOPE_BINS;
-    buffer_list arrays;
-    int64_t *count = NULL;
+static PyObject *native_blend_weight(PyObject *module, PyObject *arguments) {
+    double rate_hz;
+    long long index, length;
+    int is_last;
     (void)module;
-    memset(&arrays, 0, sizeof arrays);
-    if (!PyArg_ParseTuple(arguments, "OO(ddd)O", &samples, &supported, &samples_per_m.x, &samples_per_m.y, &samples_per_m.z,
-                          &counts))
-        return NULL;
-    const uint64_t *support = (const uint64_t *)add_numbers(&arrays, supported, 8, &bricks);
-    const float *sample = support ? (const float *)add_array(&arrays, samples, 4 * (uint64_t)TOUCH_NEXT_BRICK, &bricks) : NULL;
-    if (sample && (count = (int64_t *)add_output(&arrays, counts, 8, &bins))) {
-        PyThreadState *state = PyEval_SaveThread();
-        touch_count_slopes(sample, support, bricks, samples_per_m, count);
-        PyEval_RestoreThread(state);
-    }
-    return done(&arrays, count != NULL);
+    if (!PyArg_ParseTuple(arguments, "dLLi", &rate_hz, &index, &length, &is_last)) return NULL;
+    return PyFloat_FromDouble(touch_blend_weight(rate_hz, index, length, is_last));
 }
 
 /* The brick indices of both frames are checked, as they are followed. */
@@ -506,7 +493,7 @@ static PyObject *native_blend_bricks(PyObject *module, PyObject *arguments) {
     {"placed_at_points", native_placed_at_points, METH_VARARGS, "Forces of placed objects at points."}, \
     {"find_reached", native_find_reached, METH_VARARGS, "The bricks of a lattice that objects may reach."}, \
     {"fill_lattice", native_fill_lattice, METH_VARARGS, "Forces of placed objects on a lattice."}, \
-    {"count_slopes", native_count_slopes, METH_VARARGS, "A histogram of slopes."}, \
+    {"blend_weight", native_blend_weight, METH_VARARGS, "The weight of a frame."}, \
     {"blend_bricks", native_blend_bricks, METH_VARARGS, "Bricks between two segments."}
 /* clang-format on */
 

@@ -4,6 +4,7 @@
 #define TOUCHFIELD_RECEIVER_H
 
 #include "../touch_openhaptics.h"
+#include "../touch_settings.h"
 #include "arguments.h"
 #include "receiver_layout.h"
 

@@ -145,6 +145,45 @@ def receiver_layout() -> list[tuple[str, int]]:
 def openhaptics_callback() -> tuple[int, int, int]:
     """Addresses of `touch_openhaptics_callback` and `touch_receiver_tick`; the size of a `touch_driver`."""
 
+# -- settings of a receiver (c/touch_settings.h): `options` is a `layout.RENDER_OPTIONS`, `device` a
+# `layout.DEVICE`; `cells` is the `touch_cells` of a field, of so many bricks
+
+def choose_settings(
+    memory: Buffer, options: Buffer, device: Buffer, friction: float, damping_n_s_per_m: float
+) -> None:
+    """Write settings, and the state before the first tick (`touch_choose_settings`).
+
+    Friction and damping are those of the medium. Walls, and the stable damper and coupling, are not written.
+    """
+
+def choose_stability(
+    options: Buffer, device: Buffer, damping_n_s_per_m: float, stiffest_n_per_m: float
+) -> tuple[float, float, float, float]:
+    """The damper in contact, N s/m, and the coupling, N/m, in the units of the field (`touch_stability_of`).
+
+    Also returns the stiffness that is then rendered, and that of the device alone, N/m of the device.
+    """
+
+def stiffest_slope(cells: Buffer, bricks: int) -> float:
+    """The largest slope of a force against its own direction, N/m (`touch_stiffest_n_per_m`)."""
+
+def find_wall(
+    bricks: Buffer,
+    forces: Buffer,
+    spacing_m: tuple[float, float, float],
+    origin_m: tuple[float, float, float],
+    cells: Buffer,
+    cell_bricks: int,
+) -> tuple[float, float]:
+    """Stiffness, N/m, and level, N, of the wall in a field; zeros if there is none (`touch_find_wall`).
+
+    Bricks int32 [n, 3] are ascending, forces float32 [n, 8, 8, 8, 3].
+    """
+
+def specified_wall(spec: Buffer) -> float:
+    """The stiffness of walls in the specification of an encoder, UTF-8 JSON, N/m; 0 if it states no valid
+    one (`touch_specified_wall` of c/touch_provenance.h)."""
+
 # -- fields in bricks
 
 def sample_field(index: Buffer, shape: Shape, keys: Buffer, forces: Buffer, out: Buffer) -> None:
@@ -336,11 +375,9 @@ def fill_lattice(
     is initially zero.
     """
 
-def count_slopes(
-    cells: Buffer, supported: Buffer, samples_per_m: tuple[float, float, float], counts: Buffer
-) -> None:
-    """Add to a histogram, int64 [400], the slope of the force against its own direction in each cell
-    (c/touch_slopes.h)."""
+def blend_weight(rate_hz: float, index: int, length: int, is_last: int) -> float:
+    """The weight of frame `index` of a segment against the last frame of the segment before; 1: it is not
+    blended (c/touch_segment_blend.h). `length` is that of the segment, `is_last` whether none follows."""
 
 def blend_bricks(
     start: int,

@@ -22,8 +22,8 @@ from touchfield.render.block import (
     shared_folder,
 )
 from touchfield.render.feeder import FrameSource, arena_bytes
-from touchfield.render.player import Session, ramp_limit_s
-from touchfield.render.spec import RenderSpec
+from touchfield.render.player import Session
+from touchfield.render.spec import RenderSpec, write_parameters
 
 LINE = aligned(1)  # bytes of a cache line, where every frame starts
 
@@ -82,9 +82,12 @@ def test_the_block_is_no_larger_than_the_medium_needs() -> None:
         check_fits(11, 10, "frame 3")
 
 
-def test_a_ramp_has_a_time_limit() -> None:
-    assert ramp_limit_s(4.0, 800.0, 0.02) == pytest.approx(1.03)
-    assert ramp_limit_s(4.0, 1e-9, 0.02) == 10.0
+@pytest.mark.parametrize(("slew_n_per_s", "limit_s"), [(800.0, 1.03), (1e-9, 10.0)])
+def test_a_ramp_has_a_time_limit(slew_n_per_s: float, limit_s: float) -> None:
+    strong = replace(device("sigma.7"), force_max_n=4.0, force_continuous_n=None, torque_max_nm=None)
+    memory = Memory.empty(layout.RECEIVER.itemsize)
+    write_parameters(memory, RenderSpec(ramp_s=0.02, slew_n_per_s=slew_n_per_s), strong, 0.0, 0.0, "")
+    assert memory.receiver["layout"]["ramp_limit_ns"] == pytest.approx(1e9 * limit_s)
 
 
 @pytest.mark.parametrize("slow", [{"slew_n_per_s": 25.0}, {"slew_nm_per_s": 0.5}])

@@ -78,6 +78,7 @@ def test_an_option_changes_only_its_setting(name: str) -> None:
         },  # the slew limit reaches the peak in 5 ms
         "peak_nm": {"settings.torque_limits.slew_per_s", "state.torque.limit"},
         "rate_hz": {"settings.delay_ticks"},
+        **{key: {"layout.ramp_limit_ns"} for key in ("slew_n_per_s", "slew_nm_per_s", "ramp_s")},
     }.get(name, set())
     assert differing(default, found) - follow == {path}
 

@@ -218,10 +218,13 @@ def test_a_block_without_parameters_gives_no_force() -> None:
     assert not memory.bytes.any()
 
 
-def test_parameters_are_written_to_settings_state_and_grip_only() -> None:
+def test_parameters_are_written_to_settings_state_grip_and_ramp_limit_only() -> None:
     memory = Memory.empty(layout.RECEIVER.itemsize)
     memory.array(np.int64, 0, memory.size_bytes // 8)[:] = 7
     write_parameters(memory, RenderSpec(), OMNI, 0, 0, "x right, y up, z back")
     for name in layout.RECEIVER.names:
         is_written = np.frombuffer(memory.receiver[name].tobytes(), np.int64) != 7
-        assert is_written.all() if name in ("settings", "state", "grip") else not is_written.any(), name
+        if name == "layout":
+            assert is_written.sum() == 1 and memory.receiver["layout"]["ramp_limit_ns"] != 7
+        else:
+            assert is_written.all() if name in ("settings", "state", "grip") else not is_written.any(), name

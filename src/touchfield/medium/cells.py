@@ -92,6 +92,13 @@ class CellPool:
             data,
         )
 
+    @property
+    def field_data(self) -> NDArray[np.uint8]:
+        """`data` of a pool of one field, uint8 [n]; ValueError for one of several."""
+        if self.data is None:
+            raise ValueError("a pool of several fields")
+        return self.data
+
     @classmethod
     def joined(cls, pools: Sequence[CellPool]) -> CellPool:
         """Concatenate pools in their order."""

@@ -309,8 +309,6 @@ class Player:
 MAX_SPEED: Final = 100.0
 _LOOKAHEAD_S: Final = 4.0  # seconds of a medium that the directory can hold, up to `_MAX_SLOTS` frames
 _MAX_SLOTS: Final = 1 << 14
-_RAMP_MARGIN_S: Final = 1.0
-_MAX_RAMP_S: Final = 10.0
 
 
 @dataclass(frozen=True)
@@ -325,11 +323,6 @@ class Orders:
 
     def __post_init__(self) -> None:
         require_up_to(MAX_SPEED, speed=self.speed)
-
-
-def ramp_limit_s(peak_n: float, slew_n_per_s: float, ramp_s: float) -> float:
-    """Return the longest time that a force may take to go to zero, with a margin, seconds."""
-    return min(_RAMP_MARGIN_S + ramp_s + 2 * peak_n / slew_n_per_s, _MAX_RAMP_S)
 
 
 class Session:
@@ -434,12 +427,6 @@ class Session:
                 *self._notes,
                 f"a proxy holds the hand at walls of {self._wall.stiffness_n_per_m:.0f} N/m",
             )
-        ramps_s = [
-            ramp_limit_s(float(limits["peak"]), float(limits["slew_per_s"]), spec.ramp_s)
-            for limits in (settings["force_limits"], settings["torque_limits"])
-            if limits["peak"] > 0
-        ]
-        memory.receiver["layout"]["ramp_limit_ns"] = round(1e9 * max(ramps_s))
         memory.receiver["clock"]["media_s"] = self.orders.start_s
         self._stiffest_n_per_m, self._stability = -math.inf, None
         self._adapt(memory, source.stiffest_n_per_m if self._wall is None else self._wall.stiffness_n_per_m)

@@ -3,17 +3,17 @@ last frame of the one into the start of the other.
 
 Each segment is encoded independently, so that the force of a static world jumps at the start of a segment, by
 less than the mask. Here the last frame of the previous segment is blended into the new segment by a raised
-cosine over `BLEND_S`, or over half the segment if that is shorter. Voxels are blended if both forces can come
-from the same source force; elsewhere the new frame is used immediately. Where the source does not move, both
-forces are within its mask, which is a ball, and so is every blend of them. A source that moves by less than
-two masks is shown late by `BLEND_S` at most.
+cosine over 0.1 s of the medium, or over half the segment if that is shorter (``c/touch_segment_blend.h``).
+Media of 20 Hz and less are not blended. Voxels are blended if both forces can come from the same source
+force; elsewhere the new frame is used immediately. Where the source does not move, both forces are within its
+mask, which is a ball, and so is every blend of them. A source that moves by less than two masks is shown late
+by 0.1 s at most.
 
 The frames depend on what was played before. `HapticMedium` itself, and all that reads it, stays exact.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
@@ -26,22 +26,6 @@ from touchfield.medium.field import brick_keys, bricks_of
 
 if TYPE_CHECKING:
     from touchfield.medium import Segments
-
-BLEND_S: Final = 0.1
-"""Length of a blend, seconds of the medium.
-
-At 30 Hz it is three frames, none of which makes more than half of the change; with 0.05 s the first frame
-would make three quarters. In fast media, the edge of a raised cosine of duration T has at most 1 / (4 f^2 T^2
-- 1) of the amplitude that a step has at frequency f: 36 dB less at 40 Hz, where the band begins in which a
-hand feels vibration best. A longer blend gained nothing on a room at 30 Hz, and delays what moves by less
-than the mask.
-"""
-
-MAX_UNBLENDED_HZ: Final = 20.0
-"""Highest frame rate that is not blended.
-
-At this rate and below, the receiver interpolates between frames for 50 ms or more.
-"""
 
 _CHUNK_BRICKS: Final = 64
 
@@ -74,13 +58,12 @@ class SegmentBlend:
             self._previous = latest if latest_frame >= 0 and (latest_frame + 1) % count == frame else None
         elif not first <= latest_frame < frame:
             self._previous = None
-        blend_frames = BLEND_S * self._medium.rate_hz
-        if first + length < count:  # the last segment, perhaps of a single frame, is not followed by another
-            blend_frames = min(blend_frames, length / 2)
-        if frame - first + 1 >= blend_frames:
+        # the last segment, perhaps of a single frame, is not followed by another
+        is_last = first + length >= count
+        weight = native.blend_weight(self._medium.rate_hz, frame - first, length, is_last)
+        if weight == 1.0:
             self._previous = None
         if self._previous is not None:
-            weight = 0.5 - 0.5 * math.cos(math.pi * (frame - first + 1) / blend_frames)
             field = _blend_fields(self._previous, field, weight, self._segments)
         self._latest = frame, field
         return field
@@ -105,7 +88,8 @@ def with_blends(
 
 
 def _with_blend(medium: HapticMedium) -> tuple[HapticMedium, tuple[SegmentBlend, ...]]:
-    if medium.segments is None or len(medium) == 1 or medium.rate_hz <= MAX_UNBLENDED_HZ:
+    is_blended = native.blend_weight(medium.rate_hz, 0, len(medium), True) < 1.0
+    if medium.segments is None or len(medium) == 1 or not is_blended:
         return medium, ()
     blend = SegmentBlend(medium, medium.segments)
     return replace(medium, make_frame=blend, segments=None), (blend,)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -53,21 +53,14 @@ class FramePart:
         return cls(field_at, is_identity=True)
 
 
-def _cells_of(pool: CellPool) -> Any:
-    """Return the bytes of a pool of one field."""
-    if pool.data is None:
-        raise ValueError("a pool of several fields")
-    return pool.data
-
-
 def field_bytes(pool: CellPool) -> int:
     """Return the size of a pool of one field, ``CellPool.of(field)``."""
-    return len(_cells_of(pool))
+    return len(pool.field_data)
 
 
 def write_field(memory: Memory, offset: int, pool: CellPool) -> None:
     """Write a pool of one field at an offset."""
-    data = _cells_of(pool)
+    data = pool.field_data
     memory.bytes[offset : offset + len(data)] = data
 
 
