@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from builders import (
-    ATOL_N,
     FAULTY,
     INTEGRATIONS,
     ROOT,
@@ -92,7 +91,7 @@ def test_mono_has_the_layout_of_c(built: Path, program: list[object]) -> None:
 @pytest.mark.parametrize("name", ["touch-block", "objects-touch-deforming"])
 def test_forces_agree_with_python(program: list[object], name: str) -> None:
     frames, points, forces = query_program(name, [*program, stream_of(name), 0.5], 100)
-    np.testing.assert_allclose(forces, python_forces(name, frames, points, 0.5), atol=ATOL_N, rtol=0)
+    np.testing.assert_allclose(forces, python_forces(name, frames, points, 0.5), atol=1e-5, rtol=0)
     assert np.linalg.norm(forces, axis=-1).max() == pytest.approx(0.5)
 
 
