@@ -75,39 +75,6 @@ def some_points(name: str, count: int) -> np.ndarray:
     return np.random.default_rng(len(name)).uniform(low - margin_m, high + margin_m, (count, 3))
 
 
-def python_forces(name: str, frames: np.ndarray, points: np.ndarray, max_n: float = np.inf) -> np.ndarray:
-    """F at each point and frame, limited to the medium's maximum and to `max_n`."""
-    with tf.open_stream(stream_of(name)) as stream:
-        head = stream.reader.head
-        sampler = tf.FieldSampler(stream.scene or stream.medium)
-        forces = sampler.force_n(frames / head.rate_hz, points).astype(np.float64)
-        limit = min(head.force_max_n, max_n)
-    sizes = np.linalg.norm(forces, axis=-1, keepdims=True)
-    return forces * np.minimum(1.0, limit / np.maximum(sizes, 1e-30))
-
-
-def frame_count(name: str) -> int:
-    """Frames of a golden file."""
-    with tf.open_stream(stream_of(name)) as stream:
-        return stream.reader.head.frame_count
-
-
-def query_program(
-    name: str, program: list[object], count: int = 200
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Query a program by lines `seconds x y z`; return frames (every fourth whole), points, forces."""
-    frames = np.random.default_rng(3).uniform(0, frame_count(name) - 1, count)
-    frames[::4] = np.round(frames[::4])
-    frames.sort()
-    points = some_points(name, count)
-    with tf.open_stream(stream_of(name)) as stream:
-        seconds = frames / stream.reader.head.rate_hz
-    lines = "".join(f"{t!r} {x!r} {y!r} {z!r}\n" for t, (x, y, z) in zip(seconds.tolist(), points.tolist()))
-    done = run(*program, stdin=lines)
-    assert done.returncode == 0, done.stderr
-    return frames, points, np.array([line.split() for line in done.stdout.splitlines()], np.float64)
-
-
 def slow_way(name: str, count: int) -> np.ndarray:
     """A polygon through points of the medium that returns to the middle after each, float64 [count, 3]."""
     corners = some_points(name, count // 50 + 2)
