@@ -751,6 +751,26 @@ static inline int touch_play_decode(touch_play *play) {
     return is_done;
 }
 
+/* Whether a tick at `now_ns` finds its frames, or none will come. For a servo that may wait, as one of simulated time; the
+   tick is at most one frame later than the one before, and three frames have room in `frames_bytes`. */
+static inline int touch_play_is_ready(const touch_play *play, int64_t now_ns) {
+    touch_receiver *receiver = play->receiver;
+    const touch_clock *clock = &receiver->clock;
+    int64_t count = receiver->layout.frame_count, frame = 0, following = 0, ticks = receiver->counts.ticks;
+    int64_t generation = clock->needs >> TOUCH_FRAME_BITS;
+    double clock_s = ticks ? 1e-9 * (double)(now_ns - receiver->counts.first_ns) : 0.0;
+    if (touch_shared(&receiver->orders.has_feed_failed)) return 1;
+    if (touch_shared(&receiver->orders.generation) != generation) return 1; /* frames come after the tick that takes it */
+    if (receiver->layout.is_simulated) clock_s = (double)ticks / receiver->settings.rate_hz;
+    if (count > 1) {
+        frame = touch_unrolled_frame(touch_media_time(clock, clock_s), receiver->layout.frame_rate_hz);
+        if (!receiver->layout.is_loop && frame >= count) return 1;
+        following = frame == count - 1 && !receiver->layout.is_loop ? frame : frame + 1;
+    }
+    return touch_shared(&touch_slot_of(receiver, frame)->tag) == touch_tag(generation, frame) &&
+           touch_shared(&touch_slot_of(receiver, following)->tag) == touch_tag(generation, following);
+}
+
 /* -- orders, from one thread ------------------------------------------------------------------------------------------ */
 
 static inline void touch_play_order(touch_play *play, int64_t mode, int64_t is_stopping) {

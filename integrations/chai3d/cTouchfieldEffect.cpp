@@ -1,100 +1,117 @@
 #include "cTouchfieldEffect.h"
 
-#include "../between.h"
+#include "../../c/touch_play.h"
 
-#include <algorithm>
+#include <chrono>
+#include <cstdint>
 #include <fstream>
 #include <iterator>
 #include <new>
+#include <thread>
+#include <vector>
 
-cTouchfieldEffect::cTouchfieldEffect(chai3d::cGenericObject* a_parent, const std::string& a_filename)
-    : chai3d::cGenericEffect(a_parent) {
-    if (open(a_filename)) m_thread = std::thread(&cTouchfieldEffect::decodeAhead, this);
-}
+struct cTouchfieldEffect::cReceiver {
+    std::vector<char> m_bytes;
+    std::unique_ptr<std::uint8_t[]> m_memory;
+    touch_play m_play;
+    std::thread m_thread;
+    std::atomic<bool> m_isClosing{false};
 
-cTouchfieldEffect::~cTouchfieldEffect() {
-    m_isOver = true;
-    if (m_thread.joinable()) m_thread.join();
-}
+    ~cReceiver() {
+        m_isClosing = true;
+        if (m_thread.joinable()) m_thread.join();
+    }
 
-bool cTouchfieldEffect::open(const std::string& a_filename) {
+    const char* open(const std::string& a_filename, const cTouchfieldSettings& a_settings);
+    void decodeAhead();
+};
+
+// Reads a file, lays out a receiver, and starts the thread that decodes; the error, or nullptr.
+const char* cTouchfieldEffect::cReceiver::open(const std::string& a_filename, const cTouchfieldSettings& a_settings) {
     std::ifstream in(a_filename, std::ios::binary);
     m_bytes.assign(std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>());
-    if (!in) {
-        m_error = "the file cannot be read";
-        return false;
-    }
-    if (touch_open(&m_file, m_bytes.data(), m_bytes.size()) != TOUCH_OK) {
-        m_error = m_file.error;
-        return false;
-    }
-    std::uint64_t own = 0, each = 0;
-    touch_room(&m_file, &own, &each);
-    m_memory.reset(new (std::nothrow) std::uint8_t[2 * own + c_slots * each]);
-    if (!m_memory) {
-        m_error = "there is not memory for all that the file may tell";
-        return false;
-    }
-    for (std::uint64_t n = 0; n < 2; n++)
-        if (touch_start(&m_decoder[n], &m_file, touch_arena_of(&m_memory[n * own], own)) != TOUCH_OK) {
-            m_error = m_decoder[n].error;
-            return false;
-        }
-    for (std::uint64_t n = 0; n < c_slots; n++) m_arena[n] = touch_arena_of(&m_memory[2 * own + n * each], each);
-    return true;
+    if (!in) return "the file cannot be read";
+    touch_device device = {};
+    device.force_max_n = a_settings.m_forceMax > 0.0 ? a_settings.m_forceMax : 1.0;
+    device.force_continuous_n = a_settings.m_forceContinuous;
+    if (touch_play_open(&m_play, m_bytes.data(), m_bytes.size(), &device)) return m_play.error;
+    if (!(a_settings.m_forceMax > 0.0)) m_play.options.device.force_max_n = touch_fmin(m_play.file.force_max_n, 1e6);
+    m_play.options.is_loop = a_settings.m_loop, m_play.options.speed = a_settings.m_speed;
+    touch_render_options& render = m_play.options.render;
+    render.rate_hz = a_settings.m_rate, render.wall_n_per_m = a_settings.m_wallStiffness;
+    render.friction = a_settings.m_friction < 0.0 ? TOUCH_OF_MEDIUM : a_settings.m_friction;
+    render.damping_n_s_per_m = a_settings.m_damping < 0.0 ? TOUCH_OF_MEDIUM : a_settings.m_damping;
+    render.coupling_n_per_m = a_settings.m_coupling < 0.0 ? TOUCH_STABLE : a_settings.m_coupling;
+    m_memory.reset(new (std::nothrow) std::uint8_t[static_cast<std::size_t>(touch_play_room(&m_play))]);
+    if (touch_play_start(&m_play, m_memory.get())) return m_play.error;
+    touch_play_resume(&m_play);
+    m_thread = std::thread(&cReceiver::decodeAhead, this);
+    return nullptr;
 }
 
-// Until the effect needs no frame before this one; false when it ends.
-bool cTouchfieldEffect::waitFor(std::int64_t a_frame) const {
-    while (m_oldest < a_frame && !m_isOver) std::this_thread::sleep_for(std::chrono::microseconds(250));
-    return !m_isOver;
+void cTouchfieldEffect::cReceiver::decodeAhead() {
+    while (!m_isClosing)
+        if (!touch_play_decode(&m_play)) std::this_thread::sleep_for(std::chrono::milliseconds(1));
 }
 
-void cTouchfieldEffect::decodeAhead() {
-    std::int64_t n = 0, before = 0;
-    for (std::uint32_t segment = 0; segment < m_file.segment_count; segment++) {
-        touch_decoder* decoder = &m_decoder[segment & 1];
-        if (!waitFor(before)) return;  // nothing of the segment before the last one is felt any longer
-        before = n;
-        int code = touch_seek(decoder, segment);
-        while (code == TOUCH_OK) {
-            if (!waitFor(n - c_slots + 1)) return;
-            m_arena[n % c_slots].used = 0;
-            code = touch_next(decoder, &m_arena[n % c_slots], &m_frame[n % c_slots]);
-            if (code == TOUCH_OK) m_newest = n++;
-        }
-        if (code != TOUCH_END) {
-            m_isOver = true;  // a file that contradicts itself: the force ends
-            return;
-        }
-    }
+static std::int64_t nanoseconds(double a_clock) {
+    if (a_clock >= 0.0) return static_cast<std::int64_t>(1e9 * a_clock + 0.5);
+    const auto now = std::chrono::steady_clock::now().time_since_epoch();
+    return std::chrono::duration_cast<std::chrono::nanoseconds>(now).count();
 }
 
-double cTouchfieldEffect::frameNow() const {
-    double seconds = m_time;
-    if (seconds < 0.0) {
-        const auto now = m_isStarted ? std::chrono::steady_clock::now() : m_start;
-        seconds = std::chrono::duration<double>(now - m_start).count();
-    }
-    return std::min(seconds * m_file.rate_hz, static_cast<double>(m_file.frame_count) - 1.0);
+cTouchfieldEffect::cTouchfieldEffect(chai3d::cGenericObject* a_parent, const std::string& a_filename,
+                                     const cTouchfieldSettings& a_settings)
+    : chai3d::cGenericEffect(a_parent), m_receiver(new cReceiver) {
+    const char* error = m_receiver->open(a_filename, a_settings);
+    if (!error) return;
+    m_error = error;
+    m_receiver.reset();
 }
+
+cTouchfieldEffect::~cTouchfieldEffect() = default;
 
 bool cTouchfieldEffect::computeForce(const chai3d::cVector3d& a_toolPos, const chai3d::cVector3d&,
-                                     const unsigned int&, chai3d::cVector3d& a_reactionForce) {
+                                     const unsigned int& a_toolID, chai3d::cVector3d& a_reactionForce) {
     a_reactionForce.zero();
-    const std::int64_t newest = m_newest;
-    if (newest < 0 || m_isOver) return false;
-    if (!m_isStarted) {
-        m_start = std::chrono::steady_clock::now();
-        m_isStarted = true;
-    }
-    const double frame = std::min(frameNow(), static_cast<double>(newest));
-    const auto a = std::max(static_cast<std::int64_t>(frame), m_oldest.load());
-    m_oldest = a;
-    const double at[3] = {a_toolPos.x(), a_toolPos.y(), a_toolPos.z()};
-    double newtons[3];
-    touch_force_between(&m_frame[a % c_slots], &m_frame[std::min(a + 1, newest) % c_slots],
-                        frame - static_cast<double>(a), at, std::min(m_most.load(), m_file.force_max_n), newtons);
-    a_reactionForce.set(newtons[0], newtons[1], newtons[2]);
-    return newtons[0] != 0.0 || newtons[1] != 0.0 || newtons[2] != 0.0;
+    if (!m_hasTool) m_toolID = a_toolID, m_hasTool = true;
+    if (!m_receiver || a_toolID != m_toolID) return false;
+    const touch_vector position = touch_vector_of(a_toolPos.x(), a_toolPos.y(), a_toolPos.z());
+    const touch_vector force = touch_receiver_tick(m_receiver->m_play.receiver, position, nanoseconds(m_clock));
+    a_reactionForce.set(force.x, force.y, force.z);
+    return !touch_is_zero(force);
+}
+
+void cTouchfieldEffect::play() {
+    if (m_receiver) touch_play_resume(&m_receiver->m_play);
+}
+
+void cTouchfieldEffect::pause() {
+    if (m_receiver) touch_play_pause(&m_receiver->m_play);
+}
+
+void cTouchfieldEffect::seek(double a_seconds) {
+    if (m_receiver) touch_play_seek(&m_receiver->m_play, a_seconds);
+}
+
+void cTouchfieldEffect::stop() {
+    if (m_receiver) touch_play_stop(&m_receiver->m_play);
+}
+
+bool cTouchfieldEffect::isReleased() const {
+    return !m_receiver || touch_shared(&m_receiver->m_play.receiver->clock.is_released);
+}
+
+bool cTouchfieldEffect::isOver() const { return !m_receiver || touch_play_is_over(&m_receiver->m_play); }
+
+double cTouchfieldEffect::getTime() const { return m_receiver ? m_receiver->m_play.receiver->clock.media_s : 0.0; }
+
+bool cTouchfieldEffect::isReady() const {
+    return !m_receiver || touch_play_is_ready(&m_receiver->m_play, nanoseconds(m_clock));
+}
+
+std::string cTouchfieldEffect::getError() const {
+    if (!m_receiver || !touch_shared(&m_receiver->m_play.receiver->orders.has_feed_failed)) return m_error;
+    TOUCH_FENCE();
+    return m_receiver->m_play.error;
 }

@@ -1,58 +1,69 @@
-// A CHAI3D effect whose force is that of a .touch file where the tool is.
+// A CHAI3D effect that renders a .touch file: proxy at walls, friction, damping, limits and ramp (c/touch_play.h).
 #pragma once
 
-#include "../../c/touch.h"
 #include "effects/CGenericEffect.h"
 
 #include <atomic>
-#include <chrono>
-#include <cstdint>
 #include <memory>
 #include <string>
-#include <thread>
-#include <vector>
 
-// The medium lies in the axes of the object that the effect is added to; a unit of the world is a metre, and of its
-// forces a newton. One haptic thread calls computeForce; another one, of the effect's own, decodes ahead.
+// What the maker of a device states, and how the medium is rendered. See cHapticDeviceInfo for the first two.
+struct cTouchfieldSettings {
+    double m_forceMax = 0.0;         // N, greatest force of the device; 0: that of the medium
+    double m_forceContinuous = 0.0;  // N, force that the device bears for long; 0: not stated
+    double m_friction = -1.0;        // mu; below 0: that of the medium
+    double m_damping = -1.0;         // N s/m everywhere; below 0: that of the medium, and in contact the stable value
+    double m_coupling = -1.0;        // N/m, of a virtual coupling; 0: none; below 0: the stable value
+    double m_wallStiffness = 0.0;    // N/m, of the proxy's walls; 0: measured in the medium
+    double m_rate = 1000.0;          // Hz, of the haptic loop
+    double m_speed = 1.0;            // seconds of the medium for one second
+    bool m_loop = false;
+};
+
+// The medium lies in the axes of the object that the effect is added to. A unit of the world is a metre, and a unit of force
+// is a newton. The effect renders for one tool: the first that calls. A scene with two tools needs two effects.
+//
+// One haptic thread calls computeForce. Another thread, of the effect's own, decodes ahead. Orders (play, pause, seek, stop)
+// come from one thread, which may be a third one.
 class cTouchfieldEffect : public chai3d::cGenericEffect {
   public:
-    // Opens a file. If it cannot, getError() tells why, and there never is a force.
-    cTouchfieldEffect(chai3d::cGenericObject* a_parent, const std::string& a_filename);
+    // Opens a file and plays it from the first force on. If it fails, getError() says why, and there is no force.
+    cTouchfieldEffect(chai3d::cGenericObject* a_parent, const std::string& a_filename,
+                      const cTouchfieldSettings& a_settings = cTouchfieldSettings());
     ~cTouchfieldEffect() override;
     cTouchfieldEffect(const cTouchfieldEffect&) = delete;
     cTouchfieldEffect& operator=(const cTouchfieldEffect&) = delete;
 
-    // Never waits and never allocates; false where there is no force.
+    // One tick of the receiver; false if the force is zero. It does not wait or allocate.
     bool computeForce(const chai3d::cVector3d& a_toolPos, const chai3d::cVector3d& a_toolVel,
                       const unsigned int& a_toolID, chai3d::cVector3d& a_reactionForce) override;
 
-    // The time of the medium, seconds, which must not go back. Without it, time runs from the first force on.
-    void setTime(double a_seconds) { m_time = a_seconds; }
-    // Whether all that this time needs is decoded; else the newest frame there is would be felt.
-    bool isReady() const { return m_isOver || frameNow() <= static_cast<double>(m_newest.load()); }
-    // The most that the device can bear, newtons, if that is less than what the medium says.
-    void setForceMax(double a_newtons) { m_most = a_newtons; }
-    const std::string& getError() const { return m_error; }
+    void play();
+    void pause();                 // the medium stands, and its force stays
+    void seek(double a_seconds);  // goes on at a time of the medium
+    void stop();                  // brings the force to zero for ever, within the ramp
+    bool isReleased() const;      // whether the force is zero after stop
+    bool isOver() const;          // whether the medium has ended and the force is zero
+
+    // Time of the medium at the latest tick, seconds.
+    double getTime() const;
+
+    // Time of the next tick by a clock of the caller's, seconds, from 0 on; it must not go back. For simulations; without it
+    // the effect reads a monotonic clock. It is no time of the medium: see seek.
+    void setClock(double a_seconds) { m_clock = a_seconds; }
+
+    // Whether the next tick, at the time of setClock, finds its frames decoded. For the haptic thread of a simulation.
+    bool isReady() const;
+
+    // Why nothing is played, or nothing more; an empty text if all is well.
+    std::string getError() const;
 
   private:
-    static constexpr std::int64_t c_slots = 4;
+    struct cReceiver;
 
-    bool open(const std::string& a_filename);
-    bool waitFor(std::int64_t a_frame) const;
-    void decodeAhead();
-    double frameNow() const;
-
-    std::vector<std::uint8_t> m_bytes;
-    std::unique_ptr<std::uint8_t[]> m_memory;
-    touch_file m_file = {};
-    touch_decoder m_decoder[2] = {};  // of even and odd segments: bodies that change live in one until it seeks again
-    touch_arena m_arena[c_slots] = {};
-    touch_frame m_frame[c_slots] = {};
+    std::unique_ptr<cReceiver> m_receiver;
     std::string m_error;
-    std::atomic<std::int64_t> m_newest{-1}, m_oldest{0};  // frames: decoded, and still felt
-    std::atomic<bool> m_isOver{false};
-    std::atomic<double> m_time{-1.0}, m_most{1e300};
-    std::chrono::steady_clock::time_point m_start;
-    bool m_isStarted = false;
-    std::thread m_thread;
+    std::atomic<double> m_clock{-1.0};
+    unsigned int m_toolID = 0;
+    bool m_hasTool = false;
 };

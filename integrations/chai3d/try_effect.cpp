@@ -1,27 +1,76 @@
-// Asks the effect as CHAI3D does: try_effect FILE.touch [PEAK_N], then lines `seconds x y z`; prints forces, newtons.
+// Calls the effect as CHAI3D does. It reads positions, a line `x y z` in metres for each tick of 1 ms, and prints the force of
+// each, newtons. At the end it stops the effect, and prints the forces on the way to zero. Time is simulated, or real with -r;
+// the other options are those of cTouchfieldSettings.
 #include "cTouchfieldEffect.h"
 
+#include <chrono>
 #include <cstdio>
 #include <cstdlib>
+#include <cstring>
+#include <thread>
 
-int main(int count, char** words) {
-    if (count < 2 || count > 3) return std::fprintf(stderr, "try_effect FILE.touch [PEAK_N]\n"), 64;
-    cTouchfieldEffect effect(nullptr, words[1]);
-    if (!effect.getError().empty()) return std::fprintf(stderr, "%s: %s\n", words[1], effect.getError().c_str()), 65;
-    if (count == 3) effect.setForceMax(std::atof(words[2]));
-    chai3d::cGenericEffect& asked = effect;
-    double seconds, x, y, z;
-    while (std::scanf("%lf %lf %lf %lf", &seconds, &x, &y, &z) == 4) {
-        const chai3d::cVector3d position(x, y, z), velocity(0.0, 0.0, 0.0);
+typedef std::chrono::steady_clock cClock;
+
+static const char* const c_usage =
+    "try_effect [-p PEAK_N] [-m FRICTION] [-d DAMPING] [-c COUPLING] [-k WALL] [-l] [-r] FILE.touch\n";
+
+// A loop of 1 kHz, in real or simulated time.
+struct cLoop {
+    cTouchfieldEffect& m_effect;
+    bool m_isRealTime;
+    int m_ticks;
+    cClock::time_point m_start;
+
+    chai3d::cVector3d tick(const chai3d::cVector3d& a_position) {
+        const chai3d::cVector3d velocity(0.0, 0.0, 0.0);
         chai3d::cVector3d force(0.0, 0.0, 0.0);
-        effect.setTime(seconds);
-        asked.computeForce(position, velocity, 0, force);  // tells the decoder where it is
-        while (!effect.isReady()) {
-            std::this_thread::sleep_for(std::chrono::microseconds(100));
-            asked.computeForce(position, velocity, 0, force);
-        }
-        asked.computeForce(position, velocity, 0, force);
-        std::printf("%.9g %.9g %.9g\n", force.x(), force.y(), force.z());
+        chai3d::cGenericEffect& base = m_effect;
+        if (m_isRealTime) std::this_thread::sleep_until(m_start + std::chrono::milliseconds(m_ticks));
+        else waitForFrames();
+        base.computeForce(a_position, velocity, 0, force);
+        m_ticks++;
+        return force;
     }
+
+    void waitForFrames() {
+        m_effect.setClock(1e-3 * m_ticks);
+        while (!m_effect.isReady()) std::this_thread::sleep_for(std::chrono::microseconds(100));
+    }
+};
+
+static void print(const chai3d::cVector3d& a_force) {
+    std::printf("%.17g %.17g %.17g\n", a_force.x(), a_force.y(), a_force.z());
+}
+
+static const char* readOptions(int a_count, char** a_words, cTouchfieldSettings& a_settings, bool& a_isRealTime) {
+    int n = 1;
+    for (; n + 1 < a_count; n++) {
+        if (!std::strcmp(a_words[n], "-l")) a_settings.m_loop = true;
+        else if (!std::strcmp(a_words[n], "-r")) a_isRealTime = true;
+        else if (!std::strcmp(a_words[n], "-p")) a_settings.m_forceMax = std::atof(a_words[++n]);
+        else if (!std::strcmp(a_words[n], "-m")) a_settings.m_friction = std::atof(a_words[++n]);
+        else if (!std::strcmp(a_words[n], "-d")) a_settings.m_damping = std::atof(a_words[++n]);
+        else if (!std::strcmp(a_words[n], "-c")) a_settings.m_coupling = std::atof(a_words[++n]);
+        else if (!std::strcmp(a_words[n], "-k")) a_settings.m_wallStiffness = std::atof(a_words[++n]);
+        else return nullptr;
+    }
+    return n + 1 == a_count ? a_words[n] : nullptr;
+}
+
+int main(int a_count, char** a_words) {
+    cTouchfieldSettings settings;
+    bool isRealTime = false;
+    const char* name = readOptions(a_count, a_words, settings, isRealTime);
+    if (!name) return std::fputs(c_usage, stderr), 64;
+    cTouchfieldEffect effect(nullptr, name, settings);
+    if (!effect.getError().empty()) return std::fprintf(stderr, "%s: %s\n", name, effect.getError().c_str()), 65;
+    cLoop loop = {effect, isRealTime, 0, cClock::now()};
+    chai3d::cVector3d position(0.0, 0.0, 0.0);
+    double x, y, z;
+    while (std::scanf("%lf %lf %lf", &x, &y, &z) == 3) {
+        position.set(x, y, z);
+        print(loop.tick(position));
+    }
+    for (effect.stop(); !effect.isReleased();) print(loop.tick(position));
     return 0;
 }

@@ -1,334 +1,357 @@
-// A .touch file in Unity, or in any C#: the library `touchfield` (c/touch.h), and a component that plays a file.
+// A .touch file in Unity, or in any C#: the library `touchfield` (touchfield.h), a player, a haptic loop, and a component.
 // Copy this file and the library into Assets/Plugins.
 using System;
+using System.Diagnostics;
 using System.IO;
 using System.Runtime.InteropServices;
 using System.Threading;
 
-// The structs and functions of c/touch.h, by their names there; a pointer is an IntPtr.
-public static class TouchfieldNative
+// A position, metres, or a force, newtons, in the axes of the medium.
+[StructLayout(LayoutKind.Sequential)]
+public struct TouchfieldVector
 {
-#if (UNITY_IOS || UNITY_WEBGL) && !UNITY_EDITOR
-    const string Library = "__Internal";
-#else
-    const string Library = "touchfield";
-#endif
-    public const int Ok = 0, Foreign = 1, Cut = 2, Corrupt = 3, Version = 4, Memory = 5, Argument = 6, End = 7;
+    public double x, y, z;
 
-    [StructLayout(LayoutKind.Sequential)]
-    public struct Counts
+    public TouchfieldVector(double x, double y, double z)
     {
-        public uint x, y, z;
+        this.x = x;
+        this.y = y;
+        this.z = z;
     }
-
-    [StructLayout(LayoutKind.Sequential)]
-    public struct Three
-    {
-        public double x, y, z;
-    }
-
-    [StructLayout(LayoutKind.Sequential)]
-    public struct Nine
-    {
-        public Three x, y, z;
-    }
-
-    [StructLayout(LayoutKind.Sequential)]
-    public struct touch_arena
-    {
-        public IntPtr @base;
-        public ulong size, used, peak;
-    }
-
-    [StructLayout(LayoutKind.Sequential)]
-    public struct touch_grid
-    {
-        public Counts shape;
-        public Three spacing_m, origin_m;
-    }
-
-    [StructLayout(LayoutKind.Sequential)]
-    public struct touch_bytes
-    {
-        public IntPtr bytes;
-        public ulong size;
-    }
-
-    [StructLayout(LayoutKind.Sequential)]
-    public struct touch_file
-    {
-        public IntPtr data;
-        public ulong size;
-        public touch_grid grid;
-        public double rate_hz, force_max_n, mapping_scale;
-        public Three mapping_offset_m;
-        public double weber_fraction, force_threshold_n, friction, damping_n_s_per_m;
-        public uint frame_count, segment_count, object_count;
-        public int device_type;
-        public touch_bytes axes, device_name, coder, parameters, index;
-        public IntPtr error;
-    }
-
-    [StructLayout(LayoutKind.Sequential)]
-    public struct touch_field
-    {
-        public touch_grid grid;
-        public uint bricks, mask;
-        public IntPtr table, forces_n;
-    }
-
-    [StructLayout(LayoutKind.Sequential)]
-    public struct touch_part
-    {
-        public IntPtr field;
-        public Nine rotation;
-        public Three position_m, velocity_m_s, spin_rad_s;
-    }
-
-    [StructLayout(LayoutKind.Sequential)]
-    public struct touch_frame
-    {
-        public uint number, parts;
-        public int is_placed;
-        public IntPtr part;
-        public double surface_damping_n_s_per_m, force_max_n;
-        public IntPtr vibration;
-    }
-
-    [StructLayout(LayoutKind.Sequential)]
-    public struct touch_decoder
-    {
-        public IntPtr file;
-        public touch_arena arena;
-        public ulong kept;
-        public IntPtr state, error;
-    }
-
-    [DllImport(Library, CallingConvention = CallingConvention.Cdecl)]
-    public static extern touch_arena touch_arena_of(IntPtr memory, ulong size);
-
-    [DllImport(Library, CallingConvention = CallingConvention.Cdecl)]
-    public static extern int touch_open(IntPtr file, IntPtr bytes, ulong size);
-
-    [DllImport(Library, CallingConvention = CallingConvention.Cdecl)]
-    public static extern void touch_room(IntPtr file, out ulong decoder, out ulong frame);
-
-    [DllImport(Library, CallingConvention = CallingConvention.Cdecl)]
-    public static extern int touch_start(IntPtr decoder, IntPtr file, touch_arena arena);
-
-    // A segment's body from elsewhere than a file, such as a live stream.
-    [DllImport(Library, CallingConvention = CallingConvention.Cdecl)]
-    public static extern int touch_start_body(IntPtr decoder, IntPtr grid, touch_bytes parameters, touch_bytes body,
-        uint frame_count, touch_arena arena);
-
-    [DllImport(Library, CallingConvention = CallingConvention.Cdecl)]
-    public static extern void touch_body_room(IntPtr grid, touch_bytes body, out ulong decoder, out ulong frame);
-
-    [DllImport(Library, CallingConvention = CallingConvention.Cdecl)]
-    public static extern uint touch_segment_of(IntPtr file, uint frame);
-
-    [DllImport(Library, CallingConvention = CallingConvention.Cdecl)]
-    public static extern int touch_seek(IntPtr decoder, uint segment);
-
-    [DllImport(Library, CallingConvention = CallingConvention.Cdecl)]
-    public static extern int touch_next(IntPtr decoder, ref touch_arena arena, IntPtr frame);
-
-    [DllImport(Library, CallingConvention = CallingConvention.Cdecl)]
-    public static extern int touch_is_rigid(IntPtr decoder, uint body);
-
-    [DllImport(Library, CallingConvention = CallingConvention.Cdecl)]
-    public static extern int touch_mask_of(IntPtr decoder, uint body, out double k, out double f0_n);
-
-    [DllImport(Library, CallingConvention = CallingConvention.Cdecl)]
-    public static extern void touch_force(IntPtr frame, double x, double y, double z, out Three newtons);
-
-    [DllImport(Library, CallingConvention = CallingConvention.Cdecl)]
-    public static extern void touch_gradient(IntPtr frame, double x, double y, double z, out Nine n_per_m);
-
-    [DllImport(Library, CallingConvention = CallingConvention.Cdecl)]
-    public static extern void touch_vibration(IntPtr frame, double x, double y, double z, [Out] double[] both);
-
-    // Of integrations/between.h: frame `a` at t = 0, the next one, `b`, at t = 1, no longer than `most` newtons.
-    [DllImport(Library, CallingConvention = CallingConvention.Cdecl)]
-    public static extern void touchfield_force_between(IntPtr a, IntPtr b, double t, ref Three at, double most,
-        out Three newtons);
 }
 
-// A file that plays forward: a thread decodes ahead, and Force neither waits nor allocates. One thread asks it.
-public sealed class TouchfieldMedium : IDisposable
+// What the maker of a device states, and how the medium is rendered; the defaults are safe for a hand.
+public sealed class TouchfieldOptions
 {
-    const int Slots = 4;
+    public double ForceMaxN; // greatest force of the device; 0: that of the medium
+    public double ForceContinuousN; // that the device bears for long; 0: not stated
+    public double Friction = -1; // mu; below 0: that of the medium
+    public double DampingNsPerM = -1; // everywhere; below 0: that of the medium, and in contact the stable value
+    public double CouplingNPerM = -1; // of a virtual coupling; 0: none; below 0: the stable value
+    public double WallNPerM; // stiffness of the proxy's walls; 0: measured in the medium
+    public double RateHz = 1000; // of the ticks
+    public double Speed = 1; // seconds of the medium for one second
+    public double StartS; // time of the medium at which it starts
+    public bool IsLoop;
+}
 
-    readonly IntPtr bytes, file, memory, frames;
-    // Of even and odd segments: bodies that change live in one until it seeks again.
-    readonly IntPtr[] decoders = new IntPtr[2];
-    readonly TouchfieldNative.touch_arena[] arenas = new TouchfieldNative.touch_arena[Slots];
-    readonly int frameSize = Marshal.SizeOf(typeof(TouchfieldNative.touch_frame));
-    readonly Thread thread;
-    long newest = -1, oldest; // frames: decoded, and still felt
-    volatile bool isOver;
-    bool isFreed;
+// Plays a file: proxy at walls, friction, damping, limits of the force and ramp. A thread of its own decodes ahead. One
+// thread calls Tick or Advance, which do not wait or allocate; one thread gives the orders Play, Pause, Seek and Stop.
+public sealed class TouchfieldPlayer : IDisposable
+{
+    readonly IntPtr handle;
+    readonly Thread decoder;
+    readonly double rateHz;
+    volatile bool isClosing;
+    bool isClosed, hasPosition;
+    TouchfieldVector position; // of the latest Advance
+    double clockS;
 
-    public readonly TouchfieldNative.touch_file Head;
-    public readonly string Axes; // such as "x right, y down, z forward"
-    public double ForceMax; // newtons; what the medium says, or less
+    public readonly string Axes; // of the medium, such as "x right, y down, z forward"
+    public readonly double DurationS, ForceMaxN; // of the medium
 
-    public TouchfieldMedium(string path)
+    public TouchfieldPlayer(string path) : this(path, new TouchfieldOptions())
     {
-        byte[] read = File.ReadAllBytes(path);
-        try
+    }
+
+    public TouchfieldPlayer(string path, TouchfieldOptions options) : this(File.ReadAllBytes(path), path, options)
+    {
+    }
+
+    // Opens the bytes of a file; `name` is for messages. InvalidDataException: the file cannot be played.
+    public TouchfieldPlayer(byte[] file, string name, TouchfieldOptions options)
+    {
+        handle = Native.touchfield_open(file, (ulong)file.Length);
+        if (handle == IntPtr.Zero) throw new OutOfMemoryException();
+        rateHz = options.RateHz;
+        Set(options);
+        if (Native.touchfield_start(handle) != 0)
         {
-            bytes = Marshal.AllocHGlobal(read.Length + 1);
-            Marshal.Copy(read, 0, bytes, read.Length);
-            file = Marshal.AllocHGlobal(Marshal.SizeOf(typeof(TouchfieldNative.touch_file)));
-            int code = TouchfieldNative.touch_open(file, bytes, (ulong)read.Length);
-            Head = (TouchfieldNative.touch_file)Marshal.PtrToStructure(file, typeof(TouchfieldNative.touch_file));
-            if (code != TouchfieldNative.Ok)
-                throw new InvalidDataException(path + ": " + Marshal.PtrToStringAnsi(Head.error));
-            Axes = Marshal.PtrToStringAnsi(Head.axes.bytes, (int)Head.axes.size);
-            ForceMax = Head.force_max_n;
-            ulong own, each;
-            TouchfieldNative.touch_room(file, out own, out each);
-            memory = Marshal.AllocHGlobal(new IntPtr(checked((long)(2 * own + Slots * each))));
-            frames = Marshal.AllocHGlobal(Slots * frameSize);
-            for (int n = 0; n < 2; n++)
-                decoders[n] = Started(path, new IntPtr(memory.ToInt64() + n * (long)own), own);
-            for (int n = 0; n < Slots; n++)
-                arenas[n] = TouchfieldNative.touch_arena_of(
-                    new IntPtr(memory.ToInt64() + 2 * (long)own + n * (long)each), each);
-            thread = new Thread(DecodeAhead) { IsBackground = true };
-            thread.Start();
-        }
-        catch
-        {
+            string error = Error;
             Dispose();
-            throw;
+            throw new InvalidDataException(name + ": " + error);
         }
+        Axes = Marshal.PtrToStringAnsi(Native.touchfield_axes(handle));
+        DurationS = Native.touchfield_duration_s(handle);
+        ForceMaxN = Native.touchfield_force_max_n(handle);
+        decoder = new Thread(DecodeAhead) { IsBackground = true, Name = "touchfield-decoder" };
+        decoder.Start();
     }
 
-    public double Seconds { get { return Head.frame_count / Head.rate_hz; } }
+    // Why it plays no longer, or "". Then the force goes to zero.
+    public string Error { get { return isClosed ? "" : Marshal.PtrToStringAnsi(Native.touchfield_error(handle)); } }
 
-    // Whether all that this time needs is decoded; else the newest frame there is would be felt.
-    public bool IsReady(double seconds)
+    // Time of the medium at the latest tick, seconds.
+    public double TimeS { get { return isClosed ? 0 : Native.touchfield_media_s(handle); } }
+
+    // Whether the force is zero after Stop.
+    public bool IsReleased { get { return isClosed || Native.touchfield_is_released(handle) != 0; } }
+
+    // Whether the medium has ended and the force is zero.
+    public bool IsOver { get { return isClosed || Native.touchfield_is_over(handle) != 0; } }
+
+    public void Play()
     {
-        return isOver || FrameAt(seconds) <= Interlocked.Read(ref newest);
+        if (!isClosed) Native.touchfield_resume(handle);
     }
 
-    // The force at a point, metres, in the medium's axes; time must not go back. False where there is none, as after
-    // Dispose, for which no other thread may be asking.
-    public bool Force(double seconds, TouchfieldNative.Three at, out TouchfieldNative.Three newtons)
+    // The medium stands, and its force stays.
+    public void Pause()
     {
-        newtons = new TouchfieldNative.Three();
-        long last = Interlocked.Read(ref newest);
-        if (last < 0 || isOver) return false;
-        double frame = Math.Min(FrameAt(seconds), last);
-        long a = Math.Max((long)frame, Interlocked.Read(ref oldest));
-        Interlocked.Exchange(ref oldest, a);
-        TouchfieldNative.touchfield_force_between(Frame(a), Frame(Math.Min(a + 1, last)), frame - a, ref at,
-            Math.Min(ForceMax, Head.force_max_n), out newtons);
-        return newtons.x != 0 || newtons.y != 0 || newtons.z != 0;
+        if (!isClosed) Native.touchfield_pause(handle);
     }
 
+    // Goes on at a time of the medium, seconds.
+    public void Seek(double timeS)
+    {
+        if (!isClosed) Native.touchfield_seek(handle, timeS);
+    }
+
+    // Brings the force to zero for ever, within the ramp: tick until IsReleased.
+    public void Stop()
+    {
+        if (!isClosed) Native.touchfield_stop(handle);
+    }
+
+    // The force on a hand at a position, now. False: it is zero, as after Dispose.
+    public bool Tick(TouchfieldVector positionM, out TouchfieldVector forceN)
+    {
+        return Tick(positionM, Stopwatch.GetTimestamp() / (double)Stopwatch.Frequency, out forceN);
+    }
+
+    // The same by a clock of the caller's, seconds, which does not go back.
+    public bool Tick(TouchfieldVector positionM, double clockS, out TouchfieldVector forceN)
+    {
+        forceN = new TouchfieldVector();
+        return !isClosed && Native.touchfield_tick(handle, positionM.x, positionM.y, positionM.z,
+            Nanoseconds(clockS), out forceN) != 0;
+    }
+
+    // Whether a tick at that time of the caller's clock finds its frames decoded: for simulations, which may wait.
+    public bool IsReady(double clockS)
+    {
+        return isClosed || Native.touchfield_is_ready(handle, Nanoseconds(clockS)) != 0;
+    }
+
+    // The force after some seconds in which the hand moves straight to a position: ticks at RateHz of simulated time.
+    // For loops that are slower than a device's, such as FixedUpdate.
+    public bool Advance(TouchfieldVector positionM, double seconds, out TouchfieldVector forceN)
+    {
+        TouchfieldVector start = hasPosition ? position : positionM;
+        int ticks = Math.Max(1, (int)Math.Round(seconds * rateHz));
+        bool hasForce = false;
+        forceN = new TouchfieldVector();
+        for (int n = 1; n <= ticks; n++)
+        {
+            double t = n / (double)ticks;
+            position = new TouchfieldVector(start.x + t * (positionM.x - start.x),
+                start.y + t * (positionM.y - start.y), start.z + t * (positionM.z - start.z));
+            hasForce = Tick(position, clockS + t * seconds, out forceN);
+        }
+        hasPosition = true;
+        clockS += seconds;
+        return hasForce;
+    }
+
+    // Frees the player; no other thread may use it then. The force does not ramp: call Stop before.
     public void Dispose()
     {
-        isOver = true;
-        if (thread != null && thread.IsAlive) thread.Join();
-        foreach (IntPtr block in new[] { decoders[0], decoders[1], frames, memory, file, bytes })
-            if (!isFreed) Marshal.FreeHGlobal(block);
-        isFreed = true;
+        if (isClosed) return;
+        isClosed = isClosing = true;
+        if (decoder != null) decoder.Join();
+        Native.touchfield_close(handle);
     }
 
-    double FrameAt(double seconds)
+    static long Nanoseconds(double seconds)
     {
-        return Math.Max(0.0, Math.Min(seconds * Head.rate_hz, Head.frame_count - 1.0));
+        return (long)Math.Round(1e9 * seconds);
     }
 
-    IntPtr Frame(long number)
+    void Set(TouchfieldOptions options)
     {
-        return new IntPtr(frames.ToInt64() + number % Slots * frameSize);
+        if (options.ForceMaxN > 0) Set("force_max_n", options.ForceMaxN);
+        Set("force_continuous_n", options.ForceContinuousN);
+        Set("friction", options.Friction < 0 ? -1 : options.Friction);
+        Set("damping_n_s_per_m", options.DampingNsPerM < 0 ? -1 : options.DampingNsPerM);
+        Set("coupling_n_per_m", options.CouplingNPerM < 0 ? -1 : options.CouplingNPerM);
+        Set("wall_n_per_m", options.WallNPerM);
+        Set("rate_hz", options.RateHz);
+        Set("speed", options.Speed);
+        Set("start_s", options.StartS);
+        Set("is_loop", options.IsLoop ? 1 : 0);
     }
 
-    IntPtr Started(string path, IntPtr at, ulong size)
+    void Set(string option, double value)
     {
-        IntPtr decoder = Marshal.AllocHGlobal(Marshal.SizeOf(typeof(TouchfieldNative.touch_decoder)));
-        var arena = TouchfieldNative.touch_arena_of(at, size);
-        if (TouchfieldNative.touch_start(decoder, file, arena) == TouchfieldNative.Ok) return decoder;
-        var told = (TouchfieldNative.touch_decoder)Marshal.PtrToStructure(
-            decoder, typeof(TouchfieldNative.touch_decoder));
-        Marshal.FreeHGlobal(decoder);
-        throw new InvalidDataException(path + ": " + Marshal.PtrToStringAnsi(told.error));
-    }
-
-    // Until no frame before this one is felt; false when it is over.
-    bool WaitFor(long frame)
-    {
-        while (Interlocked.Read(ref oldest) < frame && !isOver) Thread.Sleep(1);
-        return !isOver;
+        if (Native.touchfield_set(handle, option, value) != 0) return;
+        Dispose();
+        throw new ArgumentException(option + " is " + value);
     }
 
     void DecodeAhead()
     {
-        long n = 0, before = 0;
-        for (uint segment = 0; segment < Head.segment_count; segment++)
+        while (!isClosing)
+            if (Native.touchfield_decode(handle) == 0) Thread.Sleep(1);
+    }
+
+    // The functions of touchfield.h.
+    static class Native
+    {
+#if (UNITY_IOS || UNITY_WEBGL) && !UNITY_EDITOR
+        const string Library = "__Internal";
+#else
+        const string Library = "touchfield";
+#endif
+        const CallingConvention Cdecl = CallingConvention.Cdecl;
+
+        [DllImport(Library, CallingConvention = Cdecl)]
+        public static extern IntPtr touchfield_open(byte[] bytes, ulong size);
+
+        [DllImport(Library, CallingConvention = Cdecl)]
+        public static extern void touchfield_close(IntPtr player);
+
+        [DllImport(Library, CallingConvention = Cdecl)]
+        public static extern IntPtr touchfield_error(IntPtr player);
+
+        [DllImport(Library, CallingConvention = Cdecl)]
+        public static extern IntPtr touchfield_axes(IntPtr player);
+
+        [DllImport(Library, CallingConvention = Cdecl)]
+        public static extern double touchfield_duration_s(IntPtr player);
+
+        [DllImport(Library, CallingConvention = Cdecl)]
+        public static extern double touchfield_force_max_n(IntPtr player);
+
+        [DllImport(Library, CallingConvention = Cdecl)]
+        public static extern int touchfield_set(IntPtr player, [MarshalAs(UnmanagedType.LPStr)] string option,
+            double value);
+
+        [DllImport(Library, CallingConvention = Cdecl)]
+        public static extern int touchfield_start(IntPtr player);
+
+        [DllImport(Library, CallingConvention = Cdecl)]
+        public static extern int touchfield_decode(IntPtr player);
+
+        [DllImport(Library, CallingConvention = Cdecl)]
+        public static extern int touchfield_tick(IntPtr player, double x, double y, double z, long now_ns,
+            out TouchfieldVector force_n);
+
+        [DllImport(Library, CallingConvention = Cdecl)]
+        public static extern int touchfield_is_ready(IntPtr player, long now_ns);
+
+        [DllImport(Library, CallingConvention = Cdecl)]
+        public static extern void touchfield_resume(IntPtr player);
+
+        [DllImport(Library, CallingConvention = Cdecl)]
+        public static extern void touchfield_pause(IntPtr player);
+
+        [DllImport(Library, CallingConvention = Cdecl)]
+        public static extern void touchfield_seek(IntPtr player, double time_s);
+
+        [DllImport(Library, CallingConvention = Cdecl)]
+        public static extern void touchfield_stop(IntPtr player);
+
+        [DllImport(Library, CallingConvention = Cdecl)]
+        public static extern int touchfield_is_released(IntPtr player);
+
+        [DllImport(Library, CallingConvention = Cdecl)]
+        public static extern int touchfield_is_over(IntPtr player);
+
+        [DllImport(Library, CallingConvention = Cdecl)]
+        public static extern double touchfield_media_s(IntPtr player);
+    }
+}
+
+// A device of one point, as TouchfieldLoop calls it: from one thread, in the axes of the medium.
+public interface ITouchfieldDevice
+{
+    TouchfieldVector ReadPositionM();
+    void WriteForceN(TouchfieldVector forceN);
+}
+
+// A haptic loop for a device, in a thread of its own. Dispose brings the force to zero.
+public sealed class TouchfieldLoop : IDisposable
+{
+    readonly TouchfieldPlayer player;
+    readonly ITouchfieldDevice device;
+    readonly double rateHz;
+    readonly Thread thread;
+
+    public TouchfieldLoop(TouchfieldPlayer player, ITouchfieldDevice device, double rateHz)
+    {
+        this.player = player;
+        this.device = device;
+        this.rateHz = rateHz;
+        thread = new Thread(Run) { IsBackground = true, Name = "touchfield-loop", Priority = ThreadPriority.Highest };
+        thread.Start();
+    }
+
+    // What the device has thrown, which ended the loop; else null.
+    public Exception Error { get; private set; }
+
+    public void Dispose()
+    {
+        player.Stop();
+        thread.Join();
+    }
+
+    void Run()
+    {
+        try
         {
-            IntPtr decoder = decoders[segment & 1];
-            if (!WaitFor(before)) return; // nothing of the segment before the last one is felt any longer
-            before = n;
-            int code = TouchfieldNative.touch_seek(decoder, segment);
-            while (code == TouchfieldNative.Ok)
+            long start = Stopwatch.GetTimestamp();
+            for (long n = 1; !player.IsReleased; n++)
             {
-                if (!WaitFor(n - Slots + 1)) return;
-                arenas[n % Slots].used = 0;
-                code = TouchfieldNative.touch_next(decoder, ref arenas[n % Slots], Frame(n));
-                if (code == TouchfieldNative.Ok) Interlocked.Exchange(ref newest, n++);
+                TouchfieldVector forceN;
+                player.Tick(device.ReadPositionM(), out forceN);
+                device.WriteForceN(forceN);
+                // sleeping takes more than a millisecond on some systems
+                while (Stopwatch.GetTimestamp() - start < n * Stopwatch.Frequency / rateHz) Thread.Yield();
             }
-            if (code == TouchfieldNative.End) continue;
-            isOver = true; // a file that contradicts itself: the force ends
-            return;
+        }
+        catch (Exception error)
+        {
+            Error = error;
         }
     }
 }
 
 #if UNITY_5_3_OR_NEWER
-// Plays a file of StreamingAssets at this object's place; `Newtons` is what the hand feels, in the world's axes.
+// Plays a file of StreamingAssets at this object's position. `Newtons` is the force on `hand`, in the axes of the world.
 public sealed class Touchfield : UnityEngine.MonoBehaviour
 {
     public string file = "terrain.touch";
     public UnityEngine.Transform hand;
-    // Where the medium's x, y and z (TouchfieldMedium.Axes) point in this object, whose own axes are left-handed.
+    public bool loop = true;
+    // Where the medium's x, y and z (TouchfieldPlayer.Axes) point in this object, whose own axes are left-handed.
     public UnityEngine.Vector3 x = UnityEngine.Vector3.right, y = UnityEngine.Vector3.down,
         z = UnityEngine.Vector3.forward;
 
     public UnityEngine.Vector3 Newtons { get; private set; }
-
-    TouchfieldMedium medium;
-    double started;
+    public TouchfieldPlayer Player { get; private set; }
 
     void OnEnable()
     {
-        medium = new TouchfieldMedium(Path.Combine(UnityEngine.Application.streamingAssetsPath, file));
-        started = UnityEngine.Time.fixedTime;
+        string path = Path.Combine(UnityEngine.Application.streamingAssetsPath, file);
+        Player = new TouchfieldPlayer(path, new TouchfieldOptions { IsLoop = loop });
+        Player.Play();
     }
 
     void OnDisable()
     {
-        if (medium != null) medium.Dispose();
-        medium = null;
+        if (Player != null) Player.Dispose();
+        Player = null;
         Newtons = UnityEngine.Vector3.zero;
     }
 
-    // Physics' rate is enough to show a force; a device asks `medium` from a thread of its own, 1000 times a second.
+    // For a hand that is shown or simulated; for a device, use TouchfieldLoop instead of this component.
     void FixedUpdate()
     {
-        UnityEngine.Vector3 there = transform.InverseTransformPoint(hand.position);
-        var at = new TouchfieldNative.Three
-        {
-            x = UnityEngine.Vector3.Dot(there, x),
-            y = UnityEngine.Vector3.Dot(there, y),
-            z = UnityEngine.Vector3.Dot(there, z),
-        };
-        TouchfieldNative.Three force;
-        medium.Force(UnityEngine.Time.fixedTime - started, at, out force);
+        UnityEngine.Vector3 p = transform.InverseTransformPoint(hand.position);
+        var position = new TouchfieldVector(UnityEngine.Vector3.Dot(p, x), UnityEngine.Vector3.Dot(p, y),
+            UnityEngine.Vector3.Dot(p, z));
+        TouchfieldVector force;
+        Player.Advance(position, UnityEngine.Time.fixedDeltaTime, out force);
         Newtons = transform.TransformDirection((float)force.x * x + (float)force.y * y + (float)force.z * z);
     }
 }

@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from touchfield.pipeline import EncodeSpec, compare, decode, encode, prepare, write_field
     from touchfield.render.player import Player
     from touchfield.render.sampler import FieldSampler
+    from touchfield.render.ticked_player import TickedPlayer
     from touchfield.sources.registry import open_source
     from touchfield.tasks.plan import plan
     from touchfield.tasks.play import play
@@ -63,6 +64,7 @@ __all__ = [
     "Grid",
     "HapticMedium",
     "Player",
+    "TickedPlayer",
     "TouchfieldError",
     "__version__",
     "compare",
@@ -116,6 +118,7 @@ _MODULES = {
     ),
     "render.player": ("Player",),
     "render.sampler": ("FieldSampler",),
+    "render.ticked_player": ("TickedPlayer",),
     "sources.registry": ("open_source",),
     "tasks.plan": ("plan",),
     "tasks.play": ("play",),

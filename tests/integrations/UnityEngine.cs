@@ -1,4 +1,4 @@
-// What the component of integrations/unity asks of Unity, so that it can be compiled without it.
+// What the component of integrations/unity needs of Unity, so that it can be compiled without it.
 namespace UnityEngine
 {
     public struct Vector3
@@ -32,6 +32,6 @@ namespace UnityEngine
 
     public static class Time
     {
-        public static float fixedTime = 0;
+        public static float fixedDeltaTime = 0.02f;
     }
 }

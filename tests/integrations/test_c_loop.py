@@ -7,23 +7,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 from builders import (
+    ATOL_N,
     FAULTY,
     OBJECTS,
+    TICKS,
     VOXELS,
-    assert_is_held,
+    assert_has_friction,
+    assert_resists,
     build_integration,
     make_plate,
     needs,
     player_forces,
     press_plate,
     run,
-    some_points,
+    slide_on_plate,
+    slow_way,
     stream_of,
 )
 
 pytestmark = needs("make", "cc")
-TICKS = 300
-ATOL_N = 1e-9
 
 
 @pytest.fixture(scope="module")
@@ -43,14 +45,6 @@ def run_loop(loop: Path, path: Path, *options: object, points: np.ndarray | None
     assert done.returncode == 0, done.stderr
     assert "the latest by" in done.stderr
     return np.array([line.split() for line in done.stdout.splitlines()], np.float64)
-
-
-def slow_way(name: str, count: int) -> np.ndarray:
-    """A polygon through points of the medium that returns to the middle after each, float64 [count, 3]."""
-    corners = some_points(name, count // 50 + 2)
-    corners[1::2] = some_points(name, 1000).mean(axis=0)
-    at = np.linspace(0, len(corners) - 1, count)
-    return np.stack([np.interp(at, np.arange(len(corners)), corners[:, n]) for n in range(3)], axis=1)
 
 
 @pytest.mark.parametrize("name", [*VOXELS, *OBJECTS])
@@ -74,15 +68,13 @@ def test_forces_are_limited_to_the_device(loop: Path) -> None:
 
 
 def test_thin_plate_holds_the_hand(loop: Path, plate: Path) -> None:
-    assert_is_held(run_loop(loop, plate, "-s", 1, "-p", 3.3, points=press_plate())[:, 4:], 3.3)
+    assert_resists(run_loop(loop, plate, "-s", 1, "-p", 3.3, points=press_plate())[:, 4:], 3.3)
 
 
 def test_friction_resists_the_hand_on_the_plate(loop: Path, plate: Path) -> None:
-    points = press_plate()
-    points[500:, 0] += np.linspace(0, 0.01, 500)
+    points = slide_on_plate()
     rows = run_loop(loop, plate, "-t", "-s", 1, "-p", 3.3, "-m", 0.3, points=points)
-    sliding_n = rows[600:, 4:]
-    np.testing.assert_allclose(sliding_n[:, 0], -0.3 * sliding_n[:, 2], rtol=0.05)
+    assert_has_friction(rows[:, 4:], 0.3)
     without_n = run_loop(loop, plate, "-t", "-s", 1, "-p", 3.3, "-m", 0, points=points)[600:, 4:]
     assert np.abs(without_n[:, 0]).max() < 0.01
 

@@ -1,4 +1,4 @@
-"""The CHAI3D effect, built against a stub, computes the forces of Python."""
+"""The CHAI3D effect, built against a stub, renders the forces of the Python player."""
 
 from __future__ import annotations
 
@@ -8,15 +8,24 @@ import numpy as np
 import pytest
 from builders import (
     ATOL_N,
+    ENGINE,
     FAULTY,
     OBJECTS,
+    TICKS,
     VOXELS,
+    assert_has_friction,
+    assert_is_released,
+    assert_resists,
     build_integration,
+    make_plate,
     needs,
-    python_forces,
-    query_program,
+    player_forces,
+    press_plate,
     run,
+    slide_on_plate,
+    slow_way,
     stream_of,
+    ticks_of,
 )
 
 pytestmark = needs("make", "cc", "c++")
@@ -28,21 +37,43 @@ def effect(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build_integration("chai3d", folder, "CXXFLAGS=-O1", "CFLAGS=-O1") / "try_effect"
 
 
+@pytest.fixture(scope="module")
+def plate(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_plate(tmp_path_factory.mktemp("plate") / "plate.touch")
+
+
 @pytest.mark.parametrize("name", [*VOXELS, *OBJECTS])
-def test_forces_agree_with_python(effect: Path, name: str) -> None:
-    frames, points, forces = query_program(name, [effect, stream_of(name)])
-    assert np.abs(forces).max() > 0.05
-    np.testing.assert_allclose(forces, python_forces(name, frames, points), atol=ATOL_N, rtol=0)
+def test_forces_agree_with_the_python_player(effect: Path, name: str) -> None:
+    points, expected_n = player_forces(stream_of(name), slow_way(name, TICKS), **ENGINE)
+    options = ["-l", "-k", 800, "-d", 0.5, "-c", 0]
+    forces_n, _ = ticks_of(effect, *options, stream_of(name), points=points)
+    assert np.abs(forces_n).max() > 0.05
+    np.testing.assert_allclose(forces_n, expected_n, atol=ATOL_N, rtol=0)
 
 
 def test_forces_are_limited_to_the_device(effect: Path) -> None:
-    name = "objects-touch"
-    frames, points, forces = query_program(name, [effect, stream_of(name), 0.25])
-    assert np.linalg.norm(forces, axis=-1).max() == pytest.approx(0.25)
-    np.testing.assert_allclose(forces, python_forces(name, frames, points, 0.25), atol=ATOL_N, rtol=0)
+    way = slow_way("objects-touch", TICKS)
+    points, expected_n = player_forces(stream_of("objects-touch"), way, 0.25, **ENGINE)
+    options = ["-l", "-k", 800, "-d", 0.5, "-c", 0, "-p", 0.25]
+    forces_n, _ = ticks_of(effect, *options, stream_of("objects-touch"), points=points)
+    assert np.linalg.norm(forces_n, axis=-1).max() == pytest.approx(0.25)
+    np.testing.assert_allclose(forces_n, expected_n, atol=ATOL_N, rtol=0)
+
+
+@pytest.mark.parametrize("clock", [[], ["-r"]])
+def test_thin_plate_resists_the_hand_until_a_stop(effect: Path, plate: Path, clock: list[str]) -> None:
+    forces_n, released_n = ticks_of(effect, "-p", 3.3, *clock, plate, points=press_plate())
+    assert_resists(forces_n, 3.3)
+    assert_is_released(released_n, forces_n[-1], 3.3)
+
+
+def test_friction_resists_the_hand_on_the_plate(effect: Path, plate: Path) -> None:
+    forces_n, _ = ticks_of(effect, "-p", 3.3, "-m", 0.3, plate, points=slide_on_plate())
+    assert_has_friction(forces_n, 0.3)
 
 
 def test_unplayable_file_is_refused_with_a_message(effect: Path) -> None:
     done = run(effect, FAULTY)
     assert done.returncode == 65 and "end too early" in done.stderr
     assert "cannot be read" in run(effect, "/nowhere.touch").stderr
+    assert run(effect).returncode == 64

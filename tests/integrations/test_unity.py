@@ -1,34 +1,76 @@
-"""The C# file for Unity: its structs have C's layout, and with Mono it computes the forces of Python."""
+"""The library for Unity renders the forces of the Python player, from Python and, with Mono, from C#."""
 
 from __future__ import annotations
 
-import platform
+import ctypes
 import re
+from collections.abc import Iterator
+from ctypes import POINTER, c_char_p, c_double, c_int, c_int64, c_uint64, c_void_p
 from pathlib import Path
 
 import numpy as np
 import pytest
 from builders import (
     ATOL_N,
+    ENGINE,
     FAULTY,
     INTEGRATIONS,
-    ROOT,
+    OBJECTS,
+    TICKS,
+    VOXELS,
+    assert_has_friction,
+    assert_is_released,
+    assert_resists,
     build_integration,
+    make_plate,
     needs,
-    python_forces,
-    query_program,
+    player_forces,
+    press_plate,
     run,
+    slide_on_plate,
+    slow_way,
     stream_of,
+    ticks_of,
 )
 
 pytestmark = needs("make", "cc")
 SOURCE = (INTEGRATIONS / "unity" / "Touchfield.cs").read_text()
-HEADER = (ROOT / "c" / "touch.h").read_text().partition("#endif\n#endif")[0]
-"""Declarations of the reader."""
-PLAYING = HEADER.partition("/* Codes on their own")[0]
-"""Those that playing a medium needs."""
-BASIC = {"double": (8, 8), "ulong": (8, 8), "IntPtr": (8, 8), "uint": (4, 4), "int": (4, 4)}
-Layouts = dict[str, tuple[int, ...]]
+HEADER = (INTEGRATIONS / "unity" / "touchfield.h").read_text()
+TICK_NS = 1_000_000
+OPTIONS = {"wall_n_per_m": 800, "damping_n_s_per_m": 0.5, "coupling_n_per_m": 0, "is_loop": 1}
+ARGUMENTS = ["-l", "-k", 800, "-d", 0.5, "-c", 0]
+TYPES = {
+    "touchfield *": c_void_p,
+    "const touchfield *": c_void_p,
+    "const void *": c_char_p,
+    "const char *": c_char_p,
+    "uint64_t ": c_uint64,
+    "int64_t ": c_int64,
+    "double ": c_double,
+    "int ": c_int,
+    "void ": None,
+}
+IN_CS = {
+    "touchfield *": "IntPtr",
+    "const touchfield *": "IntPtr",
+    "const void *": "byte[]",
+    "const char *": "string",
+    "uint64_t ": "ulong",
+    "int64_t ": "long",
+    "double ": "double",
+    "int ": "int",
+    "void ": "void",
+}
+
+
+def declarations() -> dict[str, tuple[str, list[str]]]:
+    """Functions of the header: type of the result, types of the arguments."""
+    found = {}
+    pattern = r"^TOUCHFIELD_API (\w[\w ]*?[ *]+)(touchfield_\w+)\(([^)]*)\);"
+    for result, name, arguments in re.findall(pattern, HEADER, re.MULTILINE):
+        kinds = ["double[]" if a.endswith("[3]") else re.sub(r"\w+$", "", a) for a in arguments.split(", ")]
+        found[name] = result, kinds
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -36,42 +78,150 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build_integration("unity", tmp_path_factory.mktemp("unity"), "CFLAGS=-O1")
 
 
-def parse_layouts(text: str) -> Layouts:
-    """Lines `name number ...`."""
-    return {fields[0]: tuple(map(int, fields[1:])) for fields in map(str.split, text.splitlines())}
+@pytest.fixture(scope="module")
+def plate(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_plate(tmp_path_factory.mktemp("plate") / "plate.touch")
 
 
-def layouts_of_cs() -> Layouts:
-    """Sizes and offsets under `LayoutKind.Sequential`: each field at a multiple of its alignment."""
-    sizes, out = dict(BASIC), {}
-    for name, body in re.findall(
-        r"LayoutKind\.Sequential\)\]\s+public struct (\w+)\s+{(.*?)}", SOURCE, re.DOTALL
+@pytest.fixture(scope="module")
+def library(built: Path) -> ctypes.CDLL:
+    (path,) = (*built.glob("libtouchfield.so"), *built.glob("libtouchfield.dylib"))
+    library = ctypes.CDLL(str(path))
+    for name, (result, arguments) in declarations().items():
+        getattr(library, name).restype = TYPES[result]
+        getattr(library, name).argtypes = [
+            POINTER(c_double) if kind == "double[]" else TYPES[kind] for kind in arguments
+        ]
+    return library
+
+
+class Player:
+    """A player of the library on a simulated clock, which decodes between ticks."""
+
+    def __init__(self, library: ctypes.CDLL, path: Path, **options: float) -> None:
+        content = path.read_bytes()
+        self.library, self.handle, self.ticks = library, library.touchfield_open(content, len(content)), 0
+        for name, value in options.items():
+            assert library.touchfield_set(self.handle, name.encode(), value)
+        self.code = library.touchfield_start(self.handle)
+
+    @property
+    def error(self) -> str:
+        return self.library.touchfield_error(self.handle).decode()
+
+    @property
+    def media_s(self) -> float:
+        return self.library.touchfield_media_s(self.handle)
+
+    def tick(self, position_m: np.ndarray) -> np.ndarray:
+        """The force after waiting for its frames, float64 [3]."""
+        force_n, now_ns = np.empty(3), self.ticks * TICK_NS
+        while not self.library.touchfield_is_ready(self.handle, now_ns):
+            assert self.library.touchfield_decode(self.handle)
+        pointer = force_n.ctypes.data_as(POINTER(c_double))
+        has_force = self.library.touchfield_tick(self.handle, *position_m.tolist(), now_ns, pointer)
+        assert bool(has_force) == force_n.any()
+        self.ticks += 1
+        return force_n
+
+    def forces_n(self, positions_m: np.ndarray) -> np.ndarray:
+        return np.stack([self.tick(position_m) for position_m in positions_m])
+
+
+@pytest.fixture
+def open_player(library: ctypes.CDLL) -> Iterator[object]:
+    players: list[Player] = []
+
+    def open_one(path: Path, **options: float) -> Player:
+        players.append(Player(library, path, **options))
+        return players[-1]
+
+    yield open_one
+    for player in players:
+        library.touchfield_close(player.handle)
+
+
+@pytest.mark.parametrize("name", [*VOXELS, *OBJECTS])
+def test_forces_agree_with_the_python_player(open_player, library: ctypes.CDLL, name: str) -> None:
+    points, expected_n = player_forces(stream_of(name), slow_way(name, TICKS), 0.5, **ENGINE)
+    player = open_player(stream_of(name), force_max_n=0.5, **OPTIONS)
+    library.touchfield_resume(player.handle)
+    forces_n = player.forces_n(points)
+    assert np.abs(forces_n).max() > 0.05
+    np.testing.assert_allclose(forces_n, expected_n, atol=ATOL_N, rtol=0)
+
+
+def test_thin_plate_resists_the_hand_until_a_stop(open_player, library: ctypes.CDLL, plate: Path) -> None:
+    player = open_player(plate, force_max_n=3.3)
+    library.touchfield_resume(player.handle)
+    positions_m = press_plate()
+    forces_n = player.forces_n(positions_m)
+    assert_resists(forces_n, 3.3)
+    library.touchfield_stop(player.handle)
+    released_n = []
+    while not library.touchfield_is_released(player.handle):
+        released_n.append(player.tick(positions_m[-1]))
+    assert_is_released(np.array(released_n), forces_n[-1], 3.3)
+
+
+def test_orders_pause_seek_and_resume(open_player, library: ctypes.CDLL) -> None:
+    player = open_player(stream_of("touch-block"))
+    duration_s = library.touchfield_duration_s(player.handle)
+    position_m = slow_way("touch-block", 10)[0]
+    player.tick(position_m)
+    player.tick(position_m)
+    assert player.media_s == 0.0  # it does not play yet
+    library.touchfield_resume(player.handle)
+    player.forces_n(np.tile(position_m, (21, 1)))
+    assert player.media_s == pytest.approx(0.020)
+    library.touchfield_pause(player.handle)
+    player.forces_n(np.tile(position_m, (5, 1)))
+    paused_s = player.media_s
+    player.forces_n(np.tile(position_m, (5, 1)))
+    assert player.media_s == paused_s
+    library.touchfield_resume(player.handle)
+    library.touchfield_seek(player.handle, duration_s / 2)
+    player.forces_n(np.tile(position_m, (3, 1)))
+    assert duration_s / 2 <= player.media_s < duration_s / 2 + 0.004
+    assert not library.touchfield_is_over(player.handle)
+    player.forces_n(np.tile(position_m, (int(1000 * duration_s), 1)))
+    assert library.touchfield_is_over(player.handle)
+
+
+def test_options_and_files_are_refused_with_a_message(open_player, library: ctypes.CDLL) -> None:
+    faulty = open_player(FAULTY)
+    assert faulty.code and "end too early" in faulty.error
+    assert not faulty.tick(np.zeros(3)).any()  # every call is safe
+    player = open_player(stream_of("touch-block"))
+    assert player.code == 0 and player.error == ""
+    assert not library.touchfield_set(player.handle, b"friction", 0.1)  # it has started
+    assert not library.touchfield_set(faulty.handle, b"colour", 1.0)
+    assert not library.touchfield_set(faulty.handle, b"friction", float("nan"))
+    assert "greatest force" in open_player(stream_of("touch-block"), force_max_n=0.0).error
+    assert "cannot be played" in open_player(stream_of("touch-block"), rate_hz=0.0).error
+
+
+def test_head_of_the_medium(open_player, library: ctypes.CDLL) -> None:
+    player = open_player(stream_of("touch-block"))
+    assert library.touchfield_axes(player.handle).decode().startswith("x ")
+    assert library.touchfield_force_max_n(player.handle) > 0
+
+
+def test_c_sharp_declares_every_function_of_the_header() -> None:
+    imported = {}
+    for result, name, arguments in re.findall(
+        r"static extern (\w+) (touchfield_\w+)\(([^;]*)\);", SOURCE, re.DOTALL
     ):
-        end, widest = 0, 1
-        for kind, fields in re.findall(r"public (\w+) ([^;]+);", body):
-            size, alignment = sizes[kind]
-            for field in fields.split(","):
-                start = -(-end // alignment) * alignment
-                out[f"{name}.{field.strip().lstrip('@')}"] = start, size
-                end, widest = start + size, max(widest, alignment)
-        sizes[name] = -(-end // widest) * widest, widest
-        out[name] = (sizes[name][0],)
-    return {name: layout for name, layout in out.items() if name.startswith("touch_")}
-
-
-@pytest.mark.skipif(
-    platform.machine() not in ("x86_64", "aarch64"), reason="pointers here are of another size"
-)
-def test_structs_have_the_layout_of_c(built: Path) -> None:
-    in_c = parse_layouts(run(built / "layouts").stdout)
-    assert in_c == layouts_of_cs()
-    assert set(re.findall(r"^} (touch_\w+);", PLAYING, re.MULTILINE)) == {n for n in in_c if "." not in n}
-
-
-def test_every_function_that_plays_is_declared() -> None:
-    functions = set(re.findall(r"^\w+ (touch_\w+)\(", PLAYING, re.MULTILINE))
-    named = set(re.findall(r"static extern \w+ (touch_\w+)\(", SOURCE))
-    assert PLAYING != HEADER and len(functions) > 8 and functions == named
+        kinds = [re.sub(r"\[\w.*\] ", "", a.strip()).rpartition(" ")[0] for a in arguments.split(",")]
+        imported[name] = result, kinds
+    expected = {
+        name: (
+            "IntPtr" if result == "const char *" else IN_CS[result],
+            ["out TouchfieldVector" if kind == "double[]" else IN_CS[kind] for kind in arguments],
+        )
+        for name, (result, arguments) in declarations().items()
+    }
+    assert imported == expected and len(imported) > 15
 
 
 @pytest.fixture(scope="module")
@@ -81,19 +231,30 @@ def program(built: Path) -> list[object]:
 
 
 @needs("mono", "mcs")
-def test_mono_has_the_layout_of_c(built: Path, program: list[object]) -> None:
-    of_mono = parse_layouts(run(*program, "--layouts").stdout)
-    assert {n: v for n, v in of_mono.items() if n.startswith("touch_")} == parse_layouts(
-        run(built / "layouts").stdout
-    )
+@pytest.mark.parametrize("name", ["touch-block", "objects-touch-deforming"])
+def test_c_sharp_agrees_with_the_python_player(program: list[object], name: str) -> None:
+    points, expected_n = player_forces(stream_of(name), slow_way(name, TICKS), 0.5, **ENGINE)
+    forces_n, _ = ticks_of(*program, *ARGUMENTS, "-p", 0.5, stream_of(name), points=points)
+    np.testing.assert_allclose(forces_n, expected_n, atol=ATOL_N, rtol=0)
 
 
 @needs("mono", "mcs")
-@pytest.mark.parametrize("name", ["touch-block", "objects-touch-deforming"])
-def test_forces_agree_with_python(program: list[object], name: str) -> None:
-    frames, points, forces = query_program(name, [*program, stream_of(name), 0.5], 100)
-    np.testing.assert_allclose(forces, python_forces(name, frames, points, 0.5), atol=ATOL_N, rtol=0)
-    assert np.linalg.norm(forces, axis=-1).max() == pytest.approx(0.5)
+@pytest.mark.parametrize("clock", [[], ["-r"]])
+def test_c_sharp_keeps_the_hand_out_of_a_thin_plate(
+    program: list[object], plate: Path, clock: list[str]
+) -> None:
+    forces_n, released_n = ticks_of(*program, "-p", 3.3, *clock, plate, points=press_plate())
+    assert_resists(forces_n, 3.3)
+    assert_is_released(released_n, forces_n[-1], 3.3)
+
+
+@needs("mono", "mcs")
+def test_physics_steps_render_the_ticks_between_them(program: list[object], plate: Path) -> None:
+    points = slide_on_plate()[::20]
+    forces_n, _ = ticks_of(*program, "-p", 3.3, "-m", 0.3, "-a", 20, plate, points=points)
+    assert (forces_n[20:, 2] > 0.5).all()
+    every_tick_n = np.repeat(forces_n, 20, axis=0)
+    assert_has_friction(every_tick_n, 0.3)
 
 
 @needs("mono", "mcs")

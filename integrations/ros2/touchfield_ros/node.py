@@ -3,21 +3,26 @@
     ros2 run touchfield_ros play --ros-args -p file:=room.touch -p rate_hz:=1000.0
 
 Subscribes to `hand` (geometry_msgs/PoseStamped, metres in the medium's frame), publishes `wrench`
-(geometry_msgs/WrenchStamped) at `rate_hz`. A hand in another frame than
-`frame_id`, or one that was not heard of for `silence_s`, gets no force.
+(geometry_msgs/WrenchStamped) at `rate_hz`. The force is that of touchfield's player: a proxy at walls,
+friction, limits, and a ramp to zero when no valid pose has arrived for `silence_s`, and at the end.
 """
 
 from __future__ import annotations
 
 import math
+import signal
+import time
+from typing import Any
 
 import rclpy
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
+from rclpy.signals import SignalHandlerOptions
 
 import touchfield as tf
+from touchfield.render.spec import RenderSpec
 
 PARAMETERS = {
     "file": "",
@@ -25,91 +30,127 @@ PARAMETERS = {
     "rate_hz": 1000.0,
     "silence_s": 0.1,
     "loop": True,
+    "speed": 1.0,
     "force_max_n": 0.0,
+    "friction": -1.0,
+    "wall_n_per_m": 0.0,
 }
 
 
 class Play(Node):
-    """Plays a file at its own rate, from the first heard pose on.
+    """Plays a file at its own rate, from the first valid pose on.
 
-    Parameters (ROS): file, frame_id, rate_hz, silence_s, loop, force_max_n (0: what the file allows).
+    Parameters (ROS): file, frame_id, rate_hz, silence_s, loop, speed, force_max_n (0: that of the medium),
+    friction (below 0: that of the medium), wall_n_per_m (0: measured in the medium). With use_sim_time, each
+    tick waits for its frames.
     """
 
     def __init__(self) -> None:
         super().__init__("touchfield_play")
         for name, value in PARAMETERS.items():
             self.declare_parameter(name, value)
-        self._stream = tf.open_stream(self._told("file"))
-        opened = self._stream.__enter__()
-        medium = opened.scene or opened.medium
-        allowed = self._told("force_max_n")
-        self.force_max_n = (
-            min(allowed, opened.declared_device.force_max_n)
-            if allowed > 0
-            else opened.declared_device.force_max_n
-        )
-        self.seconds = len(opened.medium) / opened.medium.rate_hz
-        self.sampler = tf.FieldSampler(medium)
-        self.frame_id, self.is_loop = self._told("frame_id"), self._told("loop")
-        self.hand: tuple[float, float, float] | None = None
-        self.heard_ns = self.began_ns = 0
-        self.create_subscription(PoseStamped, "hand", self._hear, qos_profile_sensor_data)
-        self.wrench = self.create_publisher(WrenchStamped, "wrench", qos_profile_sensor_data)
-        self.timer = self.create_timer(1 / self._told("rate_hz"), self._tick)
+        self._is_simulated = bool(self._parameter("use_sim_time"))
+        self._silence_ns = round(1e9 * self._parameter("silence_s"))
+        self._period_s = 1.0 / self._parameter("rate_hz")
+        self.frame_id = self._parameter("frame_id")
+        self._stream = tf.open_stream(self._parameter("file"))
+        self.player = self._open_player(self._stream.__enter__())
+        self.player.__enter__()
+        for note in self.player.notes:
+            self.get_logger().info(note)
+        self._position_m: tuple[float, float, float] | None = None
+        self._received_ns = self._ticked_ns = self._now_ns()
+        self._is_playing = self._has_failed = False
+        self.create_subscription(PoseStamped, "hand", self._receive, qos_profile_sensor_data)
+        self._publisher = self.create_publisher(WrenchStamped, "wrench", qos_profile_sensor_data)
+        self.create_timer(self._period_s, self._tick)
 
-    def _told(self, name: str):  # type: ignore[no-untyped-def]
+    def _parameter(self, name: str) -> Any:
         return self.get_parameter(name).value
 
+    def _open_player(self, opened: Any) -> tf.TickedPlayer:
+        force_max_n, friction = self._parameter("force_max_n"), self._parameter("friction")
+        allowed_n = opened.declared_device.force_max_n
+        spec = RenderSpec(
+            rate_hz=self._parameter("rate_hz"),
+            peak_n=min(force_max_n, allowed_n) if force_max_n > 0 else None,
+            friction=friction if friction >= 0 else None,
+            wall_n_per_m=self._parameter("wall_n_per_m") or None,
+            up="lattice",
+        )
+        return tf.TickedPlayer(
+            opened.scene or opened.medium,
+            opened.declared_device,
+            spec,
+            loop=self._parameter("loop"),
+            speed=self._parameter("speed"),
+            is_simulated=self._is_simulated,
+        )
+
     def _now_ns(self) -> int:
-        return int(self.get_clock().now().nanoseconds)
+        """Return the time of the ticks: simulated time, or a clock that no one sets."""
+        return int(self.get_clock().now().nanoseconds) if self._is_simulated else time.monotonic_ns()
 
-    def _hear(self, pose: PoseStamped) -> None:
-        """A place of the hand; one that is no number, or told in another frame, is as good as none."""
+    def _receive(self, pose: PoseStamped) -> None:
+        """Take a pose; one that is not finite or in another frame counts as none."""
         if pose.header.frame_id not in ("", self.frame_id):
-            words = (
-                f"a hand in frame '{pose.header.frame_id}' feels nothing; the medium lies in "
-                f"'{self.frame_id}'"
+            message = (
+                f"a hand in frame '{pose.header.frame_id}' has no force; the medium is in '{self.frame_id}'"
             )
-            self.get_logger().warning(words, throttle_duration_sec=5.0)
-            self.hand = None
+            self.get_logger().warning(message, throttle_duration_sec=5.0)
+            self._position_m = None
             return
-        place = (pose.pose.position.x, pose.pose.position.y, pose.pose.position.z)
-        self.hand = place if all(math.isfinite(n) for n in place) else None
-        self.heard_ns = self._now_ns()
-        self.began_ns = self.began_ns or self.heard_ns
-
-    def force_n(self, now_ns: int) -> tuple[float, float, float]:
-        """Newtons at the hand now: none while nothing is heard of it, and never more than is allowed."""
-        if self.hand is None or now_ns - self.heard_ns > 1e9 * self._told("silence_s"):
-            return 0.0, 0.0, 0.0
-        time_s = (now_ns - self.began_ns) / 1e9
-        x, y, z = self.sampler.at(time_s % self.seconds if self.is_loop else time_s, *self.hand)
-        size = math.sqrt(x * x + y * y + z * z)
-        share = min(1.0, self.force_max_n / size) if size else 0.0
-        return x * share, y * share, z * share
+        position_m = (pose.pose.position.x, pose.pose.position.y, pose.pose.position.z)
+        self._position_m = position_m if all(map(math.isfinite, position_m)) else None
+        self._received_ns = self._now_ns()
+        if self._position_m is not None and not self._is_playing:
+            self._is_playing = True
+            self.player.play()
 
     def _tick(self) -> None:
-        now_ns = self._now_ns()
+        self._ticked_ns = now_ns = self._now_ns()
+        is_silent = now_ns - self._received_ns > self._silence_ns
+        self._publish(self.player.tick(None if is_silent else self._position_m, now_ns))
+        if self.player.error is not None and not self._has_failed:
+            self._has_failed = True
+            self.get_logger().error(f"the file cannot be played further: {self.player.error}")
+
+    def _publish(self, force_n: tuple[float, float, float]) -> None:
         out = WrenchStamped()
         out.header.frame_id = self.frame_id
-        out.header.stamp.sec, out.header.stamp.nanosec = divmod(now_ns, 10**9)
-        out.wrench.force.x, out.wrench.force.y, out.wrench.force.z = self.force_n(now_ns)
-        self.wrench.publish(out)
+        out.header.stamp = self.get_clock().now().to_msg()
+        out.wrench.force.x, out.wrench.force.y, out.wrench.force.z = force_n
+        self._publisher.publish(out)
+
+    def release(self) -> None:
+        """Publish forces on the way to zero, at the node's rate, after its executor has ended."""
+        self.player.stop()
+        while rclpy.ok() and not self.player.is_released:
+            time.sleep(self._period_s)
+            self._ticked_ns += round(1e9 * self._period_s)  # simulated time stands without an executor
+            self._publish(self.player.tick(self._position_m, self._ticked_ns))
 
     def destroy_node(self) -> None:
-        """Closes the file, too."""
+        """Close the file, too."""
+        self.player.close()
         self._stream.__exit__(None, None, None)
         super().destroy_node()
 
 
+def _interrupt(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
 def main() -> None:
-    """The entry point."""
-    rclpy.init()
+    """The entry point: plays until a signal, then brings the force to zero."""
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # theirs end publishing before the ramp
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
     node = Play()
     try:
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+        node.release()
     finally:
         node.destroy_node()
         rclpy.try_shutdown()

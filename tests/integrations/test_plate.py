@@ -1,0 +1,16 @@
+"""The plate of the tests of engines is one that the stored force alone does not keep a hand out of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from builders import make_plate, press_plate
+
+import touchfield as tf
+
+
+def test_stored_force_does_not_resist_the_hand(tmp_path: Path) -> None:
+    with tf.open_stream(make_plate(tmp_path / "plate.touch")) as stream:
+        forces_n = tf.FieldSampler(stream.scene or stream.medium).force_n(0.0, press_plate())
+    assert forces_n[:280, 2].max() > 0.1  # on its way in
+    assert (forces_n[400:, 2] < 0.01).all()  # where `assert_resists` wants 0.5 N
