@@ -219,7 +219,7 @@ static inline int64_t touch_strongest_body(const touch_instant *t, touch_vector 
 
 /* The deformation of a frame; NULL: it has none. */
 TOUCH_INLINE const touch_deformation *touch_deformation_of(const touch_frame_header *frame) {
-    if (frame->deformation_offset <= 0) return NULL;
+    if (!TOUCH_HAS_EXTRAS || frame->deformation_offset <= 0) return NULL;
     return (const touch_deformation *)(const void *)((const char *)frame + frame->deformation_offset);
 }
 

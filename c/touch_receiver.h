@@ -15,6 +15,12 @@
 
 enum { TOUCH_RECEIVER_VERSION = 1 };
 
+/* A program that plays files alone may define it as 0: files have no deformations, materials or tools, whose code is left
+   out then. */
+#ifndef TOUCH_HAS_EXTRAS
+#define TOUCH_HAS_EXTRAS 1
+#endif
+
 /* -- a field of forces, in cells -------------------------------------------------------------------------------------- */
 
 /* A lattice of forces in bricks of 8 x 8 x 8 cells. A cell has eight corners, so that a brick stores 9 x 9 x 9 samples and

@@ -353,7 +353,7 @@ static inline int touch_is_position(touch_vector p) {
 /* Whether the orientation of the grip is known, if there is a tool; sets that of the tool in the field. */
 static inline int touch_orient_tool(touch_receiver *receiver) {
     const double *q = receiver->grip.orientation;
-    if (!receiver->settings.tool_point_count) return 1;
+    if (!TOUCH_HAS_EXTRAS || !receiver->settings.tool_point_count) return 1;
     touch_vector v = touch_vector_of(q[1], q[2], q[3]);
     double square = q[0] * q[0] + touch_dot(v, v);
     if (!(square >= TOUCH_MIN_ORIENTATION_SQUARE && square <= TOUCH_MAX_ORIENTATION_SQUARE)) return 0;
@@ -407,7 +407,7 @@ static inline touch_vector touch_field_force(touch_receiver *receiver, const tou
     touch_tick_state *state = &receiver->state;
     touch_vector force;
     if (settings->wall_n_per_m > 0.0) return touch_contact_force(receiver, t, *point_m, friction_n);
-    if (settings->tool_point_count > 0) {
+    if (TOUCH_HAS_EXTRAS && settings->tool_point_count > 0) {
         force = touch_tool_force(receiver, t, *point_m, &state->field_torque_nm);
         touch_desired_torque(receiver);
     } else if (state->compliance_m_per_n > TOUCH_MIN_COMPLIANCE_M_PER_N) {
@@ -428,7 +428,7 @@ static inline touch_vector touch_desired_force(touch_receiver *receiver, const t
     touch_tick_state *state = &receiver->state;
     touch_vector point = state->position_m, velocity = state->velocity_m_s, friction;
     const touch_material *material = NULL;
-    if (settings->material_count > 0) material = touch_find_material(receiver, t, point);
+    if (TOUCH_HAS_EXTRAS && settings->material_count > 0) material = touch_find_material(receiver, t, point);
     touch_vector force = touch_field_force(receiver, t, &point, &friction, dt_s);
     state->field_force_n = force;
     state->friction_n = friction;

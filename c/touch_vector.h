@@ -4,8 +4,10 @@
 
 #include <math.h>
 
-/* Functions of the inner loops: a call with vectors as arguments would copy them through memory. */
-#if defined(__GNUC__)
+/* Functions of the inner loops: a call with vectors as arguments would copy them through memory. A program that is to be
+   small defines TOUCH_INLINE as `static inline`. */
+#if defined(TOUCH_INLINE)
+#elif defined(__GNUC__)
 #define TOUCH_INLINE static inline __attribute__((always_inline))
 #else
 #define TOUCH_INLINE static inline

@@ -18,7 +18,7 @@ typedef struct { /* the largest frame of a range, and where its parts lie in mem
 } record_plan;
 
 static int record_fail(int code, const char *text) {
-    message = text;
+    page_message = text;
     return code;
 }
 
@@ -35,7 +35,7 @@ static int record_provenance_of(touch_head *h) {
 static int record_begin(touch_head *head, const touch_options *options, uint64_t out_at) {
     int code = record_provenance_of(head);
     if (code) return code;
-    if (!reach(out_at + RECORD_OUT_BYTES)) return record_fail(TOUCH_MEMORY, "not enough memory in the page");
+    if (!page_reach(out_at + RECORD_OUT_BYTES)) return record_fail(TOUCH_MEMORY, "not enough memory in the page");
     code = touch_write_start(&record_writer, head, options, touch_arena_of((void *)(uintptr_t)out_at, RECORD_OUT_BYTES));
     return code ? record_fail(code, record_writer.error) : TOUCH_OK;
 }
@@ -46,7 +46,7 @@ static int record_put(const touch_source *frames, const touch_vibration_samples 
     int code;
     while ((code = touch_write_segment(&record_writer, frames, vibration, count, work)) == TOUCH_MEMORY) {
         uint64_t size = 2 * record_writer.out.size;
-        if (!reach(out_at + size)) return record_fail(code, "not enough memory in the page");
+        if (!page_reach(out_at + size)) return record_fail(code, "not enough memory in the page");
         touch_write_grow(&record_writer, (void *)(uintptr_t)out_at, size);
     }
     return code ? record_fail(code, record_writer.error) : TOUCH_OK;
@@ -56,10 +56,10 @@ static int record_put(const touch_source *frames, const touch_vibration_samples 
 static int record_end(uint32_t count, uint64_t out_at) {
     touch_bytes bytes;
     uint64_t size = record_writer.out.size + 4096 + 26 * (uint64_t)count;
-    if (!reach(out_at + size)) return record_fail(TOUCH_MEMORY, "not enough memory in the page");
+    if (!page_reach(out_at + size)) return record_fail(TOUCH_MEMORY, "not enough memory in the page");
     touch_write_grow(&record_writer, (void *)(uintptr_t)out_at, size);
     int code = touch_write_finish(&record_writer, &bytes);
-    message = record_writer.error;
+    page_message = record_writer.error;
     return code;
 }
 
@@ -99,7 +99,7 @@ static int record_scan(uint32_t from, uint32_t count, const touch_options *optio
     part += 64 * p->length * p->vibrating + 32768 * p->length * p->vibrating_bricks;
     p->store_at = (address_of(4) + 15) & ~(uint64_t)15, p->work_at = p->store_at + p->length * own;
     p->out_at = (p->work_at + touch_larger(work, part) + 15) & ~(uint64_t)15;
-    return reach(p->out_at + RECORD_OUT_BYTES) ? TOUCH_OK : record_fail(TOUCH_MEMORY, "not enough memory in the page");
+    return page_reach(p->out_at + RECORD_OUT_BYTES) ? TOUCH_OK : record_fail(TOUCH_MEMORY, "not enough memory in the page");
 }
 
 /* The bricks of a field in ascending order; those without a force are left out. */

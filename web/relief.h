@@ -200,11 +200,11 @@ EXPORT(record_relief) int record_relief(double k, double f0_n) {
     touch_options options = {TOUCH_MASK, 0, TOUCH_INTER_AUTO, 1, 1, k, f0_n, 0, 0};
     touch_source frame;
     memset(&frame, 0, sizeof frame);
-    relief_read((const void *)(uintptr_t)file_at);
+    relief_read((const void *)(uintptr_t)page_file_at);
     touch_head head = relief_head();
-    uint64_t all = touch_brick_count(&head.grid), brick_at = (file_at + file_size + 15) & ~(uint64_t)15;
+    uint64_t all = touch_brick_count(&head.grid), brick_at = (page_file_at + page_file_size + 15) & ~(uint64_t)15;
     uint64_t forces_at = (brick_at + 12 * all + 15) & ~(uint64_t)15;
-    if (!reach(forces_at + 6144 * all)) return record_fail(TOUCH_MEMORY, "not enough memory in the page");
+    if (!page_reach(forces_at + 6144 * all)) return record_fail(TOUCH_MEMORY, "not enough memory in the page");
     frame.brick = (const int32_t *)(uintptr_t)brick_at, frame.forces_n = (const float *)(uintptr_t)forces_at;
     frame.bricks = relief_bricks((int32_t *)(uintptr_t)brick_at, (float *)(uintptr_t)forces_at);
     if (!frame.bricks) return record_fail(TOUCH_ARGUMENT, "no sample of the lattice lies behind the surface");

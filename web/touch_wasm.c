@@ -10,9 +10,9 @@
 #pragma clang attribute push(__attribute__((minsize)), apply_to = function) /* small rather than fast: it is in every page */
 #include "../c/touch_write.h"
 #pragma clang attribute pop
+#include "page.h"
 #include "surface.h"
 
-#define EXPORT(name) __attribute__((export_name(#name)))
 enum { PAGE = 1 << 16, MIN_DECODER_BYTES = 1 << 26, MAX_PARTS = 4096 };
 
 extern uint8_t __heap_base;
@@ -24,15 +24,16 @@ static touch_frame frame[2];
 static int64_t number[2], latest[2];    /* of the frames; of the last one that a decoder gave; -1: none */
 static uint32_t segment[2];             /* that a decoder is in */
 static int is_started[2];
-static uint64_t file_at, file_size, decoder_bytes;
+uint64_t page_file_at, page_file_size;
+static uint64_t decoder_bytes;
 static int first, second;               /* frames about the instant, and how far the second counts */
 static double fraction;
 static touch_part between[MAX_PARTS]; /* of objects: poses at the instant */
 static double out[16];
-static const char *message = "";
+const char *page_message = "";
 
 /* Memory up to a byte; 0: above the limit of the module. */
-static int reach(uint64_t end) {
+int page_reach(uint64_t end) {
     uint64_t pages = (end + PAGE - 1) / PAGE, own = __builtin_wasm_memory_size(0);
     if (pages <= own) return 1;
     if (pages > 65536) return 0;
@@ -41,7 +42,7 @@ static int reach(uint64_t end) {
 
 /* Address of the two decoders (0, 1), of the two frames (2, 3), which are smaller, and of what follows them (4). */
 static uint64_t address_of(int n) {
-    uint64_t at = (file_at + file_size + 15) & ~(uint64_t)15;
+    uint64_t at = (page_file_at + page_file_size + 15) & ~(uint64_t)15;
     if (n > 0) at += decoder_bytes;
     if (n > 1 && file.segment_count > 1) at += decoder_bytes;
     if (n > 2) at += decoder_bytes / 2;
@@ -55,8 +56,8 @@ static touch_arena arena_at(int n) {
 
 static int lay(void) {
     int n;
-    if (!reach(address_of(4))) {
-        message = "not enough memory in the page";
+    if (!page_reach(address_of(4))) {
+        page_message = "not enough memory in the page";
         return TOUCH_MEMORY;
     }
     for (n = 0; n < 2; n++) is_started[n] = 0, number[n] = latest[n] = -1, arena[n] = arena_at(2 + n);
@@ -65,14 +66,14 @@ static int lay(void) {
 
 /* Memory for the bytes of a file; NULL: there is too little. */
 EXPORT(room) uint8_t *room(uint32_t size) {
-    file_at = ((uint64_t)(uintptr_t)&__heap_base + 15) & ~(uint64_t)15, file_size = size;
-    return reach(file_at + file_size) ? (uint8_t *)(uintptr_t)file_at : 0;
+    page_file_at = ((uint64_t)(uintptr_t)&__heap_base + 15) & ~(uint64_t)15, page_file_size = size;
+    return page_reach(page_file_at + page_file_size) ? (uint8_t *)(uintptr_t)page_file_at : 0;
 }
 
 EXPORT(open) int open_file(void) {
-    int code = touch_open(&file, (const void *)(uintptr_t)file_at, file_size);
-    message = code ? file.error : "", decoder_bytes = MIN_DECODER_BYTES, first = second = 0, fraction = 0;
-    if (!code && file.object_count > MAX_PARTS) message = "too many objects", code = TOUCH_CORRUPT;
+    int code = touch_open(&file, (const void *)(uintptr_t)page_file_at, page_file_size);
+    page_message = code ? file.error : "", decoder_bytes = MIN_DECODER_BYTES, first = second = 0, fraction = 0;
+    if (!code && file.object_count > MAX_PARTS) page_message = "too many objects", code = TOUCH_CORRUPT;
     return code ? code : lay();
 }
 
@@ -152,10 +153,10 @@ static void read_parts(touch_file *f, touch_cursor *c) {
 EXPORT(open_parts) int open_parts(void) {
     touch_cursor c;
     memset(&file, 0, sizeof file);
-    file.data = (const uint8_t *)(uintptr_t)file_at, file.size = file_size;
+    file.data = (const uint8_t *)(uintptr_t)page_file_at, file.size = page_file_size;
     c = touch_cursor_of(file.data, file.size);
     read_parts(&file, &c);
-    message = c.code ? c.what : "", decoder_bytes = MIN_DECODER_BYTES, first = second = 0, fraction = 0;
+    page_message = c.code ? c.what : "", decoder_bytes = MIN_DECODER_BYTES, first = second = 0, fraction = 0;
     return c.code ? c.code : lay();
 }
 
@@ -186,11 +187,11 @@ EXPORT(check) int check(uint32_t n) {
         else if (touch_is_known(r.tag)) touch_fail(&c, TOUCH_CORRUPT, "records in another order");
     }
     if (!c.code) touch_need(&c, segments, "no segment in its entry of INDX");
-    message = c.code ? c.what : "";
+    page_message = c.code ? c.what : "";
     return c.code;
 }
 
-EXPORT(message) const char *message_of(void) { return message; }
+EXPORT(message) const char *message_of(void) { return page_message; }
 
 EXPORT(number) double number_of(int n) {
     const double values[] = {file.grid.shape[0],      file.grid.shape[1],     file.grid.shape[2],      file.grid.spacing_m[0],
@@ -221,7 +222,7 @@ static int decode(uint32_t wanted, int to) {
         latest[d] = code ? -1 : (int64_t)frame[to].number;
     }
     number[to] = code ? -1 : (int64_t)wanted;
-    if (code) message = code == TOUCH_END ? "a frame that is not where it should be" : decoder[d].error;
+    if (code) page_message = code == TOUCH_END ? "a frame that is not where it should be" : decoder[d].error;
     return code;
 }
 
@@ -291,7 +292,7 @@ EXPORT(show) int show(double at) {
         number[0] = number[1] = -1;
         return code;
     }
-    message = "";
+    page_message = "";
     for (n = 0; frame[first].is_placed && n < frame[first].parts; n++)
         mix_part(frame[first].part + n, frame[second].part + n, between + n);
     return TOUCH_OK;
@@ -373,7 +374,7 @@ EXPORT(plane) const float *plane(double x, double y, double z, double ax, double
     uint64_t bytes = 12 * (uint64_t)across * up, at = address_of(4);
     float *to = (float *)(uintptr_t)at;
     uint32_t i, j;
-    if (!reach(at + bytes)) return 0;
+    if (!page_reach(at + bytes)) return 0;
     for (i = 0; i < across; i++)
         for (j = 0; j < up; j++, to += 3) {
             double p[3], f[3];
@@ -416,7 +417,7 @@ EXPORT(surface) const surface_mesh *surface(uint32_t n, double threshold_n, doub
     uint64_t at = address_of(4);
     memset(&mesh, 0, sizeof mesh);
     surface_make(field_of(n), threshold_n, depth_m, 0, &mesh);
-    if (!reach(at + surface_bytes(&mesh))) return memset(&mesh, 0, sizeof mesh);
+    if (!page_reach(at + surface_bytes(&mesh))) return memset(&mesh, 0, sizeof mesh);
     surface_make(field_of(n), threshold_n, depth_m, (void *)(uintptr_t)at, &mesh);
     return &mesh;
 }

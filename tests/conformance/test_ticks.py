@@ -1,10 +1,14 @@
-"""The golden ticks of `conformance/ticks`: the compiled module and a program in C, with the sanitizers."""
+"""The golden ticks of `conformance/ticks`, by the compiled module, a program in C with the sanitizers, and
+WebAssembly.
+"""
 
 from __future__ import annotations
 
+import os
 import struct
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from shutil import which
 from typing import Any
@@ -77,6 +81,50 @@ def test_c_program_reports_a_wrong_force(program: Path, tmp_path: Path) -> None:
     assert (
         subprocess.run([program, tmp_path / "wrong.ticks"], capture_output=True, check=False).returncode == 1
     )
+
+
+OF_THE_PAGE = ("-DTOUCH_HAS_EXTRAS=0", "-DTOUCH_INLINE=static inline", "-Oz")  # as web/hand.c has them
+WITH_EXTRAS = {"deformation", "material", "tool"}  # that no file has
+
+
+def wasm_module(path: Path, *options: str) -> Path:
+    """Compile the tick for WebAssembly, with the page's own mathematics."""
+    if which("node") is None:
+        pytest.skip("there is no node here")
+    if find_spec("ziglang") is None and "TOUCHFIELD_ZIG_PYTHON" not in os.environ:
+        pytest.skip("zig is not here: pip install 'touchfield[web]'")
+    own, freestanding = Path(__file__).parent, ROOT / "web" / "freestanding"
+    command = [
+        os.environ.get("TOUCHFIELD_ZIG_PYTHON", sys.executable), "-m", "ziglang", "cc",
+        "-target", "wasm32-freestanding", "-mcpu=generic+bulk_memory+nontrapping_fptoint", "-O2", *options,
+        "-std=c11", "-Wall", "-Wextra", "-Werror", "-fno-builtin", "-nostdlib", "-fno-sanitize=all",
+        f"-I{freestanding}", f"-I{ROOT / 'c'}", "-Wl,--no-entry", "-o", str(path),
+        str(own / "ticks_wasm.c"), str(freestanding / "library.c"),
+    ]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return path
+
+
+def run_wasm(module: Path, files: list[Path]) -> subprocess.CompletedProcess[str]:
+    """Compare the ticks of files with those of a module, in node."""
+    command = ["node", str(Path(__file__).with_name("ticks.mjs")), str(module), *map(str, files)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_webassembly_computes_the_golden_forces(tmp_path: Path) -> None:
+    done = run_wasm(wasm_module(tmp_path / "ticks.wasm"), FILES)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert len(done.stdout.splitlines()) == len(FILES)
+
+
+def test_hand_of_the_page_computes_the_golden_forces(tmp_path: Path) -> None:
+    module = wasm_module(tmp_path / "ticks.wasm", *OF_THE_PAGE)
+    files = [path for path in FILES if path.stem not in WITH_EXTRAS]
+    done = run_wasm(module, files)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert len(done.stdout.splitlines()) == len(FILES) - len(WITH_EXTRAS)
+    assert run_wasm(module, [TICKS / "tool.ticks"]).returncode == 1  # its force is that of a point
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)

@@ -25,13 +25,18 @@ __attribute__((export_name("value"))) double value(int n, double x) {
     if (n < 2) return both[n];
     if (n < 4) return n == 2 ? sqrt(fabs(x)) : rint(x);
     if (n < 6) return n == 4 ? log2(fabs(x)) : asin(x / (1 + fabs(x)));
-    return n == 6 ? atan2(x, 1.5) : ldexp(mantissa, power);
+    if (n < 8) return n == 6 ? atan2(x, 1.5) : ldexp(mantissa, power);
+    const double small = x / (1 + fabs(x)), angle = 10 * small; /* arguments of a tick */
+    if (n < 10) return n == 8 ? sin(angle) : cos(angle);
+    if (n < 12) return n == 10 ? acos(small) : exp(angle);
+    if (n < 14) return n == 12 ? expm1(small) : pow(2.0, angle);
+    return n == 14 ? fmod(x, 0.7) : fmax(x, mantissa);
 }
 """
 
 
 def values(folder: Path, numbers: np.ndarray) -> np.ndarray:
-    """frexp (two), sqrt, rint, log2, asin, atan2 and ldexp of numbers, [numbers, 8]."""
+    """Functions of numbers, in the order of SOURCE, [numbers, 16]."""
     (folder / "value.c").write_text(SOURCE)
     (folder / "in").write_bytes(numbers.astype("<f8").tobytes())
     python = os.environ.get("TOUCHFIELD_ZIG_PYTHON", sys.executable)
@@ -44,7 +49,7 @@ def values(folder: Path, numbers: np.ndarray) -> np.ndarray:
     script = ROOT / "tests" / "viewer" / "math_values.mjs"
     files = (folder / name for name in ("value.wasm", "in", "out"))
     subprocess.run([str(NODE), str(script), *map(str, files)], check=True)
-    return np.frombuffer((folder / "out").read_bytes(), "<f8").reshape(-1, 8)
+    return np.frombuffer((folder / "out").read_bytes(), "<f8").reshape(-1, 16)
 
 
 @pytest.mark.skipif(NODE is None, reason="there is no node here")
@@ -70,3 +75,14 @@ def test_functions_equal_those_of_python(tmp_path: Path) -> None:
     )
     ulps = np.abs(got[:, 4:7] - expected) / np.spacing(np.abs(expected))
     assert ulps.max() <= 2
+    small = [x / (1 + abs(x)) for x in numbers]
+    expected = np.array(
+        [
+            (math.sin(10 * x), math.cos(10 * x), math.acos(x), math.exp(10 * x), math.expm1(x), 2 ** (10 * x))
+            for x in small
+        ]
+    )
+    ulps = np.abs(got[:, 8:14] - expected) / np.spacing(np.abs(expected))
+    assert ulps.max() <= 2
+    assert got[:, 14].tolist() == [math.fmod(x, 0.7) for x in numbers]
+    assert got[:, 15].tolist() == np.fmax(numbers, got[:, 0]).tolist()

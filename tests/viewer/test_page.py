@@ -30,18 +30,23 @@ WEB = ROOT / "web"
 GOLDEN = ROOT / "conformance" / "v1"
 PAGE_GZ, WASM_GZ = 200_000, 64_000
 
+HEADERS = (
+    "cells", "effects", "encode", "model", "play", "proxy", "query", "receiver", "render", "segment_blend",
+    "settings", "slopes", "tool", "vector", "write",
+)  # fmt: skip
+
 
 def sources() -> list[str]:
     """The sources named by build.mjs."""
     names = [
         "../c/touch.h",
-        "../c/touch_encode.h",
-        "../c/touch_model.h",
-        "../c/touch_write.h",
+        *(f"../c/touch_{name}.h" for name in HEADERS),
         "build.mjs",
         "build_wasm.sh",
+        "hand.c",
         "package-lock.json",
         "page.css",
+        "page.h",
         "page.html",
         "record.h",
         "relief.h",

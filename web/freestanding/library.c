@@ -42,3 +42,14 @@ double frexp(double x, int *power) {
     memcpy(&x, &bits, 8);
     return x;
 }
+
+/* The rest of x / y, exact: what is subtracted is between half of the rest and the rest. */
+double fmod(double x, double y) {
+    double rest = fabs(x), size = fabs(y), step;
+    if (!(size > 0) || !(rest < HUGE_VAL)) return __builtin_nan("");
+    while (rest >= size) {
+        for (step = size; step <= 0.5 * rest;) step *= 2;
+        rest -= step;
+    }
+    return x < 0 ? -rest : rest;
+}

@@ -26,7 +26,7 @@ export class Difference {
     return decoded;
   }
 
-  contact(from: Triple, direction: Triple, depth: number, away: Away | null): Triple | null {
+  contact(from: Triple, direction: Triple, depth: number, away: Away | null): ReturnType<Engine["contact"]> {
     return this.decoded.contact(from, direction, depth, away);
   }
 

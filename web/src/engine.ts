@@ -3,6 +3,7 @@
 // allowed.
 import { Fault, faultOf, readRecords, type Records, provenanceBytes, provenanceOf } from "./container";
 import { Difference } from "./difference";
+import { PAGE_MATH } from "./hand";
 import { DEFAULT_BOUND, type Relief } from "./relief";
 
 interface Exports {
@@ -114,6 +115,13 @@ export interface Recording {
   name: string;
 }
 
+/** Where a ray meets a force: the point where it enters, the probe behind it, and the force there. */
+export interface Met {
+  entry: Triple;
+  point: Triple;
+  force: Float64Array;
+}
+
 export interface Recorded {
   data: Uint8Array<ArrayBuffer>;
   /** The largest error as a fraction of the bound. */
@@ -146,8 +154,7 @@ export class Engine {
   private relief: Relief | null = null;
 
   constructor(private readonly module: WebAssembly.Module) {
-    const page = { sin: Math.sin, cos: Math.cos, atan: Math.atan, atan2: Math.atan2, asin: Math.asin, log2: Math.log2 };
-    this.wasm = new WebAssembly.Instance(module, { page }).exports as unknown as Exports;
+    this.wasm = new WebAssembly.Instance(module, { page: PAGE_MATH }).exports as unknown as Exports;
   }
 
   open(data: Uint8Array): Opened {
@@ -206,12 +213,12 @@ export class Engine {
   }
 
   /** Open the file of a picture of depth, with the default error bound. */
-  openRelief(relief: Relief): Opened {
+  openRelief(relief: Relief): Opened & { data: Uint8Array } {
     const start = performance.now();
     const { data } = new Engine(this.module).recordRelief(relief, DEFAULT_BOUND);
     const opened = this.open(data);
     this.relief = relief;
-    return { ...opened, ms: performance.now() - start };
+    return { ...opened, data, ms: performance.now() - start };
   }
 
   /** A new file of a picture of depth. */
@@ -304,7 +311,7 @@ export class Engine {
   }
 
   /** Where a ray first meets a force, and goes on for `depth` metres; what is cut away is passed; null: nowhere. */
-  contact(from: Triple, direction: Triple, depth: number, away: Away | null): Triple | null {
+  contact(from: Triple, direction: Triple, depth: number, away: Away | null): { point: Triple; entry: Triple } | null {
     const head = this.opened();
     const step = 0.5 * Math.min(...head.spacing);
     let near = 0;
@@ -328,7 +335,7 @@ export class Engine {
       const p: Triple = [from[0] + t * direction[0], from[1] + t * direction[1], from[2] + t * direction[2]];
       const f = this.feel(p);
       if (f[0]! * f[0]! + f[1]! * f[1]! + f[2]! * f[2]! > threshold * threshold)
-        return t === within ? p : [p[0] + depth * direction[0], p[1] + depth * direction[1], p[2] + depth * direction[2]];
+        return { entry: p, point: t === within ? p : [p[0] + depth * direction[0], p[1] + depth * direction[1], p[2] + depth * direction[2]] };
     }
     return null;
   }
@@ -448,7 +455,7 @@ export class Engine {
 export type What = "decoded" | "source" | "difference";
 
 export type EngineRequest =
-  | { do: "start"; wasm: ArrayBuffer }
+  | { do: "start"; module: WebAssembly.Module }
   | { do: "warm"; data: Uint8Array; times: number }
   | { do: "open"; data: Uint8Array; source: Uint8Array | null }
   | { do: "relief"; relief: Relief }
@@ -485,7 +492,7 @@ function open(data: Uint8Array, source: Uint8Array | null): Opened {
 export function answer(request: EngineRequest): unknown {
   try {
     if (request.do === "start") {
-      module = new WebAssembly.Module(request.wasm);
+      module = request.module;
       engine = decoded = new Engine(module);
       return true;
     }
@@ -518,16 +525,15 @@ export function answer(request: EngineRequest): unknown {
     if (request.do === "cut") return engine.cut(request.axis, request.at);
     if (request.do === "feel") return engine.feel(request.points);
     if (request.time !== null) engine.seek(request.time);
-    let met: { point: Triple; force: Float64Array } | null = null;
+    let met: Met | null = null;
     for (const { from, direction } of request.rays) {
-      const point = engine.contact(from, direction, request.depth, request.away);
-      if (!point) continue;
-      const force = engine.feel(point);
-      met ??= { point, force };
-      if (force[0] || force[1] || force[2]) return { point, force }; // and not through a thin wall
+      const found = engine.contact(from, direction, request.depth, request.away);
+      if (!found) continue;
+      const force = engine.feel(found.point);
+      met ??= { ...found, force };
+      if (force[0] || force[1] || force[2]) return { ...found, force }; // and not through a thin wall
     }
-    if (met) return met;
-    return { point: null, force: null };
+    return met;
   } catch (error) {
     if (error instanceof Fault) return { fault: error.kind, message: error.message, byte: error.byte };
     return { fault: "fault", message: String(error), byte: null };

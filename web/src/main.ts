@@ -3,7 +3,8 @@
 import { directionText, directionsOf, type Directions } from "./axes";
 import { colourOf } from "./colour";
 import { Fault, firstSegment, indexOffset } from "./container";
-import { answer, type EngineRequest, type Cut, type Opened, type Piece, type Recorded, type Shown, type Triple, type What } from "./engine";
+import { answer, type EngineRequest, type Cut, type Met, type Opened, type Piece, type Recorded, type Shown, type Triple, type What } from "./engine";
+import { Hand } from "./hand";
 import { differenceText, figuresOf, type Given, keyList, millimetres } from "./panel";
 import { materialsOf, slidOver } from "./material";
 import { isPicture, readPicture } from "./picture";
@@ -30,9 +31,9 @@ class Decoder {
   private readonly waiting = new Map<number, { request: EngineRequest; done: (value: unknown) => void }>();
   private readonly ready: Promise<unknown>;
 
-  constructor(wasm: Uint8Array<ArrayBuffer>, code: string) {
+  constructor(module: WebAssembly.Module, startWorker: () => Worker) {
     try {
-      this.worker = new Worker(URL.createObjectURL(new Blob([code], { type: "text/javascript" })));
+      this.worker = startWorker();
       this.worker.onmessage = ({ data }: MessageEvent<{ id: number; answer: unknown }>): void => {
         this.waiting.get(data.id)?.done(data.answer);
         this.waiting.delete(data.id);
@@ -45,7 +46,7 @@ class Decoder {
     } catch {
       this.worker = null;
     }
-    this.ready = this.request({ do: "start", wasm: wasm.buffer });
+    this.ready = this.request({ do: "start", module });
   }
 
   async request<T>(request: EngineRequest): Promise<T> {
@@ -69,6 +70,8 @@ interface State {
   directions: Directions;
   time: number;
   point: Triple;
+  /** The field at the probe, and what is shown of it: the force on the hand, where there is one. */
+  field: Float64Array;
   force: Float64Array;
   memory: number;
   axis: number;
@@ -82,6 +85,7 @@ const sound = new Sound();
 const view = new View(byId("view"), byId("labels"));
 const trace = new Trace(byId<HTMLCanvasElement>("trace"));
 let decoder: Decoder;
+let hand: Hand;
 let state: State | null = null;
 let given: Given = null;
 let playing = false;
@@ -134,7 +138,7 @@ function reportFault(error: unknown, name = state?.name ?? "the file"): void {
 async function openBytes(data: Uint8Array, name: string, figures: Given = null, source: Uint8Array | null = null): Promise<void> {
   await openAs(name, figures, !!source, null, async () => {
     if (data.length > MAX_BYTES) throw TOO_LARGE;
-    return decoder.request<Opened>({ do: "open", data, source });
+    return { opened: await decoder.request<Opened>({ do: "open", data, source }), data };
   });
 }
 
@@ -144,36 +148,45 @@ async function openPicture(data: Uint8Array<ArrayBuffer>, name: string): Promise
   await openAs(name, null, false, null, async (own) => {
     const relief = reliefOf(await readPicture(data, name), name);
     if (own !== opening) return null;
-    const opened = await decoder.request<Opened>({ do: "relief", relief });
+    const { data: file, ...opened } = await decoder.request<Opened & { data: Uint8Array }>({ do: "relief", relief });
     report = `${relief.report}, ${(opened.ms / 1000).toFixed(1)} s.`;
-    return opened;
+    return { opened, data: file };
   });
   if (report && document.documentElement.dataset.state === "ready") message(report);
 }
 
 const TOO_LARGE = { fault: "too large", message: `the page takes files up to ${MAX_BYTES >> 20} MiB`, byte: null };
 
-async function openAs(name: string, figures: Given, hasSource: boolean, read: Read | null, open: (own: number) => Promise<Opened | null>): Promise<void> {
+/** A file that the decoder has opened; its bytes where they are all there. */
+interface OpenedFile {
+  opened: Opened;
+  data: Uint8Array | null;
+}
+
+async function openAs(name: string, figures: Given, hasSource: boolean, read: Read | null, open: (own: number) => Promise<OpenedFile | null>): Promise<void> {
   const own = ++opening;
+  hand.close();
   marks.open = performance.now();
   document.documentElement.dataset.state = "opening";
   setPlaying(false);
   byId("fault").hidden = true;
   try {
     reading = null;
-    const opened = await open(own);
-    if (own !== opening || !opened) return;
+    const file = await open(own);
+    if (own !== opening || !file) return;
+    const { opened, data } = file;
     reading = read;
     const isArray = opened.head.type === 2;
     const directions = directionsOf(opened.records.axes, isArray);
     const middle = opened.head.origin.map((o, n) => o + 0.5 * opened.head.spacing[n]! * (opened.head.shape[n]! - 1)) as Triple;
     const axis = [0, 1, 2].find((n) => directions.right[n]) ?? 0;
-    state = { name, opened, directions, time: 0, point: middle, force: new Float64Array(5), memory: opened.memory, axis, cut: middle[axis]!, hasSource, what: "decoded" };
+    state = { name, opened, directions, time: 0, point: middle, field: new Float64Array(5), force: new Float64Array(5), memory: opened.memory, axis, cut: middle[axis]!, hasSource, what: "decoded" };
     given = figures;
     text("name", name);
     describe();
     await showNow(0, true);
     document.documentElement.dataset.state = "ready";
+    if (own === opening) startHand(data);
   } catch (error) {
     if (own === opening) reportFault(error, name);
   }
@@ -206,7 +219,7 @@ async function openParts(size: number, name: string, read: Read): Promise<void> 
     const first = firstSegment(entries);
     if (!(first > 0 && first < size)) throw { fault: "cut short", message: "no index at its end", byte: null };
     await bring(0, first);
-    return own === opening ? decoder.request<Opened>({ do: "open-parts", first }) : null;
+    return own === opening ? { opened: await decoder.request<Opened>({ do: "open-parts", first }), data: null } : null;
   });
 }
 
@@ -272,7 +285,7 @@ function scaleNow(): void {
   if (isError()) return text("caption", differenceText(given, !!opened.head.objects));
   text("caption", isArray
     ? "Each disc or pin is an actuator: the higher and the brighter it is, the stronger it pushes."
-    : "Surface: where a hand first feels a force; its colour: the force once it is pressed in by the length set on the right. Slice: the force inside, with cones that point where it pushes. Orange: your probe.");
+    : "Surface: where a hand first feels a force; its colour: the force once it is pressed in by the length set on the right. Slice: the force inside, with cones that point where it pushes. Orange: your probe, and the force on a hand that holds it; white: the proxy, which stays on the surface.");
 }
 
 const setWhat = latest(async (what: What) => {
@@ -323,23 +336,19 @@ async function jump(position: Triple, time = state!.time): Promise<void> {
   await feelAt(position);
 }
 
-interface Met {
-  point: Triple | null;
-  force: Float64Array;
-}
-
 // -- frames -------------------------------------------------------------------------------------------------------------
 
 async function showNow(time: number, isFirst = false): Promise<void> {
   const own = state!;
   own.time = Math.min(Math.max(time, 0), seconds());
+  hand.follow(own.time, playing ? speed() : 0);
   if (reading) await fetched(own.time);
   if (own !== state) return;
   if (isFirst) {
-    const met = await decoder.request<Met>({ do: "contact", time: 0, rays: view.raysFromMiddle(), depth: depth(), away: view.away() });
+    const met = await decoder.request<Met | null>({ do: "contact", time: 0, rays: view.raysFromMiddle(), depth: depth(), away: view.away() });
     marks.felt = performance.now();
-    if (met.point) own.point = met.point;
-    showForce(own.point, met.force ?? new Float64Array(5));
+    entry = met?.entry ?? null;
+    moveProbe(met?.point ?? own.point, met?.force ?? new Float64Array(5), entry);
   }
   const shown = await decoder.request<Shown>({ do: "show", time: own.time, axis: own.axis, at: isFirst ? null : own.cut, depth: depth() });
   if (own !== state) return;
@@ -362,7 +371,7 @@ async function showNow(time: number, isFirst = false): Promise<void> {
   byId<HTMLInputElement>("at").value = String(own.time);
   text("clock", `${own.time.toFixed(seconds() < 0.5 ? 4 : 2)} of ${seconds().toFixed(seconds() < 0.5 ? 4 : 2)} s`);
   showCut();
-  if (!isFirst) showForce(own.point, await decoder.request<Float64Array>({ do: "feel", points: own.point }));
+  if (!isFirst) showField(await decoder.request<Float64Array>({ do: "feel", points: own.point }));
 }
 
 const show = latest(async (time: number) => showNow(time));
@@ -397,8 +406,11 @@ function openMovie(): void {
   movie.onended = (): void => setPlaying(false);
 }
 
+const speed = (): number => Number(byId<HTMLSelectElement>("speed").value) * pace;
+
 function setPlaying(on: boolean): void {
   playing = on;
+  if (state) hand.follow(state.time, on ? speed() : 0);
   if (movie && on) {
     movie.playbackRate = Math.max(Number(byId<HTMLSelectElement>("speed").value), 0.1);
     if (movie.ended) movie.currentTime = 0;
@@ -413,13 +425,12 @@ function setPlaying(on: boolean): void {
     const now = performance.now();
     const passed = (now - before) / 1000;
     before = now;
-    const speed = Number(byId<HTMLSelectElement>("speed").value) * pace;
-    let time = state.time + passed * speed;
+    let time = state.time + passed * speed();
     if (movie) time = Math.min(Math.max(movie.currentTime - movieAt, 0), seconds());
     else if (time > seconds()) time = 0;
     try {
       await showNow(time);
-      if (reading) fetchAhead(Math.min(time + AHEAD_S * speed, seconds()));
+      if (reading) fetchAhead(Math.min(time + AHEAD_S * speed(), seconds()));
     } catch (error) {
       return reportFault(error);
     }
@@ -448,25 +459,69 @@ function speedAt(point: Triple): number {
 let spokenAt = 0;
 let spokenLater = 0;
 
-function showForce(point: Triple, force: Float64Array): void {
+let entry: Triple | null = null;
+/** Whether the probe is that of a device, which another program renders. */
+let isFollowing = false;
+
+/** Whether what is shown is the force on the hand, and not the bare force of the field. */
+const isHand = (): boolean => hand.rendered !== null && state?.what === "decoded" && !isFollowing;
+
+/** The probe is at a point, with this field; the ray of a pointer met the field at `from`. */
+function moveProbe(point: Triple, field: Float64Array, from: Triple | null = null): void {
+  const far = 0.05 * Math.hypot(...[0, 1, 2].map((n) => range(n)[1] - range(n)[0]));
+  const isJump = from !== null && Math.hypot(...point.map((v, n) => v - state!.point[n]!)) > far;
+  state!.point = point;
+  hand.move(point, isJump ? from : null);
+  showField(field);
+}
+
+/** The field at the probe has changed. */
+function showField(field: Float64Array): void {
+  state!.field = field;
+  if (!isHand()) showForce();
+  const wait = SPOKEN_MS - (performance.now() - spokenAt);
+  window.clearTimeout(spokenLater);
+  spokenLater = window.setTimeout(speak, Math.max(wait, 250));
+}
+
+function showForce(): void {
   const own = state!;
-  own.point = point;
-  own.force = force;
+  const rendered = isHand() ? hand.rendered : null;
+  const force = (own.force = rendered ? Float64Array.of(...rendered.force, ...own.field.subarray(3)) : own.field);
   const size = Math.hypot(force[0]!, force[1]!, force[2]!);
   const vibration = isError() ? 0 : force[3]!;
   text("size", size.toFixed(2));
   if (isError()) text("parts", `${(1000 * size * force[3]!).toFixed(1)} of ${(1000 * force[3]!).toFixed(1)} mN`);
   else text("parts", `x ${force[0]!.toFixed(2)}   y ${force[1]!.toFixed(2)}   z ${force[2]!.toFixed(2)} N`);
   text("vibrates", vibration > 0 ? `vibrates ${vibration.toFixed(2)} N at ${force[4]!.toFixed(0)} Hz` : "");
-  view.setProbe(point, force, `${size.toFixed(2)} ${isError() ? "of bound" : "N"}`);
+  view.setProbe(own.point, force, `${size.toFixed(2)} ${isError() ? "of bound" : "N"}`, rendered?.isInContact ? rendered.proxy : null);
   trace.add(size);
   const side = own.directions.right.reduce((sum, direction, n) => sum + direction * force[n]!, 0) / (size || 1);
-  const [texture, hertz] = slidOver(surfaces, point, speedAt(point), isError() ? 0 : size);
+  const [texture, hertz] = slidOver(surfaces, own.point, speedAt(rendered?.device ?? own.point), isError() ? 0 : size);
   if (texture > vibration) sound.play(size / top(), side, texture / top(), hertz);
   else sound.play(size / top(), side, vibration / top(), force[4]!);
-  const wait = SPOKEN_MS - (performance.now() - spokenAt);
-  window.clearTimeout(spokenLater);
-  spokenLater = window.setTimeout(speak, Math.max(wait, 250));
+}
+
+// -- the hand -----------------------------------------------------------------------------------------------------------
+
+const MAX_HAND_BYTES = 1 << 26;
+
+/** Give the hand the file that is shown; from then on the force is the one that it renders. */
+function startHand(data: Uint8Array | null, isContinued = false): void {
+  if (state!.opened.head.type === 2) return hand.close("an array of actuators is not touched with a probe"), showHand();
+  if (!data || data.length > MAX_HAND_BYTES) return hand.close(data ? "the file is too large" : "the file is read in parts"), showHand();
+  hand.open(data, state!.opened.records.provenance, isContinued);
+  hand.move(state!.point, entry ?? state!.point);
+  hand.follow(state!.time, playing ? speed() : 0);
+}
+
+/** A report of the hand. */
+function showHand(): void {
+  if (!state) return;
+  const { rendered, fault } = hand;
+  const ticks = rendered?.hertz ? `${rendered.hertz} ticks a second` : "starts";
+  text("hand", fault ? `none, ${fault}: the force of the field is shown` : `${ticks}${rendered?.missed ? `, ${rendered.missed} left out` : ""}`);
+  if (isHand() || fault) showForce();
 }
 
 /** A sentence for those who do not see, at most one in a while. */
@@ -485,23 +540,25 @@ function speak(): void {
   text("spoken", `${what}${vibration}; ${position.join(", ")} millimetres from the middle`);
 }
 
-const feelAt = async (point: Triple): Promise<void> => {
+const feelAt = async (point: Triple, isFollowed = false): Promise<void> => {
   const bounded = point.map((m, n) => Math.min(Math.max(m, range(n)[0]), range(n)[1])) as Triple;
-  showForce(bounded, await decoder.request<Float64Array>({ do: "feel", points: bounded }));
+  isFollowing = isFollowed;
+  moveProbe(bounded, await decoder.request<Float64Array>({ do: "feel", points: bounded }));
 };
 const feel = latest(feelAt);
 
 /** Where a hand is that another program follows, and when. */
-const hand = latest(async (at: Triple, time: number) => {
+const followHand = latest(async (at: Triple, time: number) => {
   if (!state) return;
   if (Math.abs(time - state.time) > 0.5 / state.opened.head.rate) await showNow(Math.min(time, seconds()));
-  await feelAt(at);
+  await feelAt(at, true);
 });
 
 const point = latest(async (x: number, y: number, pressure: number) => {
   const ray = view.ray(x, y);
-  const met = await decoder.request<Met>({ do: "contact", time: null, rays: [ray], depth: depth() * pressure, away: view.away() });
-  if (met.point) showForce(met.point, met.force);
+  const met = await decoder.request<Met | null>({ do: "contact", time: null, rays: [ray], depth: depth() * pressure, away: view.away() });
+  isFollowing = false;
+  if (met) moveProbe(met.point, met.force, met.entry);
   else await feelAt(view.facing(ray, state!.point));
 });
 
@@ -766,6 +823,7 @@ async function followBytes(data: Uint8Array, name: string): Promise<void> {
     state = { ...state, opened, name, time: 0 };
     text("name", name);
     await showNow(0, true);
+    if (own === opening) startHand(data, true);
     if (!playing) setPlaying(true);
   } catch (error) {
     reportFault(error, name);
@@ -793,7 +851,11 @@ async function start(): Promise<void> {
   wirePointer();
   wireKeys();
   const packed = new Blob([bytesOf("decoder")]).stream().pipeThrough(new DecompressionStream("gzip"));
-  decoder = new Decoder(new Uint8Array(await new Response(packed).arrayBuffer()), byId("worker").textContent!);
+  const module = await WebAssembly.compile(await new Response(packed).arrayBuffer());
+  const code = new Blob([byId("worker").textContent!], { type: "text/javascript" });
+  const startWorker = (): Worker => new Worker(URL.createObjectURL(code));
+  decoder = new Decoder(module, startWorker);
+  hand = new Hand(module, startWorker, showHand);
   const medium = byId("given-medium");
   document.documentElement.dataset.state = "empty";
   if (!medium.textContent!.trim()) return void (await decoder.request({ do: "warm", data: bytesOf("sample"), times: 14 }));
@@ -809,11 +871,12 @@ Object.assign(window, {
     open: (data: ArrayLike<number>, name: string) => openBytes(Uint8Array.from(data), name),
     read: (size: number, name: string, read: Read) => openParts(size, name, async (from, to) => Uint8Array.from(await read(from, to))),
     follow: (data: ArrayLike<number>, name: string) => followBytes(Uint8Array.from(data), name),
-    hand: (at: Triple, time: number) => hand(at, time),
+    hand: (at: Triple, time: number) => followHand(at, time),
     feel: (points: number[]) => decoder.request<Float64Array>({ do: "feel", points }).then((all) => [...all]),
     seek: (time: number) => showNow(time).catch(reportFault),
     state: () => ({
       state: document.documentElement.dataset.state, name: state?.name, time: state?.time, point: state?.point, force: state && [...state.force],
+      field: state && [...state.field], hand: hand.rendered, handFault: hand.fault,
       axis: state?.axis, cut: state?.cut, playing, movie: movie?.currentTime, triangles: view.triangles, cones: view.cones, bodies: view.bodies, marks, sound: sound.output,
       head: state?.opened.head, memory: state?.memory, graphicsObjects: view.graphicsObjects, what: state?.what,
     }),

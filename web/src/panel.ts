@@ -13,11 +13,12 @@ export const millimetres = (m: number): string => {
 const bytes = (n: number): string => (n < 10000 ? `${n} B` : n < 1e7 ? `${(n / 1000).toFixed(1)} kB` : `${(n / 1e6).toFixed(1)} MB`);
 const short = (n: number): string => (n !== 0 && (Math.abs(n) < 1e-3 || Math.abs(n) >= 1e5) ? n.toExponential(2) : String(+n.toPrecision(4)));
 
-function row(list: HTMLElement, name: string, value: string): void {
+function row(list: HTMLElement, name: string, value: string): HTMLElement {
   const [term, description] = [document.createElement("dt"), document.createElement("dd")];
   term.textContent = name;
   description.textContent = value;
   list.append(term, description);
+  return description;
 }
 
 const KNOWN: [string, string, (n: number) => string][] = [
@@ -32,7 +33,7 @@ const percent = (fraction: number, digits: number): string => `${+(100 * fractio
 
 /** What the medium holds in bits, and what each device renders of it. */
 function information(list: HTMLElement, given: Record<string, unknown>): void {
-  if (typeof given.entropy_voxel_bits !== "number") return row(list, "entropy, capacity", "not computed");
+  if (typeof given.entropy_voxel_bits !== "number") return void row(list, "entropy, capacity", "not computed");
   row(list, "entropy of a voxel", `${short(given.entropy_voxel_bits)} bit`);
   row(list, "entropy of a frame", bits(given.entropy_frame_bits as number));
   for (const [name, own] of Object.entries(given.capacity as Record<string, Record<string, number>>)) {
@@ -77,6 +78,7 @@ export function figuresOf(list: HTMLElement, provenance: HTMLElement, opened: Op
   row(list, "axes", records.axes || "–");
   row(list, "coder", records.coder);
   row(list, "memory of the page", `${Math.round(opened.memory / 2 ** 20)} of at most 1024 MiB`);
+  row(list, "the hand", "starts").id = "hand";
   provenance.replaceChildren();
   for (const [key, value] of records.provenance) row(provenance, key, value);
   (provenance.closest("details") as HTMLElement).hidden = !records.provenance.length;

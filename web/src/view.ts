@@ -353,16 +353,25 @@ export class View {
     const rim = new Mesh(new SphereGeometry(radius * 1.35, 24, 16), new MeshBasicMaterial({ ...over, color: 0xffffff }));
     const shaft = new Mesh(new CylinderGeometry(0.4 * radius, 0.4 * radius, 1, 12).translate(0, 0.5, 0), new MeshBasicMaterial(over));
     const tip = new Mesh(new ConeGeometry(1.1 * radius, 2.6 * radius, 16).translate(0, 1.3 * radius, 0), new MeshBasicMaterial(over));
+    const proxy = new Mesh(new SphereGeometry(0.7 * radius, 24, 16), new MeshBasicMaterial({ ...over, color: 0xffffff }));
+    const string = new Mesh(new CylinderGeometry(0.2 * radius, 0.2 * radius, 1, 12).translate(0, 0.5, 0), new MeshBasicMaterial({ ...over, color: 0x0f172a }));
+    const edge = new Mesh(new SphereGeometry(0.9 * radius, 24, 16), new MeshBasicMaterial({ ...over, color: 0x0f172a }));
+    string.renderOrder = 10;
+    edge.renderOrder = 11;
+    proxy.renderOrder = 12;
     rim.renderOrder = 8;
     ball.renderOrder = shaft.renderOrder = tip.renderOrder = 9;
-    this.probe.add(rim, ball, shaft, tip);
+    this.probe.add(rim, ball, shaft, tip, string, edge, proxy);
     this.probe.visible = false;
     this.label("", () => (this.probe.visible ? this.probe.position.clone() : null), "probe");
   }
 
-  /** The probe at a point with the force that it feels; the force's arrow is as long as a fifth of the box at the peak. */
-  setProbe(point: Triple, force: ArrayLike<number>, text: string): void {
-    const [, , shaft, tip] = this.probe.children as [Object3D, Object3D, Object3D, Object3D];
+  /**
+   * The probe at a point with the force that it feels, and the proxy on the surface, with a line to the probe; the
+   * force's arrow is as long as a fifth of the box at the peak.
+   */
+  setProbe(point: Triple, force: ArrayLike<number>, text: string, proxy: Triple | null): void {
+    const [, , shaft, tip, string, edge, ball] = this.probe.children as Object3D[] as [Object3D, Object3D, Object3D, Object3D, Object3D, Object3D, Object3D];
     const vector = new Vector3(force[0], force[1], force[2]);
     const size = vector.length();
     this.probe.visible = true;
@@ -375,6 +384,14 @@ export class View {
       tip.quaternion.copy(shaft.quaternion);
       shaft.scale.set(1, length, 1);
       tip.position.copy(vector).multiplyScalar(length);
+    }
+    string.visible = edge.visible = ball.visible = proxy !== null;
+    if (proxy) {
+      const way = new Vector3(...proxy).sub(this.probe.position);
+      edge.position.copy(way);
+      ball.position.copy(way);
+      string.scale.set(1, Math.max(way.length(), 1e-9), 1);
+      string.quaternion.setFromUnitVectors(UP, way.lengthSq() > 0 ? way.normalize() : UP);
     }
     const label = this.labels.find((l) => l.element.classList.contains("probe"));
     if (label) label.element.textContent = size > 0 ? text : "";

@@ -1,6 +1,10 @@
-// Runs the decoder (engine.ts) in a thread of its own, so that the page stays responsive.
+// Runs the decoder (engine.ts), or the hand (hand.ts), in a thread of its own, so that the page stays responsive.
 import { answer, type EngineRequest } from "./engine";
+import { HandWorker, type HandOrder } from "./hand";
 
-onmessage = (event: MessageEvent<{ id: number; request: EngineRequest }>): void => {
-  postMessage({ id: event.data.id, answer: answer(event.data.request) });
+const hand = new HandWorker((report) => postMessage(report));
+
+onmessage = ({ data }: MessageEvent<{ id: number; request: EngineRequest } | { hand: HandOrder }>): void => {
+  if ("hand" in data) hand.take(data.hand);
+  else postMessage({ id: data.id, answer: answer(data.request) });
 };
