@@ -249,6 +249,14 @@ def test_c_sharp_keeps_the_hand_out_of_a_thin_plate(
 
 
 @needs("mono", "mcs")
+def test_force_ramps_to_zero_if_the_device_fails(program: list[object], plate: Path) -> None:
+    points = press_plate()
+    done_n, _ = ticks_of(*program, "-p", 3.3, "-r", "-f", 600, plate, points=points)
+    assert done_n[599].any() and 605 < len(done_n) < 700
+    assert_is_released(done_n[600:], done_n[599], 3.3)
+
+
+@needs("mono", "mcs")
 def test_physics_steps_render_the_ticks_between_them(program: list[object], plate: Path) -> None:
     points = slide_on_plate()[::20]
     forces_n, _ = ticks_of(*program, "-p", 3.3, "-m", 0.3, "-a", 20, plate, points=points)
