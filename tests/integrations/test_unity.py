@@ -195,6 +195,7 @@ def test_options_and_files_are_refused_with_a_message(open_player, library: ctyp
     player = open_player(stream_of("touch-block"))
     assert player.code == 0 and player.error == ""
     assert not library.touchfield_set(player.handle, b"friction", 0.1)  # it has started
+    assert library.touchfield_start(player.handle) and player.error == ""
     assert not library.touchfield_set(faulty.handle, b"colour", 1.0)
     assert not library.touchfield_set(faulty.handle, b"friction", float("nan"))
     assert "greatest force" in open_player(stream_of("touch-block"), force_max_n=0.0).error
