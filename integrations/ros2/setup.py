@@ -11,5 +11,7 @@ setup(
         ("share/touchfield_ros", ["package.xml"]),
     ],
     install_requires=["touchfield"],
-    entry_points={"console_scripts": ["play = touchfield_ros.node:main"]},
+    entry_points={
+        "console_scripts": ["play = touchfield_ros.node:main", "press = touchfield_ros.press:main"]
+    },
 )

@@ -286,7 +286,7 @@ public sealed class TouchfieldLoop : IDisposable
         thread.Start();
     }
 
-    // What the device has thrown, which ended the loop; else null.
+    // What the device has thrown, or null. Then the force has gone to zero, as far as the device took it, and the loop ends.
     public Exception Error { get; private set; }
 
     public void Dispose()
@@ -297,21 +297,41 @@ public sealed class TouchfieldLoop : IDisposable
 
     void Run()
     {
+        long start = Stopwatch.GetTimestamp();
+        bool hasForce = true;
+        for (long n = 1; !player.IsReleased && (Error == null || hasForce); n++)
+        {
+            TouchfieldVector forceN;
+            hasForce = player.Tick(ReadPositionM(), out forceN);
+            WriteForceN(forceN);
+            // sleeping takes more than a millisecond on some systems
+            while (Stopwatch.GetTimestamp() - start < n * Stopwatch.Frequency / rateHz) Thread.Yield();
+        }
+    }
+
+    // Without a position the force goes to zero, within the ramp.
+    TouchfieldVector ReadPositionM()
+    {
         try
         {
-            long start = Stopwatch.GetTimestamp();
-            for (long n = 1; !player.IsReleased; n++)
-            {
-                TouchfieldVector forceN;
-                player.Tick(device.ReadPositionM(), out forceN);
-                device.WriteForceN(forceN);
-                // sleeping takes more than a millisecond on some systems
-                while (Stopwatch.GetTimestamp() - start < n * Stopwatch.Frequency / rateHz) Thread.Yield();
-            }
+            if (Error == null) return device.ReadPositionM();
         }
         catch (Exception error)
         {
             Error = error;
+        }
+        return new TouchfieldVector(double.NaN, double.NaN, double.NaN);
+    }
+
+    void WriteForceN(TouchfieldVector forceN)
+    {
+        try
+        {
+            device.WriteForceN(forceN);
+        }
+        catch (Exception error)
+        {
+            if (Error == null) Error = error;
         }
     }
 }

@@ -1,7 +1,7 @@
-// Runs Touchfield.cs without Unity: try [-p PEAK_N] [-m FRICTION] [-d DAMPING] [-c COUPLING] [-k WALL] [-a TICKS] [-l] [-r]
-// FILE reads positions, a line `x y z` in metres for each tick of 1 ms, and prints the force of each, newtons. At the end it
+// Runs Touchfield.cs without Unity: try [-p PEAK_N] [-m FRICTION] [-d DAMPING] [-c COUPLING] [-k WALL] [-a TICKS] [-f TICK]
+// [-l] [-r] FILE reads positions, a line `x y z` in metres for each tick of 1 ms, and prints the force of each, newtons. At the end it
 // stops, and prints the forces on the way to zero. Time is simulated, or with -r real, in a TouchfieldLoop; with -a a line is
-// a step of so many ticks, as in FixedUpdate.
+// a step of so many ticks, as in FixedUpdate; with -f the device fails at that tick.
 using System;
 using System.Collections.Generic;
 using System.Globalization;
@@ -11,7 +11,7 @@ using System.Threading;
 static class TryTouchfield
 {
     static readonly TouchfieldOptions options = new TouchfieldOptions();
-    static int ticksPerStep;
+    static int ticksPerStep, failingTick = int.MaxValue;
     static bool isRealTime;
 
     // A device that moves along the lines, one a tick, and records its forces.
@@ -29,6 +29,7 @@ static class TryTouchfield
 
         public TouchfieldVector ReadPositionM()
         {
+            if (Forces.Count >= failingTick) throw new IOException("the device does not answer");
             return positions[Math.Min(Forces.Count, positions.Count - 1)];
         }
 
@@ -56,6 +57,7 @@ static class TryTouchfield
                 case "-d": options.DampingNsPerM = Number(words[++n]); break;
                 case "-c": options.CouplingNPerM = Number(words[++n]); break;
                 case "-k": options.WallNPerM = Number(words[++n]); break;
+                case "-f": failingTick = (int)Number(words[++n]); break;
                 case "-a": ticksPerStep = (int)Number(words[++n]); break;
                 default: return null;
             }
@@ -99,8 +101,11 @@ static class TryTouchfield
 
     static void RunRealTime(TouchfieldPlayer player, Recorder device)
     {
-        using (new TouchfieldLoop(player, device, options.RateHz))
-            while (!device.IsDone) Thread.Sleep(1);
+        using (var loop = new TouchfieldLoop(player, device, options.RateHz))
+        {
+            while (!device.IsDone && loop.Error == null) Thread.Sleep(1);
+            Thread.Sleep(loop.Error == null ? 0 : 100);
+        }
     }
 
     static int Main(string[] words)

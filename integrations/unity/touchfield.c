@@ -88,7 +88,7 @@ int touchfield_start(touchfield *player) {
     touch_play *play = &player->play;
     double max_n = play->options.device.force_max_n;
     if (play->code) return play->code;
-    if (player->memory) return touch_play_fail(play, TOUCH_ARGUMENT, "started twice");
+    if (player->memory) return TOUCH_ARGUMENT; /* it plays on */
     if (!(max_n >= 1e-6 && max_n <= 1e6)) return touch_play_fail(play, TOUCH_ARGUMENT, "a device without a greatest force");
     player->memory = malloc((size_t)touch_play_room(play));
     if (touch_play_start(play, player->memory)) free(player->memory), player->memory = NULL;

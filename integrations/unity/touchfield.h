@@ -42,7 +42,7 @@ TOUCHFIELD_API double touchfield_force_max_n(const touchfield *player);
    friction, damping_n_s_per_m, coupling_n_per_m (each below 0: as the medium states, or the stable value), wall_n_per_m,
    scale, force_scale, ramp_s, is_passive; of the player: is_loop, speed, start_s. touch_settings.h describes them. */
 TOUCHFIELD_API int touchfield_set(touchfield *player, const char *option, double value);
-/* Lay out the receiver and decode the first frame; 0, or a code of touch.h. */
+/* Lay out the receiver and decode the first frame, once; 0, or a code of touch.h. */
 TOUCHFIELD_API int touchfield_start(touchfield *player);
 
 /* Decode a frame ahead; 0: there is nothing to do now. */

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import runpy
 import shutil
 import subprocess
 from dataclasses import replace
@@ -17,8 +18,6 @@ from touchfield.devices.drivers.simulated import SimHand
 from touchfield.medium.trace import Trace
 from touchfield.render.offline import run_offline
 from touchfield.render.spec import RenderSpec
-from touchfield.sources.shapes.analytic_scene import AnalyticScene
-from touchfield.sources.shapes.shapes import Box
 
 ROOT = Path(__file__).resolve().parents[2]
 INTEGRATIONS, GOLDEN = ROOT / "integrations", ROOT / "conformance" / "v1"
@@ -26,6 +25,8 @@ FAULTY = ROOT / "conformance" / "faulty" / "cut-at-end.touch"
 VOXELS = ("touch-block", "touch-lossless", "vibration-touch")
 OBJECTS = ("objects-touch", "objects-touch-deforming")
 ATOL_N = 1e-9
+_PLATE = runpy.run_path(str(INTEGRATIONS / "plate.py"))
+make_plate, press_plate = _PLATE["make_plate"], _PLATE["press_plate"]
 TICKS = 300
 ENGINE = {"loop": True, "wall_n_per_m": 800.0, "damping_n_s_per_m": 0.5, "coupling_n_per_m": 0.0}
 """Options of `player_forces` that are the same however far ahead an engine decodes.
@@ -135,18 +136,6 @@ def player_forces(
         )
     log = run.log[: len(positions_m)]
     return log["position_m"], log["force_n"]
-
-
-def make_plate(path: Path) -> Path:
-    """Write a plate of 60 x 40 x 2 mm."""
-    tf.encode(AnalyticScene((Box((0, 0, 0), (0.03, 0.02, 0.001)),)), path, tf.EncodeSpec(nw=7, mapping="1"))
-    return path
-
-
-def press_plate(count: int = 1000) -> np.ndarray:
-    """A hand that goes from 5 mm above that plate to 2 mm below its surface and rests, float64 [count, 3]."""
-    height_m = np.interp(np.arange(count), [0, 300, count], [0.006, -0.001, -0.001])
-    return np.stack([np.full(count, 0.004), np.full(count, 0.003), height_m], axis=1)
 
 
 def assert_resists(forces_n: np.ndarray, peak_n: float) -> None:

@@ -10,6 +10,7 @@ from builders import (
     ATOL_N,
     ENGINE,
     FAULTY,
+    INTEGRATIONS,
     OBJECTS,
     TICKS,
     VOXELS,
@@ -77,3 +78,14 @@ def test_unplayable_file_is_refused_with_a_message(effect: Path) -> None:
     assert done.returncode == 65 and "end too early" in done.stderr
     assert "cannot be read" in run(effect, "/nowhere.touch").stderr
     assert run(effect).returncode == 64
+
+
+def test_orders_and_tools(effect: Path) -> None:
+    program, folder = effect.parent / "effect_orders", INTEGRATIONS / "chai3d"
+    objects = [effect.parent / name for name in ("cTouchfieldEffect.o", "touch.o")]
+    headers = ["-I", folder, "-I", folder / "stub"]
+    source = Path(__file__).parent / "effect_orders.cpp"
+    done = run("c++", "-std=c++11", *headers, "-o", program, source, *objects, "-lpthread")
+    assert done.returncode == 0, done.stderr
+    done = run(program, stream_of("touch-block"))
+    assert done.returncode == 0, done.stderr

@@ -96,6 +96,14 @@ def vector() -> Any:
     return SimpleNamespace(x=0.0, y=0.0, z=0.0)
 
 
+class Pose:
+    """A stand-in of geometry_msgs.msg.PoseStamped."""
+
+    def __init__(self) -> None:
+        self.header = SimpleNamespace(frame_id="", stamp=None)
+        self.pose = SimpleNamespace(position=vector())
+
+
 class Wrench:
     """A stand-in of geometry_msgs.msg.WrenchStamped."""
 
@@ -119,14 +127,15 @@ def rclpy(monkeypatch: pytest.MonkeyPatch) -> StubRclpy:
         "rclpy.qos": {"qos_profile_sensor_data": object()},
         "rclpy.signals": {"SignalHandlerOptions": SimpleNamespace(NO="no handlers")},
         "geometry_msgs": {},
-        "geometry_msgs.msg": {"PoseStamped": object, "WrenchStamped": Wrench},
+        "geometry_msgs.msg": {"PoseStamped": Pose, "WrenchStamped": Wrench},
     }.items():
         module = ModuleType(name)
         vars(module).update(content)
         monkeypatch.setitem(sys.modules, name, module)
     monkeypatch.setitem(sys.modules, "rclpy", rclpy)
     monkeypatch.syspath_prepend(str(INTEGRATIONS / "ros2"))
-    monkeypatch.delitem(sys.modules, "touchfield_ros.node", raising=False)
+    for module in ("node", "press"):
+        monkeypatch.delitem(sys.modules, f"touchfield_ros.{module}", raising=False)
     return rclpy
 
 
@@ -269,6 +278,25 @@ def test_signal_brings_the_force_to_zero(
     assert forces_n[lengths[0] - 1].any()
     assert len(forces_n) > lengths[0] + 5 and not forces_n[-1].any()
     assert not rclpy.is_running
+
+
+def test_simulated_hand_presses_on_the_plate(
+    play: Any, plate: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from touchfield_ros.press import Press
+
+    np.savetxt(tmp_path / "press.txt", press_plate(), fmt="%.17g")
+    node = play(plate)
+    monkeypatch.setattr(StubNode, "parameters", {"hand": str(tmp_path / "press.txt")})
+    hand = Press()
+    for _ in range(1100):
+        hand.tick()
+        node.receive(hand.sent[-1])
+        force(node)
+        hand.receive(node.sent[-1])
+    assert hand.sent[-1].pose.position.z == -0.001
+    assert_resists(sent_forces(node), node.player.force_max_n)
+    assert hand.messages[-1] == f"force 0.000 0.000 {sent_forces(node)[-1][2]:.3f} N"
 
 
 def test_the_package_builds(tmp_path: Path) -> None:

@@ -195,6 +195,7 @@ def test_options_and_files_are_refused_with_a_message(open_player, library: ctyp
     player = open_player(stream_of("touch-block"))
     assert player.code == 0 and player.error == ""
     assert not library.touchfield_set(player.handle, b"friction", 0.1)  # it has started
+    assert library.touchfield_start(player.handle) and player.error == ""
     assert not library.touchfield_set(faulty.handle, b"colour", 1.0)
     assert not library.touchfield_set(faulty.handle, b"friction", float("nan"))
     assert "greatest force" in open_player(stream_of("touch-block"), force_max_n=0.0).error
@@ -246,6 +247,14 @@ def test_c_sharp_keeps_the_hand_out_of_a_thin_plate(
     forces_n, released_n = ticks_of(*program, "-p", 3.3, *clock, plate, points=press_plate())
     assert_resists(forces_n, 3.3)
     assert_is_released(released_n, forces_n[-1], 3.3)
+
+
+@needs("mono", "mcs")
+def test_force_ramps_to_zero_if_the_device_fails(program: list[object], plate: Path) -> None:
+    points = press_plate()
+    done_n, _ = ticks_of(*program, "-p", 3.3, "-r", "-f", 600, plate, points=points)
+    assert done_n[599].any() and 605 < len(done_n) < 700
+    assert_is_released(done_n[600:], done_n[599], 3.3)
 
 
 @needs("mono", "mcs")

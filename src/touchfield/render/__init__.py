@@ -6,7 +6,8 @@ second (the receiver of the paper, section 3.2 and end of figure 4).
 
 The loop runs at 1 kHz or more. `block` is the memory that both processes share, `sampler` computes the force
 at a point, the tick (``c/touch_render.h``) applies effects and limits, `servo` runs the loop, and `player` is
-the object that a program uses. docs/decisions/0010 gives the reasons for two processes.
+the object that a program uses; `ticked_player` is for programs with a loop of their own. docs/decisions/0010
+gives the reasons for two processes.
 """
 
 from touchfield._lazy import lazy_attributes
