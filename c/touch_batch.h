@@ -37,13 +37,20 @@ static inline void touch_forces_at(const touch_batch *b, int64_t start, int64_t 
 
 /* touch_gradient_at, into double [points][3][3]; zero where a point is not finite. */
 static inline void touch_gradients_at(const touch_batch *b, int64_t start, int64_t stop, double *__restrict out) {
+    if (start == stop) return;
+    touch_instant t = touch_batch_instant(b, start);
     for (int64_t p = start; p < stop; p++) {
-        touch_instant t = touch_batch_instant(b, p);
+        if (b->blends > 1) t = touch_batch_instant(b, p);
         touch_vector point_m = touch_batch_point(b, p);
         touch_matrix gradient = {{{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}}};
         if (isfinite(point_m.x + point_m.y + point_m.z))
-            gradient = touch_gradient_at(&t, point_m, touch_inlined_force(&t, point_m));
-        memcpy(out + 9 * p, &gradient, sizeof gradient);
+            gradient = touch_inlined_gradient(&t, point_m, touch_inlined_force(&t, point_m));
+        for (int row = 0; row < 3; row++) { /* a copy of the matrix as a whole would wait for its numbers to be stored */
+            double *to = out + 9 * p + 3 * row;
+            to[0] = gradient.row[row].x;
+            to[1] = gradient.row[row].y;
+            to[2] = gradient.row[row].z;
+        }
     }
 }
 

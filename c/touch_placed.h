@@ -104,16 +104,33 @@ TOUCH_INLINE touch_cell_point touch_placed_point(const touch_placed_objects *all
     return found;
 }
 
+/* The square of the distance from an object's position within which its box lies, m^2; a little more, for rounding. */
+static inline double touch_placed_reach2(const touch_placement *o, const touch_placed_box *box) {
+    double reach2_m2 = 0.0;
+    for (int a = 0; a < 3; a++) {
+        double corner = o->corner[a], end = corner + 8.0 * (double)box->brick_count[a];
+        double reach_m = o->spacing_m[a] * touch_fmax(fabs(corner), fabs(end));
+        reach2_m2 += reach_m * reach_m;
+    }
+    return 1.0001 * reach2_m2;
+}
+
+enum { TOUCH_PLACED_REACHES = 64 }; /* objects whose reach is tested before a point is transformed into their axes */
+
 /* The forces at points [start..stop), double [n][3], metres, into float [n][3], newtons. */
 static inline void touch_placed_at_points(const touch_placed_objects *all, int64_t start, int64_t stop,
                                           const double *__restrict point_m, float *__restrict out) {
-    double floor2_n2 = all->floor_n * all->floor_n;
+    double floor2_n2 = all->floor_n * all->floor_n, reach2_m2[TOUCH_PLACED_REACHES];
+    int64_t reaches = all->count < TOUCH_PLACED_REACHES ? all->count : (int64_t)TOUCH_PLACED_REACHES;
+    if (reaches == 1) reaches = 0; /* of one object nothing is saved */
+    for (int64_t n = 0; n < reaches; n++) reach2_m2[n] = touch_placed_reach2(all->placement + n, all->box + n);
     for (int64_t p = start; p < stop; p++) {
         touch_vector sum = touch_zero();
         for (int64_t n = 0; n < all->count; n++) {
             const touch_placement *o = all->placement + n;
             const double *x = point_m + 3 * p, *t = o->position_m;
             touch_vector d = touch_vector_of(x[0] - t[0], x[1] - t[1], x[2] - t[2]);
+            if (n < reaches && !(touch_dot(d, d) <= reach2_m2[n])) continue;
             touch_found_brick last = {-1, -1};
             touch_cell_point found = touch_placed_point(all, all->box + n, touch_placed_samples(o, d), &last);
             if (!found.corner) continue;

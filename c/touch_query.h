@@ -355,19 +355,26 @@ static inline void touch_yield(touch_receiver *receiver, const touch_instant *t,
 /* A step from a coordinate, metres: far less than any spacing, far more than the rounding of a position. */
 TOUCH_INLINE double touch_step_ahead(double x_m) { return x_m + (1e-8 + 1e-12 * fabs(x_m)); }
 
-/* On a plane of a lattice it is that of the cell towards greater indices. */
+/* (F_ahead - F) / h: the derivative of a force along one axis, N/m. */
+TOUCH_INLINE touch_vector touch_slope(const touch_instant *t, touch_vector ahead_m, touch_vector force_n, double h_m) {
+    return touch_scale(1.0 / h_m, touch_subtract(touch_inlined_force(t, ahead_m), force_n));
+}
+
+/* touch_gradient_at as a part of a loop. On a plane of a lattice it is that of the cell towards greater indices. */
+TOUCH_INLINE touch_matrix touch_inlined_gradient(const touch_instant *t, touch_vector point_m, touch_vector force_n) {
+    double x_m = touch_step_ahead(point_m.x), y_m = touch_step_ahead(point_m.y), z_m = touch_step_ahead(point_m.z);
+    touch_vector dx = touch_slope(t, touch_vector_of(x_m, point_m.y, point_m.z), force_n, x_m - point_m.x);
+    touch_vector dy = touch_slope(t, touch_vector_of(point_m.x, y_m, point_m.z), force_n, y_m - point_m.y);
+    touch_vector dz = touch_slope(t, touch_vector_of(point_m.x, point_m.y, z_m), force_n, z_m - point_m.z);
+    touch_matrix gradient;
+    gradient.row[0] = touch_vector_of(dx.x, dy.x, dz.x);
+    gradient.row[1] = touch_vector_of(dx.y, dy.y, dz.y);
+    gradient.row[2] = touch_vector_of(dx.z, dy.z, dz.z);
+    return gradient;
+}
+
 static inline touch_matrix touch_gradient_at(const touch_instant *t, touch_vector point_m, touch_vector force_n) {
-    touch_vector ahead_m = {touch_step_ahead(point_m.x), touch_step_ahead(point_m.y), touch_step_ahead(point_m.z)};
-    touch_vector point[3] = {point_m, point_m, point_m}, step_m = touch_subtract(ahead_m, point_m);
-    touch_matrix slopes;
-    point[0].x = ahead_m.x;
-    point[1].y = ahead_m.y;
-    point[2].z = ahead_m.z;
-    for (int axis = 0; axis < 3; axis++) slopes.row[axis] = touch_subtract(touch_inlined_force(t, point[axis]), force_n);
-    slopes.row[0] = touch_scale(1.0 / step_m.x, slopes.row[0]);
-    slopes.row[1] = touch_scale(1.0 / step_m.y, slopes.row[1]);
-    slopes.row[2] = touch_scale(1.0 / step_m.z, slopes.row[2]);
-    return touch_transposed(&slopes);
+    return touch_inlined_gradient(t, point_m, force_n);
 }
 
 /* -- vibration -------------------------------------------------------------------------------------------------------- */

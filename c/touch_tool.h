@@ -54,6 +54,12 @@ typedef struct { /* where the points of a block lie in cells */
     touch_tool_vectors fraction; /* of the way through the cell */
 } touch_tool_cells;
 
+/* x within [0, high]; 0 where it is not a number. Without a branch, so that the loop is vectorised. */
+TOUCH_INLINE float touch_clamped_float(float x, float high) {
+    x = x > 0.0f ? x : 0.0f;
+    return x < high ? x : high;
+}
+
 /* Find the points in cells: row . point + start, in samples; 0: none is in the box. */
 static inline int touch_locate_tool(const touch_cells *cells, const touch_tool_points *p, const touch_float_vector row[3],
                                     touch_float_vector start, touch_tool_cells *__restrict out) {
@@ -67,11 +73,11 @@ static inline int touch_locate_tool(const touch_cells *cells, const touch_tool_p
         float z = start.z + row[2].x * px[n] + row[2].y * py[n] + row[2].z * pz[n];
         int is_in_box = (x >= 0.0f) & (y >= 0.0f) & (z >= 0.0f) & (x < high_x) & (y < high_y) & (z < high_z);
         is_any_in_box |= is_in_box;
-        x = is_in_box ? x : -1.0f;
-        y = is_in_box ? y : 0.0f;
-        z = is_in_box ? z : 0.0f;
+        x = touch_clamped_float(x, high_x);
+        y = touch_clamped_float(y, high_y);
+        z = touch_clamped_float(z, high_z);
         int32_t i = (int32_t)x, j = (int32_t)y, k = (int32_t)z;
-        out->i[n] = i;
+        out->i[n] = i | (is_in_box - 1);
         out->j[n] = j;
         out->k[n] = k;
         out->fraction.x[n] = x - (float)i;
