@@ -3,9 +3,9 @@
 #define TOUCH_EFFECTS_H
 
 #include "touch_query.h"
+#include "touch_shared.h"
 
 #include <stddef.h>
-
 
 /* -- time ------------------------------------------------------------------------------------------------------------- */
 
@@ -140,7 +140,7 @@ static inline void touch_start_coupling(touch_receiver *receiver, const touch_in
     double k = 1.0 / receiver->state.softness_m_per_n;
     proxy->is_active = 1, proxy->added_n_per_m = 0.0;
     proxy->position_m = proxy->hand_m = hand_m;
-    if (receiver->state.softness_m_per_n * receiver->settings.coupling_n_per_m < TOUCH_NEW_COUPLING)
+    if (receiver->state.softness_m_per_n * touch_shared_double(&receiver->settings.coupling_n_per_m) < TOUCH_NEW_COUPLING)
         proxy->position_m = touch_add_scaled(hand_m, 1.0 / k, touch_force_at(t, hand_m));
     proxy->coupling_step_m = proxy->coupling_pull_n = touch_zero();
 }
@@ -171,11 +171,12 @@ static inline touch_vector touch_coupling_force(touch_receiver *receiver, const 
 
 /* Approach the damper in contact and the coupling of the settings, at once in the first tick. */
 static inline void touch_approach_settings(touch_receiver *receiver) {
-    const touch_settings *settings = &receiver->settings;
     touch_tick_state *state = &receiver->state;
-    double softness = settings->coupling_n_per_m > 0.0 ? 1.0 / settings->coupling_n_per_m : 0.0;
+    double coupling_n_per_m = touch_shared_double(&receiver->settings.coupling_n_per_m);
+    double brake_n_s_per_m = touch_shared_double(&receiver->settings.brake_n_s_per_m);
+    double softness = coupling_n_per_m > 0.0 ? 1.0 / coupling_n_per_m : 0.0;
     double weight = state->is_started ? TOUCH_CHANGE_PER_TICK : 1.0;
-    state->brake_n_s_per_m += weight * (settings->brake_n_s_per_m - state->brake_n_s_per_m);
+    state->brake_n_s_per_m += weight * (brake_n_s_per_m - state->brake_n_s_per_m);
     /* the pull changes with the coupling, and then tells nothing of the field */
     if (fabs(softness - state->softness_m_per_n) > 1e-3 * softness) state->proxy.coupling_step_m = touch_zero();
     state->softness_m_per_n += weight * (softness - state->softness_m_per_n);

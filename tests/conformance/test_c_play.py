@@ -16,11 +16,13 @@ from touchfield.devices import device
 from touchfield.devices.drivers.simulated import SimHand
 from touchfield.medium.trace import Trace
 from touchfield.render.block import Memory
+from touchfield.render.material import Material
 from touchfield.render.offline import run_offline
 from touchfield.render.player import Session
-from touchfield.render.spec import RenderSpec
+from touchfield.render.spec import RenderSpec, stated_n_per_m as stated_of, wall_of
 from touchfield.sources.shapes.analytic_scene import AnalyticScene
 from touchfield.sources.shapes.shapes import Box
+from touchfield.tasks.texture import store_materials
 
 HERE = Path(__file__).resolve().parent
 C, GOLDEN = HERE.parents[1] / "c", HERE.parents[1] / "conformance" / "v1"
@@ -28,6 +30,7 @@ WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Werro
 SANITIZERS = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 OMNI = device("phantom-omni")
 NAMES = ("touch-block", "touch-fast", "touch-lossless", "touch-mask", "touch-solid", "touch-empty")
+NO_TSAN_WARNINGS = {"thread": ("-Wno-tsan",), "address,undefined": ()}
 OBJECTS = ("objects-touch", "objects-touch-deforming", "vibration-touch")
 
 
@@ -158,6 +161,64 @@ def test_force_comes_with_a_ramp(program: Path, plate: Path, tmp_path: Path) -> 
     assert sizes_n[40] > 0.1
     gains = np.minimum(1.0, np.arange(1, 61) * 1e-3 / 0.02)
     np.testing.assert_allclose(sizes_n[:20], sizes_n[40] * gains[:20], rtol=0.02)
+
+
+@pytest.fixture(scope="module", params=["thread", "address,undefined"])
+def threads_program(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The program with three threads, under a sanitizer; the thread sanitizer knows no fences (-Wno-tsan)."""
+    sanitizer = f"-fsanitize={request.param}"
+    compiler = which("cc")
+    check = [str(compiler), sanitizer, "-x", "c", "-", "-o", str(tmp_path_factory.mktemp("check") / "check")]
+    source = "int main(void) { return 0; }"
+    if compiler is None or subprocess.run(check, input=source, text=True, check=False).returncode:
+        pytest.skip(f"no compiler with {sanitizer}")
+    options = "-O1", "-g", sanitizer, "-fno-sanitize-recover=all", *NO_TSAN_WARNINGS[request.param]
+    return compiled(HERE / "play_threads.c", tmp_path_factory.mktemp("threads"), *options)
+
+
+def counts_of(program: Path, path: Path, seed: float, speed: float, loop: bool) -> list[int]:
+    """Ticks, with a force, without a frame, frames left out, and seeks, in 1.5 s."""
+    numbers = "1.5", seed, speed, int(loop)
+    command = [str(program), str(path), *map(str, numbers)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return [int(word) for word in done.stdout.split()]
+
+
+@pytest.mark.parametrize("name", ["touch-block", "objects-touch-deforming", "vibration-touch"])
+@pytest.mark.parametrize("loop", [False, True])
+def test_orders_at_any_time_from_a_third_thread(threads_program: Path, name: str, loop: bool) -> None:
+    """Forces are within peak and slew limit at every tick, and zero after the stop."""
+    ticks, forces, _, _, seeks = counts_of(threads_program, GOLDEN / f"{name}.touch", 7.0, 1.0, loop)
+    assert ticks > 100 and forces > 20 and seeks > 5
+
+
+@pytest.mark.parametrize("name", ["touch-fast", "objects-touch-deforming"])
+def test_a_slow_machine_shows_the_frames_that_it_can_decode(threads_program: Path, name: str) -> None:
+    """At 40 times the speed, no machine decodes all frames under a sanitizer."""
+    path = GOLDEN / f"{name}.touch"
+    ticks, forces, stalled, left_out, _ = counts_of(threads_program, path, 0.0, 40.0, loop=True)
+    assert left_out > 100
+    assert stalled < 0.8 * ticks and forces > 0.1 * ticks  # all, and none, if no frame is left out in advance
+
+
+def test_walls_have_the_stiffness_that_the_file_states(program: Path, plate: Path, tmp_path: Path) -> None:
+    with tf.open_stream(plate) as stream:
+        measured, stated_n_per_m = wall_of(stream.medium[0]), stated_of(stream.medium.provenance)
+    assert measured is not None and measured.stiffness_n_per_m != stated_n_per_m == 500.0
+    assert play(program, plate, np.zeros((1, 3)), tmp_path).settings[0] == stated_n_per_m
+
+
+def test_materials_that_are_not_rendered_are_reported(
+    threads_program: Path, plate: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "oak.touch"
+    store_materials(plate, [Material("oak", friction=0.4)], path)
+    notice = "the materials that are stored with the medium are not rendered\n"
+    for stored, start in ((path, notice), (plate, "")):
+        command = [str(threads_program), str(stored), "0.1", "0", "1", "1"]
+        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+        assert done.stdout.startswith(start) and ("materials" in done.stdout) == bool(start)
 
 
 @pytest.fixture(scope="module")
