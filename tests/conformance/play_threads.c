@@ -1,6 +1,6 @@
 /* A receiver with its three threads: play_threads FILE.touch SECONDS SEED SPEED IS_LOOP. One thread ticks at the clock of the
    machine, one decodes, and this one gives orders at random times; at last it stops. Every force must be within its limits.
-   Prints the notice, ticks, ticks with a force, ticks without a frame, frames that were left out, and seeks. */
+   Prints ticks, ticks with a force, ticks without a frame, frames that were left out, and seeks. */
 #define _POSIX_C_SOURCE 200809L
 #define TOUCH_IMPLEMENTATION
 #include "touch_play.h"
@@ -97,7 +97,6 @@ int main(int count, char **words) {
     touch_share(&is_over, 1);
     pthread_join(decoder, NULL);
     const touch_counts *counts = &play.receiver->counts;
-    if (*play.notice) puts(play.notice);
     printf("%lld %lld %lld %lld %lld\n", (long long)counts->ticks, (long long)forces, (long long)counts->stalled_ticks,
            (long long)play.left_out, (long long)play.receiver->orders.generation - 1);
     if (play.code) return puts(play.error), 66;

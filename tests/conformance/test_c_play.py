@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,11 +13,14 @@ import numpy as np
 import pytest
 
 import touchfield as tf
+from touchfield.container import TouchReader, TouchWriter
 from touchfield.devices import device
 from touchfield.devices.drivers.simulated import SimHand
+from touchfield.errors import TouchfieldError
 from touchfield.medium.trace import Trace
+from touchfield.perception.vibrotactile import BANDS_HZ
 from touchfield.render.block import Memory
-from touchfield.render.material import Material
+from touchfield.render.material import KEY, Material
 from touchfield.render.offline import run_offline
 from touchfield.render.player import Session
 from touchfield.render.spec import RenderSpec, stated_n_per_m as stated_of, wall_of
@@ -209,16 +213,70 @@ def test_walls_have_the_stiffness_that_the_file_states(program: Path, plate: Pat
     assert play(program, plate, np.zeros((1, 3)), tmp_path).settings[0] == stated_n_per_m
 
 
-def test_materials_that_are_not_rendered_are_reported(
-    threads_program: Path, plate: Path, tmp_path: Path
+TEXTURE = tuple(tuple(0.01 * (n + m) for n in range(16)) for m in range(2))
+OAK = Material(
+    *("oak", 0.4, 0.7, 0.002, None, ((-1.0, -1.0, -1.0), (1.0, 1.0, 0.0))),
+    *((0.05, 0.1), (1.0,), tuple((row,) for row in TEXTURE)),
+)
+FELT = Material("felt", 0.9, speeds_m_s=(0.02,), forces_n=(0.5, 2.0), texture_rms_n=(TEXTURE,))
+
+
+@pytest.mark.parametrize("name", ["touch-block", "objects-touch"])
+def test_forces_with_stored_materials_are_those_of_the_python_player(
+    program: Path, tmp_path: Path, name: str
 ) -> None:
-    path = tmp_path / "oak.touch"
-    store_materials(plate, [Material("oak", friction=0.4)], path)
-    notice = "the materials that are stored with the medium are not rendered\n"
-    for stored, start in ((path, notice), (plate, "")):
-        command = [str(threads_program), str(stored), "0.1", "0", "1", "1"]
-        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
-        assert done.stdout.startswith(start) and ("materials" in done.stdout) == bool(start)
+    path, oak = tmp_path / "stored.touch", OAK
+    with tf.open_stream(GOLDEN / f"{name}.touch") as stream:
+        names = tuple(body.name for body in stream.scene.objects) if stream.scene else ()
+    if names:
+        oak = replace(oak, object=names[1], box_m=None)
+    store_materials(GOLDEN / f"{name}.touch", [oak, FELT, Material("plain")], path)
+    settings, log = play_in_python(path, through_the_medium(path, 900), loop=True)
+    plain = play(program, GOLDEN / f"{name}.touch", log["position_m"], tmp_path, loop=True)
+    played = play(program, path, log["position_m"], tmp_path, loop=True)
+    assert played.settings == settings
+    np.testing.assert_allclose(played.forces_n, log["force_n"], atol=1e-9, rtol=0)
+    assert np.abs(played.forces_n - plain.forces_n).max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("text", "is_valid"),
+    [
+        ('"materials": []', True),
+        ('"materials": [{"name": "a", "friction": null, "slip_length_m": 1e-6}]', True),
+        ('"materials": [{"name": "a", "friction": -0.1}]', False),
+        ('"materials": [{"name": "a", "static_friction": 0.5}]', False),
+        ('"materials": [{"name": "a", "friction": 0.6, "static_friction": 0.5}]', False),
+        ('"materials": [{"name": "a", "slip_length_m": 1e-7}]', False),
+        ('"materials": [{"name": "a", "box_m": [[0, 0, 0], [1, -1, 1]]}]', False),
+        ('"materials": [{"name": "a", "box_m": [0, 0, 0]}]', False),
+        ('"materials": [{"name": "a", "speeds_m_s": [0.1], "forces_n": [1]}]', False),
+        ('"materials": [{"name": "a", "texture_rms_n": [[[0, 0]]]}]', False),
+        ('"materials": [{"name": "a", "object": "elsewhere"}]', False),
+        ('"materials": [{"friction": 0.1}]', False),
+        ('"materials": [7]', False),
+        ('"materials": {}', False),
+        ('"material": []', False),
+    ],
+)
+def test_materials_are_valid_in_c_if_they_are_in_python(
+    program: Path, tmp_path: Path, text: str, is_valid: bool
+) -> None:
+    path = tmp_path / "stored.touch"
+    bands = json.dumps([float(f"{hz:.4g}") for hz in BANDS_HZ])
+    with TouchReader(GOLDEN / "touch-block.touch") as reader, TouchWriter(path) as writer:
+        writer.write_head(reader.head, {**reader.provenance, KEY: f'{{"bands_hz": {bands}, {text}}}'})
+        for n, entry in enumerate(reader.segments):
+            writer.write_segment(entry.first_frame, entry.frame_count, reader.read_segment(n))
+    for run in (
+        lambda: play(program, path, np.zeros((1, 3)), tmp_path),
+        lambda: play_in_python(path, np.zeros((1, 3)), loop=False),
+    ):
+        if is_valid:
+            run()
+        else:
+            with pytest.raises((AssertionError, TouchfieldError), match="material"):
+                run()
 
 
 @pytest.fixture(scope="module")
