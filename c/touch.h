@@ -119,6 +119,8 @@ int touch_seek(touch_decoder *decoder, uint32_t segment);
 int touch_next(touch_decoder *decoder, touch_arena *arena, touch_frame *frame);
 /* Whether a body of a file has one field for all frames. */
 int touch_is_rigid(const touch_decoder *decoder, uint32_t body);
+/* The name of a body of a file, UTF-8. */
+touch_bytes touch_name_of(const touch_decoder *decoder, uint32_t body);
 /* The mask max(f0_n, k |F|) within which a force of a body, or of voxels, is that of its source; 0: the file has no mask. */
 int touch_mask_of(const touch_decoder *decoder, uint32_t body, double *k, double *f0_n);
 void touch_force(const touch_frame *frame, double x, double y, double z, double newtons[3]);
@@ -412,7 +414,7 @@ static void touch_read_provenance(touch_cursor *c) { /* PROV */
 }
 
 typedef struct {
-    touch_bytes field_coder, parameters, steps;
+    touch_bytes name, field_coder, parameters, steps;
     touch_grid grid;
     int is_deforming;
     touch_cursor field;
@@ -420,7 +422,7 @@ typedef struct {
 
 static touch_object touch_read_object(touch_cursor *c) {
     touch_object o;
-    touch_text(c, 0, 256, 0);
+    o.name = touch_text(c, 0, 256, 0);
     o.grid = touch_read_grid(c);
     o.is_deforming = (int)touch_u(c, 1);
     touch_need(c, o.is_deforming <= 1, "whether a body deforms");
@@ -1658,6 +1660,11 @@ int touch_next(touch_decoder *decoder, touch_arena *arena, touch_frame *frame) {
 
 int touch_is_rigid(const touch_decoder *decoder, uint32_t body) {
     return decoder->state->body && body < decoder->file->object_count && decoder->state->body[body].rigid;
+}
+
+touch_bytes touch_name_of(const touch_decoder *decoder, uint32_t body) {
+    touch_bytes none = {NULL, 0};
+    return decoder->state->body && body < decoder->file->object_count ? decoder->state->body[body].object.name : none;
 }
 
 int touch_mask_of(const touch_decoder *decoder, uint32_t body, double *k, double *f0_n) {

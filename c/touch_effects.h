@@ -14,6 +14,7 @@
 #define TOUCH_EFFECTS_H
 
 #include "touch_query.h"
+#include "touch_shared.h"
 
 #include <stddef.h>
 
@@ -112,7 +113,8 @@ static inline void touch_start_coupling(touch_receiver *receiver, const touch_in
     proxy->is_active = 1;
     proxy->added_n_per_m = 0.0;
     proxy->position_m = proxy->hand_m = hand_m;
-    if (receiver->state.compliance_m_per_n * receiver->settings.coupling_n_per_m < TOUCH_NEW_COUPLING)
+    double coupling_n_per_m = touch_shared_double(&receiver->settings.coupling_n_per_m);
+    if (receiver->state.compliance_m_per_n * coupling_n_per_m < TOUCH_NEW_COUPLING)
         proxy->position_m = touch_add_scaled(hand_m, 1.0 / k, touch_force_at(t, hand_m));
     proxy->coupling_step_m = proxy->coupling_pull_n = touch_zero();
 }
@@ -145,11 +147,12 @@ static inline touch_vector touch_coupling_force(touch_receiver *receiver, const 
 
 /* Approach the damper in contact and the coupling of the settings, at once in the first tick. */
 static inline void touch_smooth_settings(touch_receiver *receiver) {
-    const touch_settings *settings = &receiver->settings;
     touch_tick_state *state = &receiver->state;
-    double compliance = settings->coupling_n_per_m > 0.0 ? 1.0 / settings->coupling_n_per_m : 0.0;
+    double coupling_n_per_m = touch_shared_double(&receiver->settings.coupling_n_per_m);
+    double brake_n_s_per_m = touch_shared_double(&receiver->settings.brake_n_s_per_m);
+    double compliance = coupling_n_per_m > 0.0 ? 1.0 / coupling_n_per_m : 0.0;
     double weight = state->is_started ? TOUCH_CHANGE_PER_TICK : 1.0;
-    state->brake_n_s_per_m += weight * (settings->brake_n_s_per_m - state->brake_n_s_per_m);
+    state->brake_n_s_per_m += weight * (brake_n_s_per_m - state->brake_n_s_per_m);
     /* the pull changes with the coupling, and then tells nothing of the field */
     if (fabs(compliance - state->compliance_m_per_n) > 1e-3 * compliance) state->proxy.coupling_step_m = touch_zero();
     state->compliance_m_per_n += weight * (compliance - state->compliance_m_per_n);

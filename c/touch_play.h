@@ -23,14 +23,13 @@
    ahead: at most `max_ahead` of them. A file of which two frames do not fit there is refused (TOUCH_MEMORY). On a machine
    that decodes more slowly than the medium plays, frames that cannot be ready at their time are left out, and the frame
    before is shown in their place: `left_out` counts them. For that, segments must be shorter than `max_ahead`.
-   The stiffness of walls is the one that the file's provenance states, else that of the field.
-   A table of materials that is stored with the medium is not read; `has_materials` and `notice` say so. Deformations and
-   tools are no part of a file. All three can be written as touch_receiver.h says. */
+   The stiffness of walls is the one that the file's provenance states, else that of the field; materials are those that are
+   stored with the medium. Deformations and tools are no part of a file: write them as touch_receiver.h says. */
 #ifndef TOUCH_PLAY_H
 #define TOUCH_PLAY_H
 
 #include "touch.h"
-#include "touch_provenance.h"
+#include "touch_materials.h"
 #include "touch_render.h"
 #include "touch_segment_blend.h"
 #include "touch_settings.h"
@@ -78,8 +77,7 @@ typedef struct {
     touch_receiver *receiver;
     int code;                /* why it plays no longer: TOUCH_..., and in words */
     const char *error;
-    int has_materials;       /* a table of materials is stored with the medium, and is not read */
-    const char *notice;      /* what of the file is not rendered, in words; or "" */
+    touch_stated_text materials; /* the table that is stored with the medium, JSON; NULL: none */
     int64_t left_out;        /* frames that could not be decoded in time; read it with touch_shared */
 
     /* of the thread that decodes */
@@ -117,13 +115,12 @@ static inline uint64_t touch_play_aligned(uint64_t bytes) {
 /* Open a file that lies in memory, and choose options for a device; TOUCH_OK, or play->code and play->error. */
 static inline int touch_play_open(touch_play *play, const void *bytes, uint64_t size, const touch_device *device) {
     memset(play, 0, sizeof *play);
-    play->error = play->notice = "";
+    play->error = "";
     int code = touch_open(&play->file, bytes, size);
     if (code) return touch_play_fail(play, code, play->file.error);
     if (!(device->force_max_n >= 1e-6 && device->force_max_n <= 1e6))
         return touch_play_fail(play, TOUCH_ARGUMENT, "a device without a greatest force");
-    play->has_materials = touch_has_materials(play->file.provenance.bytes, play->file.provenance.size);
-    if (play->has_materials) play->notice = "the materials that are stored with the medium are not rendered";
+    play->materials = touch_provenance_of(play->file.provenance.bytes, play->file.provenance.size, "materials.json");
     touch_play_options *options = &play->options;
     options->render = touch_render_defaults(), options->device = *device;
     options->blends = 1, options->speed = 1.0;
@@ -135,12 +132,16 @@ static inline uint64_t touch_play_parts(const touch_play *play) {
     return play->file.object_count ? play->file.object_count : 1;
 }
 
-/* Bytes of the receiver: struct, directory, log and frames. */
+static inline uint64_t touch_play_materials_room(const touch_play *play) {
+    return play->materials.at ? touch_play_aligned(touch_materials_room(play->materials.size)) : 0;
+}
+
+/* Bytes of the receiver: struct, directory, log, materials and frames. */
 static inline uint64_t touch_play_receiver_room(const touch_play *play) {
     uint64_t room = touch_play_aligned(sizeof(touch_receiver));
     room += touch_play_aligned((uint64_t)play->options.max_ahead * sizeof(touch_directory_entry));
     room += touch_play_aligned((uint64_t)play->options.log_rows * sizeof(touch_log_row));
-    return room + touch_play_aligned(play->options.frames_bytes);
+    return room + touch_play_materials_room(play) + touch_play_aligned(play->options.frames_bytes);
 }
 
 /* Bytes of the fields of a frame: forces and numbers of its bricks, those of a blend with as many others, and work for their
@@ -543,7 +544,26 @@ static inline int touch_play_write_shared(touch_play *play) {
     return TOUCH_OK;
 }
 
-/* Lay out the receiver: struct, directory, log, arena. */
+/* The index of a body by its name. */
+static inline int64_t touch_play_find_body(const void *context, touch_stated_text name) {
+    const touch_decoder *decoder = (const touch_decoder *)context;
+    for (uint32_t n = 0; n < decoder->file->object_count; n++) {
+        touch_bytes body = touch_name_of(decoder, n);
+        if (touch_json_is_name(name, body.bytes, body.size)) return n;
+    }
+    return -1;
+}
+
+/* Write the materials that are stored with the medium, in front of the arena. */
+static inline int touch_play_write_materials(touch_play *play) {
+    int64_t offset = play->receiver->layout.arena_offset - (int64_t)touch_play_materials_room(play);
+    if (!play->materials.at || touch_write_materials(play->receiver, offset, play->materials, play->options.render.friction < 0.0,
+                                                     touch_play_find_body, &play->decoder))
+        return TOUCH_OK;
+    return touch_play_fail(play, TOUCH_CORRUPT, "materials that are damaged, or of an object that is not there");
+}
+
+/* Lay out the receiver: struct, directory, log, materials, arena. */
 static inline void touch_play_lay_out(touch_play *play) {
     const touch_play_options *options = &play->options;
     touch_receiver *receiver = play->receiver;
@@ -554,8 +574,8 @@ static inline void touch_play_lay_out(touch_play *play) {
     layout->log_offset = layout->directory_offset +
                          (int64_t)touch_play_aligned((uint64_t)options->max_ahead * sizeof(touch_directory_entry));
     layout->log_rows = options->log_rows;
-    layout->arena_offset =
-        layout->log_offset + (int64_t)touch_play_aligned((uint64_t)options->log_rows * sizeof(touch_log_row));
+    layout->arena_offset = layout->log_offset + (int64_t)touch_play_materials_room(play) +
+                           (int64_t)touch_play_aligned((uint64_t)options->log_rows * sizeof(touch_log_row));
     layout->frame_count = play->file.frame_count, layout->frame_rate_hz = play->file.rate_hz;
     layout->is_loop = options->is_loop && play->file.frame_count > 1;
     layout->tick_ns = (int64_t)(1e9 / options->render.rate_hz + 0.5), layout->is_simulated = options->is_simulated;
@@ -615,7 +635,7 @@ static inline int touch_play_start(touch_play *play, void *memory) {
     touch_receiver *receiver = play->receiver;
     touch_choose_settings(receiver, &play->options.render, &play->options.device, play->file.friction,
                           play->file.damping_n_s_per_m);
-    if (touch_play_choose_walls(play) || touch_play_write_shared(play)) return play->code;
+    if (touch_play_write_materials(play) || touch_play_choose_walls(play) || touch_play_write_shared(play)) return play->code;
     play->decoded = play->latest_frame = play->former_frame = -1, play->head = play->ring_start;
     double start_s = touch_play_media_time(play, play->options.start_s);
     play->next = touch_unrolled_frame(start_s, play->file.rate_hz);

@@ -127,9 +127,4 @@ static inline double touch_stated_wall(const uint8_t *record, uint64_t size) {
     return touch_specified_wall(spec.at ? spec : touch_provenance_of(record, size, "spec"));
 }
 
-/* Whether a table of materials is stored with the medium (src/touchfield/render/material.py). */
-static inline int touch_has_materials(const uint8_t *record, uint64_t size) {
-    return touch_provenance_of(record, size, "materials.json").at != NULL;
-}
-
 #endif

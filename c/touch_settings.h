@@ -179,11 +179,12 @@ static inline touch_stability touch_stability_of(const touch_render_options *opt
     return chosen;
 }
 
-/* Write the damper in contact and the coupling; the ticks approach them slowly. */
+/* Write the damper in contact and the coupling, perhaps while the servo ticks; the ticks approach them slowly. */
 static inline void touch_choose_stability(touch_settings *settings, const touch_render_options *options,
                                           const touch_device *device, double damping_n_s_per_m, double stiffest_n_per_m) {
     touch_stability chosen = touch_stability_of(options, device, damping_n_s_per_m, stiffest_n_per_m);
-    settings->brake_n_s_per_m = chosen.brake_n_s_per_m, settings->coupling_n_per_m = chosen.coupling_n_per_m;
+    touch_share_double(&settings->brake_n_s_per_m, chosen.brake_n_s_per_m);
+    touch_share_double(&settings->coupling_n_per_m, chosen.coupling_n_per_m);
 }
 
 /* -- slopes and walls of a field -------------------------------------------------------------------------------------- */

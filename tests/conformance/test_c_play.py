@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shutil import which
@@ -12,13 +14,17 @@ import numpy as np
 import pytest
 
 import touchfield as tf
+from touchfield.container import TouchReader, TouchWriter
 from touchfield.devices import device
 from touchfield.devices.drivers.simulated import SimHand
+from touchfield.errors import TouchfieldError
 from touchfield.medium.trace import Trace
+from touchfield.perception.vibrotactile import BANDS_HZ
 from touchfield.render.block import Memory
+from touchfield.render.material import KEY, Material, stored_json
 from touchfield.render.offline import run_offline
 from touchfield.render.player import Session
-from touchfield.render.spec import RenderSpec
+from touchfield.render.spec import RenderSpec, stated_n_per_m as stated_of, wall_of
 from touchfield.sources.shapes.analytic_scene import AnalyticScene
 from touchfield.sources.shapes.shapes import Box
 
@@ -28,6 +34,7 @@ WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Werro
 SANITIZERS = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 OMNI = device("phantom-omni")
 NAMES = ("touch-block", "touch-fast", "touch-lossless", "touch-mask", "touch-solid", "touch-empty")
+NO_TSAN_WARNINGS = {"thread": ("-Wno-tsan",), "address,undefined": ()}
 OBJECTS = ("objects-touch", "objects-touch-deforming", "vibration-touch")
 
 
@@ -158,6 +165,124 @@ def test_force_comes_with_a_ramp(program: Path, plate: Path, tmp_path: Path) -> 
     assert sizes_n[40] > 0.1
     gains = np.minimum(1.0, np.arange(1, 61) * 1e-3 / 0.02)
     np.testing.assert_allclose(sizes_n[:20], sizes_n[40] * gains[:20], rtol=0.02)
+
+
+@pytest.fixture(scope="module", params=["thread", "address,undefined"])
+def threads_program(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The program with three threads, under a sanitizer; the thread sanitizer knows no fences (-Wno-tsan)."""
+    sanitizer = f"-fsanitize={request.param}"
+    compiler = which("cc")
+    check = [str(compiler), sanitizer, "-x", "c", "-", "-o", str(tmp_path_factory.mktemp("check") / "check")]
+    source = "int main(void) { return 0; }"
+    if compiler is None or subprocess.run(check, input=source, text=True, check=False).returncode:
+        pytest.skip(f"no compiler with {sanitizer}")
+    options = "-O1", "-g", sanitizer, "-fno-sanitize-recover=all", *NO_TSAN_WARNINGS[request.param]
+    return compiled(HERE / "play_threads.c", tmp_path_factory.mktemp("threads"), *options)
+
+
+def counts_of(program: Path, path: Path, seed: float, speed: float, loop: bool) -> list[int]:
+    """Ticks, with a force, without a frame, frames left out, and seeks, in 1.5 s."""
+    numbers = "1.5", seed, speed, int(loop)
+    command = [str(program), str(path), *map(str, numbers)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return [int(word) for word in done.stdout.split()]
+
+
+@pytest.mark.parametrize("name", ["touch-block", "objects-touch-deforming", "vibration-touch"])
+@pytest.mark.parametrize("loop", [False, True])
+def test_orders_at_any_time_from_a_third_thread(threads_program: Path, name: str, loop: bool) -> None:
+    """Forces are within peak and slew limit at every tick, and zero after the stop."""
+    ticks, forces, _, _, seeks = counts_of(threads_program, GOLDEN / f"{name}.touch", 7.0, 1.0, loop)
+    assert ticks > 100 and forces > 20 and seeks > 5
+
+
+@pytest.mark.parametrize("name", ["touch-fast", "objects-touch-deforming"])
+def test_a_slow_machine_shows_the_frames_that_it_can_decode(threads_program: Path, name: str) -> None:
+    """At 40 times the speed, no machine decodes all frames under a sanitizer."""
+    path = GOLDEN / f"{name}.touch"
+    ticks, forces, stalled, left_out, _ = counts_of(threads_program, path, 0.0, 40.0, loop=True)
+    assert left_out > 100
+    assert stalled < 0.8 * ticks and forces > 0.1 * ticks  # all, and none, if no frame is left out in advance
+
+
+def test_walls_have_the_stiffness_that_the_file_states(program: Path, plate: Path, tmp_path: Path) -> None:
+    with tf.open_stream(plate) as stream:
+        measured, stated_n_per_m = wall_of(stream.medium[0]), stated_of(stream.medium.provenance)
+    assert measured is not None and measured.stiffness_n_per_m != stated_n_per_m == 500.0
+    assert play(program, plate, np.zeros((1, 3)), tmp_path).settings[0] == stated_n_per_m
+
+
+TEXTURE = tuple(tuple(0.01 * (n + m) for n in range(16)) for m in range(2))
+OAK = Material(
+    *("oak", 0.4, 0.7, 0.002, None, ((-1.0, -1.0, -1.0), (1.0, 1.0, 0.0))),
+    *((0.05, 0.1), (1.0,), tuple((row,) for row in TEXTURE)),
+)
+FELT = Material("felt", 0.9, speeds_m_s=(0.02,), forces_n=(0.5, 2.0), texture_rms_n=(TEXTURE,))
+
+
+def store_text(source: Path, path: Path, text: str, names: Sequence[str] = ()) -> None:
+    """Copy a file with a table of materials, valid or not, and other names of its objects."""
+    with TouchReader(source) as reader, TouchWriter(path) as writer:
+        writer.write_head(reader.head, {**reader.provenance, KEY: text})
+        for n in range(reader.object_count):
+            writer.write_object(replace(reader.read_object(n), name=names[n]))
+        for n, entry in enumerate(reader.segments):
+            writer.write_segment(entry.first_frame, entry.frame_count, reader.read_segment(n))
+
+
+@pytest.mark.parametrize("name", ["touch-block", "objects-touch"])
+def test_forces_with_stored_materials_are_those_of_the_python_player(
+    program: Path, tmp_path: Path, name: str
+) -> None:
+    path, oak = tmp_path / "stored.touch", OAK
+    names = ('T\u00fcr "\U0001f600\\', "b", "c") if name == "objects-touch" else ()  # JSON escapes the first
+    if names:
+        oak = replace(oak, object=names[0], box_m=None)
+    store_text(GOLDEN / f"{name}.touch", path, stored_json([oak, FELT, Material("plain")]), names)
+    settings, log = play_in_python(path, through_the_medium(path, 900), loop=True)
+    plain = play(program, GOLDEN / f"{name}.touch", log["position_m"], tmp_path, loop=True)
+    played = play(program, path, log["position_m"], tmp_path, loop=True)
+    assert played.settings == settings
+    np.testing.assert_allclose(played.forces_n, log["force_n"], atol=1e-9, rtol=0)
+    assert np.abs(played.forces_n - plain.forces_n).max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("text", "is_valid"),
+    [
+        ('"materials": []', True),
+        ('"materials": [{"name": "a", "friction": null, "slip_length_m": 1e-6}]', True),
+        ('"materials": [{"name": "a", "friction": -0.1}]', False),
+        ('"materials": [{"name": "a", "static_friction": 0.5}]', False),
+        ('"materials": [{"name": "a", "friction": 0.6, "static_friction": 0.5}]', False),
+        ('"materials": [{"name": "a", "slip_length_m": 1e-7}]', False),
+        ('"materials": [{"name": "a", "box_m": [[0, 0, 0], [1, -1, 1]]}]', False),
+        ('"materials": [{"name": "a", "box_m": [0, 0, 0]}]', False),
+        ('"materials": [{"name": "a", "speeds_m_s": [0.1], "forces_n": [1]}]', False),
+        ('"materials": [{"name": "a", "texture_rms_n": [[[0, 0]]]}]', False),
+        ('"materials": [{"name": "a", "object": "elsewhere"}]', False),
+        ('"materials": [{"friction": 0.1}]', False),
+        ('"materials": [7]', False),
+        ('"materials": {}', False),
+        ('"material": []', False),
+    ],
+)
+def test_materials_are_valid_in_c_if_they_are_in_python(
+    program: Path, tmp_path: Path, text: str, is_valid: bool
+) -> None:
+    path = tmp_path / "stored.touch"
+    bands = json.dumps([float(f"{hz:.4g}") for hz in BANDS_HZ])
+    store_text(GOLDEN / "touch-block.touch", path, f'{{"bands_hz": {bands}, {text}}}')
+    for run in (
+        lambda: play(program, path, np.zeros((1, 3)), tmp_path),
+        lambda: play_in_python(path, np.zeros((1, 3)), loop=False),
+    ):
+        if is_valid:
+            run()
+        else:
+            with pytest.raises((AssertionError, TouchfieldError), match="material"):
+                run()
 
 
 @pytest.fixture(scope="module")

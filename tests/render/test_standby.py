@@ -18,7 +18,7 @@ from processes import no_leftovers, runs
 from recorded_devices import BusyAtFirst, BusyForEver, Lasting, Record, Recorded, records
 
 from touchfield.errors import DeviceError
-from touchfield.render import standby
+from touchfield.render import servo_process, standby
 from touchfield.render.player import Player
 from touchfield.render.servo import CLOSED
 from touchfield.render.spec import RenderSpec
@@ -129,7 +129,50 @@ def test_a_servo_that_ends_by_itself_is_not_replaced(name: str, tmp_path: Path) 
     assert process.pid is not None and not runs(process.pid)
 
 
-def test_without_its_standby_a_servo_goes_on_and_a_new_process_sets_zero(tmp_path: Path) -> None:
+def test_a_lost_standby_is_replaced_and_reported(tmp_path: Path) -> None:
+    path = tmp_path / "calls"
+    with Player(numbered_medium(20), OMNI, partial(Lasting, path), SPEC, loop=True) as player:
+        first = wait_for_standby(player)
+        player.play()
+        assert not player.wait(0.2) and first.pid is not None and player.servo_pid is not None
+        os.kill(first.pid, signal.SIGKILL)
+        while player._servo.standby is first:  # type: ignore[union-attr]
+            assert not player.wait(0.01), "the servo goes on"
+        second = wait_for_standby(player)
+        assert second.pid != first.pid and not runs(first.pid)
+        (note,) = [note for note in player.notes if "standby" in note]
+        assert note == "A standby of the servo was lost (exit code -9), and another one was started"
+        os.kill(player.servo_pid, signal.SIGKILL)
+        with pytest.raises(DeviceError, match="exit code -9"):
+            player.wait(30)
+    calls = records(path)
+    after = calls[takeover(calls) :]
+    assert {call.pid for call in after} == {second.pid} and len(after) > 10
+    assert not any(after[-2].force_n) and after[-1].what == "close"
+    assert any("set to zero through a new connection" in note for note in player.notes)
+
+
+def test_standbys_that_end_one_after_the_other_are_not_started_for_ever(tmp_path: Path) -> None:
+    path = tmp_path / "calls"
+    with Player(numbered_medium(20), OMNI, partial(Lasting, path), SPEC, loop=True) as player:
+        pids = []
+        for _ in range(3):
+            process = wait_for_standby(player)
+            assert process.pid is not None
+            pids.append(process.pid)
+            os.kill(process.pid, signal.SIGKILL)
+            while process.is_ready and not process.loss:
+                time.sleep(0.01)
+            player._update()
+        assert len(set(pids)) == 3 and player._servo.standby is process  # type: ignore[union-attr]
+        notes = [note for note in player.notes if "standby" in note]
+        assert len(notes) == 3 and notes[-1].startswith("The standby of the servo is lost (exit code -9)")
+
+
+def test_without_its_standby_a_servo_goes_on_and_a_new_process_sets_zero(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(servo_process, "_MAX_STANDBYS", 1)
     path = tmp_path / "calls"
     with Player(numbered_medium(20), OMNI, partial(Lasting, path), SPEC, loop=True) as player:
         process = wait_for_standby(player)

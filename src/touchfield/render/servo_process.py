@@ -14,7 +14,13 @@ from typing import Final
 from touchfield.errors import DeviceError, InvalidArgument, TouchfieldError
 from touchfield.render.block import Block
 from touchfield.render.servo import Opener, run_servo
-from touchfield.render.standby import StandbyProcess, lost_standby, zero_by_reconnecting, zero_report
+from touchfield.render.standby import (
+    StandbyProcess,
+    lost_standby,
+    replaced_standby,
+    zero_by_reconnecting,
+    zero_report,
+)
 
 _START_S: Final = 180.0
 """Time limit for loading interpreter and code."""
@@ -24,6 +30,9 @@ _SILENT_S: Final = 0.03
 
 _MAX_STARVED_S: Final = 2.0
 """The same for a runnable process, which may only lack processor time."""
+
+_MAX_STANDBYS: Final = 3
+"""Standbys of a servo, one after the other: what ends each of them would end the next one, too."""
 
 _TERMINATE_S: Final = 3.0
 _KILL_S: Final = 2.0
@@ -46,7 +55,7 @@ class ServoProcess:
     The block must be laid out, with the first order in it. `report` is that of `make_realtime`, once the
     process is ready; `error` is the error that ended it. `is_done` is True if it ended as ordered, and
     `is_unreleased` if it ended without bringing the force to zero. The standby starts once the servo has
-    loaded its code, so that it does not delay the servo.
+    loaded its code, so that it does not delay the servo; if it is lost, another one starts.
     """
 
     def __init__(self, block: Block, opener: Opener, is_realtime: bool) -> None:
@@ -65,7 +74,8 @@ class ServoProcess:
         self._ticks, self._ticked_s = -1, time.monotonic()
         self._silent_s = max(_SILENT_S, 3 / float(block.memory.receiver["settings"]["rate_hz"]))
         self._standby: StandbyProcess | None = None
-        self._standby_error = ""
+        self._standby_count, self._standby_error = 0, ""
+        self._losses: list[str] = []  # of standbys that were replaced
         self._lifeline, child_lifeline = context.Pipe(duplex=False)
         self._process = context.Process(
             target=run_servo,
@@ -91,9 +101,9 @@ class ServoProcess:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes for the user: that the standby is lost."""
-        note = self._standby.note if self._standby is not None else self._standby_error
-        return (note,) if note else ()
+        """Notes for the user: that a standby was lost."""
+        loss = self._standby.loss if self._standby is not None else self._standby_error
+        return (*map(replaced_standby, self._losses), *((lost_standby(loss),) if loss else ()))
 
     def check_progress(self, ticks: int, has_released: bool) -> None:
         """Kill the process if its device hangs while a force is applied; the standby then takes over.
@@ -128,6 +138,8 @@ class ServoProcess:
                 if kind == "attached":
                     # not passed as an argument: if the process is gone, `start` would block on a long one
                     self._pipe.send_bytes(self._pickled_opener)
+                    if os.name == "posix":  # no other process opens the block by its name
+                        self._block.unlink()
                     self._start_standby()
                 elif kind == "ready":
                     self.is_ready, self.report = True, content
@@ -157,21 +169,18 @@ class ServoProcess:
                 self._block, self._pickled_opener, self._process.pid, self._is_realtime, self._lifeline
             )
         except OSError as error:
-            self._standby_error = lost_standby(str(error))
-            self._unlink_block()
-        finally:
-            self._lifeline.close()
+            self._standby, self._standby_error = None, str(error)
+        self._standby_count += 1
 
     def _receive_of_standby(self) -> None:
-        """Read the messages of the standby; the last process to attach to the block deletes its name."""
-        if self._standby is not None:
-            is_alive = self._standby.receive()
-            if self._standby.is_attached or not is_alive:
-                self._unlink_block()
-
-    def _unlink_block(self) -> None:
-        if os.name == "posix":
-            self._block.unlink()
+        """Read the messages of the standby; start another one if it is lost while the servo runs."""
+        if self._standby is None or self._standby.receive() or not self._standby.loss:
+            return
+        is_over = self._is_joined or self.is_done or self.error is not None or not self._process.is_alive()
+        if not is_over and self._standby_count < _MAX_STANDBYS:
+            self._losses.append(self._standby.loss)
+            self._standby.join()
+            self._start_standby()
 
     def zero_force(self) -> str:
         """Wait until the standby of a lost servo has set the force to zero; describes the outcome.

@@ -16,7 +16,6 @@ import sys
 import threading
 import time
 from multiprocessing.connection import Connection, wait
-from pathlib import Path
 from typing import Any, Final
 
 from touchfield.render.block import Block, Memory
@@ -47,20 +46,17 @@ _FAILURE: Final = "Setting the force to zero through a new connection failed ({}
 
 
 def _run_standby(
-    path: str, servo_pid: int, is_realtime: bool, pipe: Connection, lifeline: Connection
+    block: Block, servo_pid: int, is_realtime: bool, pipe: Connection, lifeline: Connection
 ) -> None:
     """Main function of the process.
 
-    Attaches to the block, receives the device, warms up, waits for the end of the servo, and takes over if it
-    died. Signals to stop are for the servo: the standby ends after it.
+    Receives the device, warms up, waits for the end of the servo, and takes over if it died. Signals to stop
+    are for the servo: the standby ends after it.
     """
     for signal_number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(signal_number, signal.SIG_IGN)
-    block = Block.attach(Path(path))
-    if os.name == "posix":
-        block.unlink()  # this is the last process that opens it
     try:
-        pipe.send(("attached", ""))
+        pipe.send(("started", ""))
         opener: Opener = pipe.recv()
         device = opener()
         with contextlib.suppress(Exception):  # `open` would report it
@@ -157,8 +153,8 @@ def _open_again(opener: Opener, device: PointDevice) -> PointDevice:
 class StandbyProcess:
     """The process of the standby as seen by the player's.
 
-    `opener` is pickled. `is_attached` is True once it has opened the block, `is_ready` once it waits for the
-    servo's end. `answer` is None until it has taken over: then an empty text, or why it failed.
+    `opener` is pickled. `is_ready` is True once it waits for the servo's end. `answer` is None until it has
+    taken over: then an empty text, or why it failed.
     """
 
     def __init__(
@@ -169,11 +165,11 @@ class StandbyProcess:
         self._opener = opener
         self._lock = threading.Lock()
         self.answer: str | None = None
-        self.is_attached = self.is_ready = False
+        self.is_ready = False
         self._error = ""
         self._process = context.Process(
             target=_run_standby,
-            args=(str(block.path), servo_pid, is_realtime, child_pipe, lifeline),
+            args=(block, servo_pid, is_realtime, child_pipe, lifeline),
             name="touchfield-standby",
             daemon=True,
         )
@@ -188,10 +184,10 @@ class StandbyProcess:
         return self._process.pid
 
     @property
-    def note(self) -> str:
-        """A note for the user if the process is lost; else an empty text."""
+    def loss(self) -> str:
+        """How the process was lost; an empty text if it was not."""
         code = self._process.exitcode
-        return lost_standby(self._error or f"exit code {code}") if code and self.answer is None else ""
+        return self._error or f"exit code {code}" if code and self.answer is None else ""
 
     def receive(self) -> bool:
         """Read the messages of the process without waiting; returns whether it runs."""
@@ -200,8 +196,7 @@ class StandbyProcess:
             with contextlib.suppress(EOFError, OSError):
                 while self._pipe.poll():
                     kind, text = self._pipe.recv()
-                    if kind == "attached":
-                        self.is_attached = True
+                    if kind == "started":
                         self._pipe.send_bytes(self._opener)
                     elif kind == "ready":
                         self.is_ready = True
@@ -236,6 +231,11 @@ def lost_standby(reason: str) -> str:
     return (
         f"The standby of the servo is lost ({reason}): if the servo dies, its force stays for about a second"
     )
+
+
+def replaced_standby(reason: str) -> str:
+    """Return what the user reads if another standby was started in place of a lost one."""
+    return f"A standby of the servo was lost ({reason}), and another one was started"
 
 
 def zero_report(error: str) -> str:

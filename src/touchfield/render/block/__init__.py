@@ -18,6 +18,7 @@ from collections import deque
 from collections.abc import Sequence
 from functools import cached_property
 from itertools import accumulate
+from multiprocessing import reduction
 from pathlib import Path
 from typing import Any, Final
 
@@ -111,7 +112,10 @@ def free_bytes() -> int:
 
 
 class Block:
-    """A block of memory that processes share, by its file."""
+    """A block of memory that processes share, by its file.
+
+    As an argument of a process that is spawned, it is the same block, whether or not its file has a name.
+    """
 
     def __init__(self, path: Path, descriptor: int, size_bytes: int) -> None:
         self.path, self._size_bytes = path, size_bytes
@@ -140,6 +144,11 @@ class Block:
         descriptor = os.open(path, os.O_RDWR)
         return cls(path, descriptor, os.fstat(descriptor).st_size)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        if os.name != "posix":  # the file keeps its name
+            return Block.attach, (self.path,)
+        return _attach_descriptor, (self.path, reduction.DupFd(self._descriptor))
+
     def reserve(self, size_bytes: int) -> None:
         """Make the first `size_bytes` bytes writable.
 
@@ -167,6 +176,12 @@ class Block:
             os.close(self._descriptor)
             self._descriptor = -1
             del self.memory
+
+
+def _attach_descriptor(path: Path, duplicate: Any) -> Block:
+    """Open a block by its descriptor, of which the process has a duplicate."""
+    descriptor = duplicate.detach()
+    return Block(path, descriptor, os.fstat(descriptor).st_size)
 
 
 def _no_space(needed_bytes: int) -> InvalidArgument:
