@@ -233,7 +233,11 @@ static inline int touch_seek_goal(const touch_wall *s, touch_vector hand_m, touc
             at = next, planes.count = 0;
             continue;
         }
-        if (!touch_find_surface(s, at, way, planes.count > 0, hand_m, &next)) break;
+        if (!touch_find_surface(s, at, way, planes.count > 0, hand_m, &next)) {
+            /* a force that begins with a jump has no point at the level: the proxy stays in front of it */
+            if (!planes.count && at.force_n <= s->level_n && next.force_n > s->level_n) touch_add_plane(&planes, next.normal);
+            break;
+        }
         at = next;
         touch_add_plane(&planes, touch_steady_normal(s, at));
     }

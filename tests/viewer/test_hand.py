@@ -98,6 +98,16 @@ def test_forces_are_those_of_the_python_player(plate: Path, tmp_path: Path) -> N
     np.testing.assert_allclose(rows.force_n[landed:], expected_n, atol=atol_n, rtol=0)
 
 
+def test_force_that_begins_with_a_jump_stops_the_hand(tmp_path: Path) -> None:
+    """A moving body pushes with its surface damping from its first sample on: no point is at the level."""
+    outside, inside = (0.0122, 0.0011, 0.0220), (0.01033, 0.00007, 0.02081)
+    steps = [*moved(outside, 100), *moved(inside, 300)]
+    rows = run_hand(tmp_path, step("open", file=ROOT / "conformance" / "v1" / "objects-touch.touch"), *steps)
+    assert not rows.force_n[90].any() and rows.is_in_contact[-100:].all()
+    pull_m = rows.proxy_m[-100:] - rows.device_m[-100:]
+    assert ((rows.force_n[-100:] * pull_m).sum(axis=1) > 0.1 * np.linalg.norm(pull_m, axis=1)).all()
+
+
 def test_lifted_hand_comes_down_in_front_of_the_wall(plate: Path, tmp_path: Path) -> None:
     """The hand is pressed from above, then lifted, put down below the plate, and pressed from there."""
     below = (0.004, 0.003, -0.0012)
