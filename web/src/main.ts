@@ -104,7 +104,7 @@ const sound = new Sound();
 const view = new View(byId("view"), byId("labels"));
 const trace = new Trace(byId<HTMLCanvasElement>("trace"));
 let decoder: Decoder;
-let hand: Hand;
+let hand: Hand; // from `start` on, as the decoder
 let state: State | null = null;
 let given: Given = null;
 let playing = false;
@@ -900,7 +900,7 @@ Object.assign(window, {
     seek: (time: number) => showNow(time).catch(reportFault),
     state: () => ({
       state: document.documentElement.dataset.state, name: state?.name, time: state?.time, point: state?.point, force: state && [...state.force],
-      field: state && [...state.field], hand: hand.rendered, handFault: hand.fault,
+      field: state && [...state.field], hand: state && hand.rendered, handFault: state && hand.fault,
       axis: state?.axis, cut: state?.cut, playing, movie: movie?.currentTime, triangles: view.triangles, cones: view.cones, bodies: view.bodies, marks, sound: sound.output,
       head: state?.opened.head, memory: state?.memory, graphicsObjects: view.graphicsObjects, what: state?.what,
     }),
