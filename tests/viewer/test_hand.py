@@ -225,3 +225,23 @@ def test_page_without_a_hand_shows_the_force_of_the_field(page: str, tmp_path: P
     )  # fmt: skip
     assert result.answers[3]["hand"] is None and result.answers[3]["force"] == result.answers[3]["field"]
     assert result.answers[4].startswith("none, ")
+
+
+@needs_browser
+def test_player_of_the_page_reaches_the_hand(page: str, rising: Path, tmp_path: Path) -> None:
+    """The hand is where the page is while it plays, after a pause, and after a seek."""
+    opening = [step("goto", url=page), step("open", file=rising)]
+    opening += [step("until", code="touchfield.state().hand?.hertz"), step("click", id="play")]
+    looks = [action for _ in range(8) for action in (step("wait", ms=150), step("state"))]
+    pause = [step("click", id="play"), step("wait", ms=500), step("state")]
+    seek = [step("seek", time=1.6), step("wait", ms=500), step("state")]
+    result = drive(tmp_path, *opening, step("wait", ms=500), *looks, *pause, *seek)
+    assert result.errors == []
+    playing, paused, after = result.answers[6:21:2], result.answers[23], result.answers[26]
+    period_s = 41 / 20
+    lags_s = [(s["hand"]["time"] - s["time"] + period_s / 2) % period_s - period_s / 2 for s in playing]
+    assert all(state["playing"] for state in playing) and len({s["hand"]["time"] for s in playing}) > 4
+    assert np.median(np.abs(lags_s)) < 0.1
+    assert paused["hand"]["time"] == pytest.approx(paused["time"], abs=0.02)
+    assert after["hand"]["time"] == pytest.approx(1.6, abs=0.02)
+    assert after["force"][:3] == pytest.approx(after["field"][:3], rel=0.1) and max(after["force"]) > 0.5
