@@ -8,6 +8,7 @@ import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
 import { gzipSync } from "node:zlib";
 import { threeCore } from "./three_core.mjs";
+import { withoutUnusedMethods } from "./unused_methods.mjs";
 
 const here = dirname(fileURLToPath(import.meta.url));
 const out = process.argv[2] ?? join(here, "../src/touchfield/viewer/web");
@@ -20,16 +21,18 @@ const SAMPLE = "../conformance/v1/touch-large.touch";
 const HEADERS = ["", ...["cells", "effects", "encode", "model", "play", "proxy", "query", "receiver", "render", "segment_blend", "settings", "slopes", "tool", "vector", "write"].map((name) => `_${name}`)].map((name) => `../c/touch${name}.h`);
 
 /** Every file that the page is made from; tests/viewer/test_page.py hashes the same. */
-const SOURCES = [...HEADERS, "build.mjs", "build_wasm.sh", "hand.c", "package-lock.json", "page.css", "page.h", "page.html", "record.h", "relief.h", "surface.h", "three_core.mjs", "touch_wasm.c",
+const SOURCES = [...HEADERS, "build.mjs", "build_wasm.sh", "hand.c", "package-lock.json", "page.css", "page.h", "page.html", "record.h", "relief.h", "surface.h", "three_core.mjs", "touch_wasm.c", "unused_methods.mjs",
   ...listed("freestanding", ""), ...listed("src", ".ts")];
 const sources = createHash("sha256");
 for (const name of SOURCES) sources.update(name).update("\0").update(read(name)).update("\0");
 
+const OPTIONS = { bundle: true, write: false, target: "es2022", legalComments: "none", charset: "utf8", absWorkingDir: here };
+
+/** A script in one piece; bundled twice, so that what only unused methods need is left out. */
 async function bundle(name) {
-  const done = await build({
-    entryPoints: [join(here, "src", name)], bundle: true, minify: true, write: false, format: "iife", target: "es2022",
-    legalComments: "none", charset: "utf8", absWorkingDir: here, plugins: [threeCore],
-  });
+  const whole = await build({ ...OPTIONS, entryPoints: [join(here, "src", name)], format: "esm", plugins: [threeCore] });
+  const contents = withoutUnusedMethods(whole.outputFiles[0].text);
+  const done = await build({ ...OPTIONS, stdin: { contents, resolveDir: here }, format: "iife", minify: true });
   return done.outputFiles[0].text.trim().replaceAll("</script", "<\\/script").replaceAll("<!--", "<\\!--");
 }
 

@@ -98,6 +98,16 @@ def test_forces_are_those_of_the_python_player(plate: Path, tmp_path: Path) -> N
     np.testing.assert_allclose(rows.force_n[landed:], expected_n, atol=atol_n, rtol=0)
 
 
+def test_force_that_begins_with_a_jump_stops_the_hand(tmp_path: Path) -> None:
+    """A moving body pushes with its surface damping from its first sample on: no point is at the level."""
+    outside, inside = (0.0122, 0.0011, 0.0220), (0.01033, 0.00007, 0.02081)
+    steps = [*moved(outside, 100), *moved(inside, 300)]
+    rows = run_hand(tmp_path, step("open", file=ROOT / "conformance" / "v1" / "objects-touch.touch"), *steps)
+    assert not rows.force_n[90].any() and rows.is_in_contact[-100:].all()
+    pull_m = rows.proxy_m[-100:] - rows.device_m[-100:]
+    assert ((rows.force_n[-100:] * pull_m).sum(axis=1) > 0.1 * np.linalg.norm(pull_m, axis=1)).all()
+
+
 def test_lifted_hand_comes_down_in_front_of_the_wall(plate: Path, tmp_path: Path) -> None:
     """The hand is pressed from above, then lifted, put down below the plate, and pressed from there."""
     below = (0.004, 0.003, -0.0012)
@@ -215,3 +225,23 @@ def test_page_without_a_hand_shows_the_force_of_the_field(page: str, tmp_path: P
     )  # fmt: skip
     assert result.answers[3]["hand"] is None and result.answers[3]["force"] == result.answers[3]["field"]
     assert result.answers[4].startswith("none, ")
+
+
+@needs_browser
+def test_player_of_the_page_reaches_the_hand(page: str, rising: Path, tmp_path: Path) -> None:
+    """The hand is where the page is while it plays, after a pause, and after a seek."""
+    opening = [step("goto", url=page), step("open", file=rising)]
+    opening += [step("until", code="touchfield.state().hand?.hertz"), step("click", id="play")]
+    looks = [action for _ in range(8) for action in (step("wait", ms=150), step("state"))]
+    pause = [step("click", id="play"), step("wait", ms=500), step("state")]
+    seek = [step("seek", time=1.6), step("wait", ms=500), step("state")]
+    result = drive(tmp_path, *opening, step("wait", ms=500), *looks, *pause, *seek)
+    assert result.errors == []
+    playing, paused, after = result.answers[6:21:2], result.answers[23], result.answers[26]
+    period_s = 41 / 20
+    lags_s = [(s["hand"]["time"] - s["time"] + period_s / 2) % period_s - period_s / 2 for s in playing]
+    assert all(state["playing"] for state in playing) and len({s["hand"]["time"] for s in playing}) > 4
+    assert np.median(np.abs(lags_s)) < 0.1
+    assert paused["hand"]["time"] == pytest.approx(paused["time"], abs=0.02)
+    assert after["hand"]["time"] == pytest.approx(1.6, abs=0.02)
+    assert after["force"][:3] == pytest.approx(after["field"][:3], rel=0.1) and max(after["force"]) > 0.5

@@ -162,7 +162,7 @@ export class Hand {
   private worker: Worker | null = null;
   private file = 0;
 
-  constructor(private readonly module: WebAssembly.Module, private readonly startWorker: () => Worker, private readonly onReport: () => void) {
+  constructor(private readonly module: WebAssembly.Module, private readonly script: string, private readonly onReport: () => void) {
     document.addEventListener("visibilitychange", () => this.order({ do: "rest", isResting: document.hidden }));
   }
 
@@ -172,7 +172,7 @@ export class Hand {
     this.close();
     if (isContinued) this.rendered = rendered;
     try {
-      this.worker ??= this.startWorker();
+      this.worker ??= new Worker(this.script);
       this.worker.onmessage = ({ data: { file, rendered, fault } }: MessageEvent<HandAnswer>): void => {
         if (file !== this.file) return;
         this.rendered = rendered;

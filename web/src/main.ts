@@ -3,7 +3,7 @@
 import { directionText, directionsOf, type Directions } from "./axes";
 import { colourOf } from "./colour";
 import { Fault, firstSegment, indexOffset } from "./container";
-import { answer, type EngineRequest, type Cut, type Met, type Opened, type Piece, type Recorded, type Shown, type Triple, type What } from "./engine";
+import type { EngineRequest, Cut, Met, Opened, Piece, Recorded, Shown, Triple, What } from "./engine";
 import { Hand } from "./hand";
 import { differenceText, figuresOf, type Given, keyList, millimetres } from "./panel";
 import { materialsOf, slidOver } from "./material";
@@ -25,28 +25,47 @@ const press = (id: string, on: boolean): void => byId(id).setAttribute("aria-pre
 
 // -- the decoder, in a thread of its own where that is allowed ----------------------------------------------------------
 
+type Answer = (request: EngineRequest) => unknown;
+
+/** The script of the workers in the page itself. */
+function answerInPage(url: string): Promise<Answer> {
+  return new Promise((done, failed) => {
+    const script = document.createElement("script");
+    script.src = url;
+    script.onload = (): void => done((window as unknown as { touchfieldAnswer: Answer }).touchfieldAnswer);
+    script.onerror = failed;
+    document.head.append(script);
+  });
+}
+
 class Decoder {
   private worker: Worker | null = null;
   private next = 0;
   private readonly waiting = new Map<number, { request: EngineRequest; done: (value: unknown) => void }>();
   private readonly ready: Promise<unknown>;
+  private inPage: Promise<Answer> | null = null;
 
-  constructor(module: WebAssembly.Module, startWorker: () => Worker) {
+  constructor(module: WebAssembly.Module, private readonly script: string) {
     try {
-      this.worker = startWorker();
+      this.worker = new Worker(script);
       this.worker.onmessage = ({ data }: MessageEvent<{ id: number; answer: unknown }>): void => {
         this.waiting.get(data.id)?.done(data.answer);
         this.waiting.delete(data.id);
       };
       this.worker.onerror = (): void => { // a page around this one may forbid threads
         this.worker = null;
-        for (const { request, done } of this.waiting.values()) done(answer(request));
+        for (const { request, done } of this.waiting.values()) done(this.answer(request));
         this.waiting.clear();
       };
     } catch {
       this.worker = null;
     }
     this.ready = this.request({ do: "start", module });
+  }
+
+  private async answer(request: EngineRequest): Promise<unknown> {
+    this.inPage ??= answerInPage(this.script);
+    return (await this.inPage)(request);
   }
 
   async request<T>(request: EngineRequest): Promise<T> {
@@ -56,7 +75,7 @@ class Decoder {
           this.waiting.set(++this.next, { request, done });
           this.worker!.postMessage({ id: this.next, request });
         })
-      : await new Promise<unknown>((done) => setTimeout(() => done(answer(request)), 0));
+      : await new Promise<unknown>((done) => setTimeout(() => done(this.answer(request)), 0));
     if (result && typeof result === "object" && "fault" in result) throw result;
     return result as T;
   }
@@ -85,7 +104,7 @@ const sound = new Sound();
 const view = new View(byId("view"), byId("labels"));
 const trace = new Trace(byId<HTMLCanvasElement>("trace"));
 let decoder: Decoder;
-let hand: Hand;
+let hand: Hand; // from `start` on, as the decoder
 let state: State | null = null;
 let given: Given = null;
 let playing = false;
@@ -333,7 +352,7 @@ async function jump(position: Triple, time = state!.time): Promise<void> {
   if (time !== state!.time) await showNow(time);
   state!.cut = position[state!.axis]!;
   cutNow();
-  await feelAt(position);
+  await feelAt(position, false, true);
 }
 
 // -- frames -------------------------------------------------------------------------------------------------------------
@@ -446,14 +465,18 @@ function setPlaying(on: boolean): void {
 // -- the probe ----------------------------------------------------------------------------------------------------------
 
 let surfaces = materialsOf(undefined);
-let before: { point: Triple; at: number } | null = null;
+const PAUSE_S = 0.25;
+let latestMove = { at: 0, speed: 0 };
 
-/** Metres a second at which the probe came to a point; 0 after a pause. */
-function speedAt(point: Triple): number {
-  const [was, now] = [before, performance.now() / 1000];
-  before = { point, at: now };
-  if (!was || now - was.at > 0.25 || now <= was.at) return 0;
-  return Math.hypot(...point.map((v, n) => v - was.point[n]!)) / (now - was.at);
+/** Metres a second at which the probe moves; 0 in a pause. */
+function slideSpeed(): number {
+  return performance.now() / 1000 - latestMove.at < PAUSE_S ? latestMove.speed : 0;
+}
+
+function measureSpeed(metres: number): void {
+  const now = performance.now() / 1000;
+  const passed = now - latestMove.at;
+  latestMove = { at: now, speed: passed > PAUSE_S || passed <= 0 ? 0 : metres / passed };
 }
 
 let spokenAt = 0;
@@ -466,10 +489,12 @@ let isFollowing = false;
 /** Whether what is shown is the force on the hand, and not the bare force of the field. */
 const isHand = (): boolean => hand.rendered !== null && state?.what === "decoded" && !isFollowing;
 
-/** The probe is at a point, with this field; the ray of a pointer met the field at `from`. */
+/** The probe is at a point, with this field; over a long way it is lifted, and put down at `from`, if that is given. */
 function moveProbe(point: Triple, field: Float64Array, from: Triple | null = null): void {
   const far = 0.05 * Math.hypot(...[0, 1, 2].map((n) => range(n)[1] - range(n)[0]));
-  const isJump = from !== null && Math.hypot(...point.map((v, n) => v - state!.point[n]!)) > far;
+  const moved = Math.hypot(...point.map((v, n) => v - state!.point[n]!));
+  const isJump = from !== null && moved > far;
+  measureSpeed(moved);
   state!.point = point;
   hand.move(point, isJump ? from : null);
   showField(field);
@@ -497,7 +522,7 @@ function showForce(): void {
   view.setProbe(own.point, force, `${size.toFixed(2)} ${isError() ? "of bound" : "N"}`, rendered?.isInContact ? rendered.proxy : null);
   trace.add(size);
   const side = own.directions.right.reduce((sum, direction, n) => sum + direction * force[n]!, 0) / (size || 1);
-  const [texture, hertz] = slidOver(surfaces, own.point, speedAt(rendered?.device ?? own.point), isError() ? 0 : size);
+  const [texture, hertz] = slidOver(surfaces, own.point, slideSpeed(), isError() ? 0 : size);
   if (texture > vibration) sound.play(size / top(), side, texture / top(), hertz);
   else sound.play(size / top(), side, vibration / top(), force[4]!);
 }
@@ -540,10 +565,10 @@ function speak(): void {
   text("spoken", `${what}${vibration}; ${position.join(", ")} millimetres from the middle`);
 }
 
-const feelAt = async (point: Triple, isFollowed = false): Promise<void> => {
+const feelAt = async (point: Triple, isFollowed = false, isLifted = false): Promise<void> => {
   const bounded = point.map((m, n) => Math.min(Math.max(m, range(n)[0]), range(n)[1])) as Triple;
   isFollowing = isFollowed;
-  moveProbe(bounded, await decoder.request<Float64Array>({ do: "feel", points: bounded }));
+  moveProbe(bounded, await decoder.request<Float64Array>({ do: "feel", points: bounded }), isLifted ? bounded : null);
 };
 const feel = latest(feelAt);
 
@@ -852,10 +877,9 @@ async function start(): Promise<void> {
   wireKeys();
   const packed = new Blob([bytesOf("decoder")]).stream().pipeThrough(new DecompressionStream("gzip"));
   const module = await WebAssembly.compile(await new Response(packed).arrayBuffer());
-  const code = new Blob([byId("worker").textContent!], { type: "text/javascript" });
-  const startWorker = (): Worker => new Worker(URL.createObjectURL(code));
-  decoder = new Decoder(module, startWorker);
-  hand = new Hand(module, startWorker, showHand);
+  const script = URL.createObjectURL(new Blob([byId("worker").textContent!], { type: "text/javascript" }));
+  decoder = new Decoder(module, script);
+  hand = new Hand(module, script, showHand);
   const medium = byId("given-medium");
   document.documentElement.dataset.state = "empty";
   if (!medium.textContent!.trim()) return void (await decoder.request({ do: "warm", data: bytesOf("sample"), times: 14 }));
@@ -876,7 +900,7 @@ Object.assign(window, {
     seek: (time: number) => showNow(time).catch(reportFault),
     state: () => ({
       state: document.documentElement.dataset.state, name: state?.name, time: state?.time, point: state?.point, force: state && [...state.force],
-      field: state && [...state.field], hand: hand.rendered, handFault: hand.fault,
+      field: state && [...state.field], hand: state && hand.rendered, handFault: state && hand.fault,
       axis: state?.axis, cut: state?.cut, playing, movie: movie?.currentTime, triangles: view.triangles, cones: view.cones, bodies: view.bodies, marks, sound: sound.output,
       head: state?.opened.head, memory: state?.memory, graphicsObjects: view.graphicsObjects, what: state?.what,
     }),

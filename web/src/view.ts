@@ -346,16 +346,19 @@ export class View {
 
   // -- probe --------------------------------------------------------------------------------------------------------
 
+  private probeRadius(): number {
+    return 0.009 * this.side.length();
+  }
+
   private makeProbe(): void {
-    const radius = 0.009 * this.side.length();
-    const over = { color: ACCENT, depthTest: false, transparent: true };
-    const ball = new Mesh(new SphereGeometry(radius, 24, 16), new MeshBasicMaterial(over));
-    const rim = new Mesh(new SphereGeometry(radius * 1.35, 24, 16), new MeshBasicMaterial({ ...over, color: 0xffffff }));
-    const shaft = new Mesh(new CylinderGeometry(0.4 * radius, 0.4 * radius, 1, 12).translate(0, 0.5, 0), new MeshBasicMaterial(over));
-    const tip = new Mesh(new ConeGeometry(1.1 * radius, 2.6 * radius, 16).translate(0, 1.3 * radius, 0), new MeshBasicMaterial(over));
-    const proxy = new Mesh(new SphereGeometry(0.7 * radius, 24, 16), new MeshBasicMaterial({ ...over, color: 0xffffff }));
-    const string = new Mesh(new CylinderGeometry(0.2 * radius, 0.2 * radius, 1, 12).translate(0, 0.5, 0), new MeshBasicMaterial({ ...over, color: 0x0f172a }));
-    const edge = new Mesh(new SphereGeometry(0.9 * radius, 24, 16), new MeshBasicMaterial({ ...over, color: 0x0f172a }));
+    const radius = this.probeRadius();
+    const [sphere, rod] = [new SphereGeometry(1, 24, 16), new CylinderGeometry(1, 1, 1, 12).translate(0, 0.5, 0)];
+    const cone = new ConeGeometry(1.1 * radius, 2.6 * radius, 16).translate(0, 1.3 * radius, 0);
+    const over = { depthTest: false, transparent: true };
+    const [orange, white, dark] = [ACCENT, 0xffffff, 0x0f172a].map((color) => new MeshBasicMaterial({ ...over, color })) as [MeshBasicMaterial, MeshBasicMaterial, MeshBasicMaterial];
+    const [ball, rim, edge, proxy] = [new Mesh(sphere, orange), new Mesh(sphere, white), new Mesh(sphere, dark), new Mesh(sphere, white)];
+    const [shaft, tip, string] = [new Mesh(rod, orange), new Mesh(cone, orange), new Mesh(rod, dark)];
+    for (const [mesh, size] of [[ball, 1], [rim, 1.35], [edge, 0.9], [proxy, 0.7]] as const) mesh.scale.setScalar(size * radius);
     string.renderOrder = 10;
     edge.renderOrder = 11;
     proxy.renderOrder = 12;
@@ -382,7 +385,7 @@ export class View {
       vector.divideScalar(size);
       shaft.quaternion.setFromUnitVectors(UP, vector);
       tip.quaternion.copy(shaft.quaternion);
-      shaft.scale.set(1, length, 1);
+      shaft.scale.set(0.4 * this.probeRadius(), length, 0.4 * this.probeRadius());
       tip.position.copy(vector).multiplyScalar(length);
     }
     string.visible = edge.visible = ball.visible = proxy !== null;
@@ -390,7 +393,7 @@ export class View {
       const way = new Vector3(...proxy).sub(this.probe.position);
       edge.position.copy(way);
       ball.position.copy(way);
-      string.scale.set(1, Math.max(way.length(), 1e-9), 1);
+      string.scale.set(0.2 * this.probeRadius(), Math.max(way.length(), 1e-9), 0.2 * this.probeRadius());
       string.quaternion.setFromUnitVectors(UP, way.lengthSq() > 0 ? way.normalize() : UP);
     }
     const label = this.labels.find((l) => l.element.classList.contains("probe"));
