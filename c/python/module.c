@@ -6,17 +6,23 @@
    on. Each header ends with the list of its functions. */
 #include "arguments.h"
 #include "fields.h"
+#include "filters.h"
 #include "hand.h"
+#include "paper.h"
 #include "parts.h"
 #include "query.h"
 #include "receiver.h"
 #include "segments.h"
+#include "shapes.h"
 
 static PyMethodDef methods[] = {
     SEGMENTS_METHODS,
     PARTS_METHODS,
     QUERY_METHODS,
     FIELDS_METHODS,
+    FILTERS_METHODS,
+    PAPER_METHODS,
+    SHAPES_METHODS,
     RECEIVER_METHODS,
     HAND_METHODS,
     {NULL, NULL, 0, NULL},

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
-from touchfield.compute.coder_jit import lean
-from touchfield.compute.jit import kernel
+from touchfield.compute.jit import inner, kernel
 from touchfield.medium.kernels.placed import (
     CELLS,
     C,
@@ -130,7 +129,7 @@ def bound_cells(start, stop, source, decoded, rule, bounds):
             bounds[s, cell] = _SLACK * error / allowed if allowed > 0.0 else np.inf
 
 
-@lean(forceinline=True)
+@inner(error_model="numpy", forceinline=True)
 def _add(cells, slot, row, offset, floor2, total):
     """Add to `total` the force of a body at a point x - t, in scene coordinates."""
     x, y, z = body_coordinates(row, offset[0], offset[1], offset[2])
@@ -142,7 +141,7 @@ def _add(cells, slot, row, offset, floor2, total):
         total[2] += z
 
 
-@lean(forceinline=True)
+@inner(error_model="numpy", forceinline=True)
 def _span(row, first, size, world, box):
     """Set `box` to the first and last workspace sample around a box of a body.
 
@@ -163,7 +162,7 @@ def _span(row, first, size, world, box):
     return True
 
 
-@lean(forceinline=True)
+@inner(error_model="numpy", forceinline=True)
 def _overlap(box, other):
     """True if two boxes of samples overlap."""
     overlaps = True
@@ -172,7 +171,7 @@ def _overlap(box, other):
     return overlaps
 
 
-@lean(forceinline=True)
+@inner(error_model="numpy", forceinline=True)
 def _row_within(row, brick, px, py, world, low, high):
     """First and last sample of a row along z within a brick of a body, up to rounding."""
     h = world[1, 2]
@@ -190,7 +189,7 @@ def _row_within(row, brick, px, py, world, low, high):
     return (np.int64(np.ceil(first)), np.int64(np.floor(last))) if first <= last else (0, -1)
 
 
-@lean(forceinline=True)
+@inner(error_model="numpy", forceinline=True)
 def _find_parts(bodies, row_of, px, py, pz, search):
     """Number of candidates that contribute to a voxel.
 
@@ -208,7 +207,7 @@ def _find_parts(bodies, row_of, px, py, pz, search):
     return count
 
 
-@lean(forceinline=True)
+@inner(error_model="numpy", forceinline=True)
 def _mark(bodies, row_of, count, px, py, pz, search):
     """Mark the cells of the bodies ``search.parts[:count]`` that contain a voxel."""
     for m in range(count):
@@ -219,7 +218,7 @@ def _mark(bodies, row_of, count, px, py, pz, search):
         bodies.marks[slot, (i & 7) * 64 + (j & 7) * 8 + (l & 7)] = 1
 
 
-@lean(forceinline=True)
+@inner(error_model="numpy", forceinline=True)
 def _compare_voxel(bodies, rows, rule, count, px, py, pz, search):
     """Compare source and decoded force at one voxel; True if it is outside the bound.
 
@@ -252,7 +251,7 @@ def _compare_voxel(bodies, rows, rule, count, px, py, pz, search):
     return ratio > 1.0
 
 
-@lean(forceinline=True)
+@inner(error_model="numpy", forceinline=True)
 def _compare_row(bodies, rows, rule, n, slot, world, span, px, py, search):
     """Compare the voxels of a row within one brick of body n.
 
@@ -280,7 +279,7 @@ def _compare_row(bodies, rows, rule, n, slot, world, span, px, py, search):
     return violations
 
 
-@lean(forceinline=True)
+@inner(error_model="numpy", forceinline=True)
 def _compare_brick(bodies, rows, rule, n, slot, world, search):
     """Compare the voxels of one brick of body n; return how many violate the bound."""
     brick, box = bodies.bricks[slot], search.box
@@ -306,7 +305,7 @@ def _compare_brick(bodies, rows, rule, n, slot, world, search):
     return violations
 
 
-@lean(forceinline=True)
+@inner(error_model="numpy", forceinline=True)
 def _alone(n, stays, search):
     """True if no moving body overlaps body n, in this frame or the one before."""
     span = search.spans[n]
