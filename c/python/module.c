@@ -5,6 +5,7 @@
    threads run while C works. The module uses CPython's stable ABI only, so that one binary serves every version from 3.11
    on. Each header ends with the list of its functions. */
 #include "arguments.h"
+#include "error_bound.h"
 #include "fields.h"
 #include "filters.h"
 #include "hand.h"
@@ -23,6 +24,7 @@ static PyMethodDef methods[] = {
     FILTERS_METHODS,
     PAPER_METHODS,
     SHAPES_METHODS,
+    ERROR_BOUND_METHODS,
     RECEIVER_METHODS,
     HAND_METHODS,
     {NULL, NULL, 0, NULL},

@@ -426,6 +426,40 @@ def fill_lattice(
     is initially zero.
     """
 
+# -- the error bound of moving bodies
+
+Rule = tuple[float, float, float, float]
+"""k, F_0, the force of a body that counts as none, and the limit of the sum, newtons."""
+
+def bound_cells(start: int, stop: int, source: Buffer, decoded: Buffer, rule: Rule, bounds: Buffer) -> None:
+    """Write upper bounds of |error| / mask within each cell of a range of bricks, float32 [n, 512].
+
+    `source` and `decoded` are cells, float32 [n, 9, 9, 9, 3]. The bound is infinite if F_0 is 0, the cell is
+    not exact and the force may vanish within it. It allows for forces that count as none in one of the two
+    fields only, and for the rounding of both to float32.
+    """
+
+def compare_frames(
+    start: int,
+    stop: int,
+    bodies: tuple[Buffer, Buffer, Buffer, Buffer, Buffer, Buffer, Buffer, Buffer, Buffer, Buffer, Buffer],
+    moves: tuple[Buffer, Buffer, Buffer],
+    stays: Buffer,
+    lattice: Lattice,
+    rule: Rule,
+    ratios: Buffer,
+    voxels: Buffer,
+) -> int:
+    """Find the largest |error| / mask in a range of frames over the voxels of each body.
+
+    `bodies`: lattices, boxes, starts, bricks, tables and supports as in `CellPool`, cells of the source and
+    the decoded fields, their `bound_cells` and the largest of each brick, and marks, uint8 [n, 512], set to 1
+    for cells that contribute to a voxel outside the bound ([0, 512] to mark nothing). `moves`:
+    `error_bound.Moves`. `stays`, bool [frames, bodies]: whether a body has not moved since the frame before.
+    Raises `ratios`, float64 [bodies], to larger ones, with frame and voxel in `voxels`, int64 [bodies, 4].
+    Returns the number of voxels in all frames whose error exceeds the mask.
+    """
+
 def count_slopes(
     cells: Buffer, supported: Buffer, samples_per_m: tuple[float, float, float], counts: Buffer
 ) -> None:
