@@ -26,7 +26,6 @@ from touchfield.pipeline.comparison import compare
 from touchfield.pipeline.encoding import encode
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.laws import ForceProfile
-from touchfield.sources.tiny_scenes import tiny_scenes
 from touchfield.tasks.measure import MeasureSpec, measure_medium
 
 _MIN_SHARED_BYTES: Final = 1 << 28
@@ -172,6 +171,8 @@ GROUPS: Final[Mapping[str, Callable[[], None]]] = {
 
 def warm_up(report: Progress = silent) -> None:
     """Compile and cache every kernel by running the pipeline on tiny scenes."""
+    from touchfield.sources.tiny_scenes import tiny_scenes
+
     scenes = tiny_scenes()
     jobs = [(scene, EncodeSpec(nw=3)) for scene in scenes]
     jobs += [(scenes[0], EncodeSpec(device="tshirt-32x32"))]
