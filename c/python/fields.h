@@ -1,8 +1,8 @@
-/* Fields in bricks: sample_field, raster_slots (_native.pyi). */
+/* Fields in bricks: sample_field, move_to_level, raster_slots, brick_keys (_native.pyi). */
 #ifndef TOUCHFIELD_FIELDS_H
 #define TOUCHFIELD_FIELDS_H
 
-#include "arguments.h"
+#include "query.h"
 
 #include <math.h>
 
@@ -14,8 +14,8 @@ typedef struct { /* keys of the bricks, ascending, and the forces [count][8][8][
     int64_t count, shape[3], brick_shape[3];
 } brick_field;
 
-/* The forces of a brick, or NULL where it has none. */
-static inline const float *find_brick(const brick_field *field, int64_t key) {
+/* The first brick whose key is not below `key`. */
+static inline int64_t first_slot(const brick_field *field, int64_t key) {
     int64_t low = 0, high = field->count;
     while (low < high) {
         int64_t middle = (low + high) >> 1;
@@ -24,40 +24,59 @@ static inline const float *find_brick(const brick_field *field, int64_t key) {
         else
             high = middle;
     }
-    return low < field->count && field->keys[low] == key ? field->forces + low * 1536 : NULL;
+    return low;
 }
 
+/* The forces of a brick, or NULL where it has none. */
+static inline const float *find_brick(const brick_field *field, int64_t key) {
+    int64_t slot = first_slot(field, key);
+    return slot < field->count && field->keys[slot] == key ? field->forces + slot * 1536 : NULL;
+}
+
+typedef struct { /* the brick that was found last, as neighbouring samples mostly share theirs */
+    int64_t key;
+    const float *forces;
+} found_brick;
+
 /* total += weight * the force of a sample */
-static inline void add_sample(const brick_field *field, const int64_t at[3], double weight, double total[3]) {
+static inline void add_sample(const brick_field *field, const int64_t at[3], double weight, found_brick *brick,
+                              double total[3]) {
     int64_t key = ((at[0] >> 3) * field->brick_shape[1] + (at[1] >> 3)) * field->brick_shape[2] + (at[2] >> 3);
-    const float *brick = find_brick(field, key);
-    if (!brick) return;
-    const float *force = brick + 3 * (((at[0] & 7) * 8 + (at[1] & 7)) * 8 + (at[2] & 7));
+    if (key != brick->key) brick->key = key, brick->forces = find_brick(field, key);
+    if (!brick->forces) return;
+    const float *force = brick->forces + 3 * (((at[0] & 7) * 8 + (at[1] & 7)) * 8 + (at[2] & 7));
     for (int n = 0; n < 3; n++) total[n] += weight * (double)force[n];
 }
 
 /* The force at a point, in samples; it falls to zero over one spacing beyond the outermost ones. */
 static inline void sample_point(const brick_field *field, const double *point, float *out) {
-    double total[3] = {0.0, 0.0, 0.0}, fraction[3];
+    double total[3] = {0.0, 0.0, 0.0}, weight[3][2];
+    found_brick brick = {-1, NULL};
     int64_t first[3], at[3];
-    int is_inside = 1;
+    int is_inside = 1, is_sample[3][2];
     for (int n = 0; n < 3; n++) {
         is_inside = is_inside && point[n] > -1.0 && point[n] < (double)field->shape[n];
-        double whole = is_inside ? floor(point[n]) : 0.0;
-        first[n] = (int64_t)whole, fraction[n] = point[n] - whole;
+        first[n] = !is_inside || point[n] < 0.0 ? -1 : (int64_t)point[n]; /* floor, which x86-64 must call */
+        weight[n][1] = point[n] - (double)first[n], weight[n][0] = 1.0 - weight[n][1];
+        is_sample[n][0] = first[n] >= 0, is_sample[n][1] = first[n] + 1 < field->shape[n];
     }
     for (int corner = 0; is_inside && corner < 8; corner++) {
-        double weight = 1.0;
-        int is_sample = 1;
-        for (int n = 0; n < 3; n++) {
-            int is_next = (corner >> (2 - n)) & 1;
-            at[n] = first[n] + is_next;
-            weight *= is_next ? fraction[n] : 1.0 - fraction[n];
-            is_sample = is_sample && at[n] >= 0 && at[n] < field->shape[n];
-        }
-        if (is_sample && weight != 0.0) add_sample(field, at, weight, total);
+        int i = corner >> 2, j = corner >> 1 & 1, k = corner & 1;
+        double product = weight[0][i] * weight[1][j] * weight[2][k];
+        at[0] = first[0] + i, at[1] = first[1] + j, at[2] = first[2] + k;
+        if (is_sample[0][i] && is_sample[1][j] && is_sample[2][k] && product != 0.0)
+            add_sample(field, at, product, &brick, total);
     }
     for (int n = 0; n < 3; n++) out[n] = (float)total[n];
+}
+
+/* Keys and forces of a field on a grid; 0: an error is raised. */
+static inline int add_brick_field(buffer_list *arrays, const touch_grid *grid, PyObject *keys, PyObject *forces,
+                                  brick_field *field) {
+    for (int n = 0; n < 3; n++) field->shape[n] = grid->shape[n], field->brick_shape[n] = (field->shape[n] + 7) / 8;
+    field->count = -1;
+    if (!(field->keys = (const int64_t *)add_numbers(arrays, keys, 1, &field->count))) return 0;
+    return (field->forces = (const float *)add_array(arrays, forces, 1536 * sizeof(float), &field->count)) != NULL;
 }
 
 /* (index, shape, keys, forces, out) */
@@ -67,23 +86,82 @@ static PyObject *py_sample_field(PyObject *self, PyObject *arguments) {
     brick_field field;
     touch_grid grid;
     int64_t points = -1;
+    float *to = NULL;
     (void)self;
     if (!PyArg_ParseTuple(arguments, "OOOOO", &index, &shape, &keys, &forces, &out) || !read_wide_shape(shape, &grid))
         return NULL;
-    for (int n = 0; n < 3; n++) field.shape[n] = grid.shape[n], field.brick_shape[n] = (field.shape[n] + 7) / 8;
-    field.count = -1;
     const double *at = (const double *)add_array(&arrays, index, 3 * sizeof(double), &points);
-    field.keys = at ? (const int64_t *)add_array(&arrays, keys, sizeof(int64_t), &field.count) : NULL;
-    field.forces = field.keys ? (const float *)add_array(&arrays, forces, 1536 * sizeof(float), &field.count) : NULL;
-    float *to = field.forces ? (float *)(uintptr_t)add_array(&arrays, out, 3 * sizeof(float), &points) : NULL;
-    int is_done = to && (!arrays.view[3].readonly || refuse(TOUCH_ARGUMENT, "an array that is not writable"));
+    int is_done = at && add_brick_field(&arrays, &grid, keys, forces, &field) &&
+                  (to = (float *)add_output(&arrays, out, 3 * sizeof(float), &points));
     if (is_done) {
         PyThreadState *state = PyEval_SaveThread();
         for (int64_t n = 0; n < points; n++) sample_point(&field, at + 3 * n, to + 3 * n);
         PyEval_RestoreThread(state);
     }
-    release_arrays(&arrays);
-    return is_done ? none() : NULL;
+    return done(&arrays, is_done);
+}
+
+/* -- points at a level of the force ----------------------------------------------------------------------------------- */
+
+typedef struct {
+    brick_field field;
+    double spacing_m[3], origin_m[3], level_n, max_move_m;
+} level_search;
+
+static inline void force_at_m(const level_search *search, const double *point_m, float *force) {
+    double index[3];
+    for (int n = 0; n < 3; n++) index[n] = (point_m[n] - search->origin_m[n]) / search->spacing_m[n];
+    sample_point(&search->field, index, force);
+}
+
+/* Move a point along the force to the level, by the secant method; whether it comes within 2 % of it. */
+static inline int move_point(const level_search *search, double *point_m, int64_t rounds) {
+    double size = 0.0;
+    for (int64_t n = 0; n <= rounds; n++) {
+        float force[3], next[3];
+        double direction[3], ahead_m[3];
+        force_at_m(search, point_m, force);
+        for (int a = 0; a < 3; a++) direction[a] = (double)force[a];
+        size = sqrt(direction[0] * direction[0] + direction[1] * direction[1] + direction[2] * direction[2]);
+        if (n == rounds || size == 0.0) break;
+        for (int a = 0; a < 3; a++) {
+            direction[a] /= size;
+            ahead_m[a] = point_m[a] - search->max_move_m * direction[a];
+        }
+        force_at_m(search, ahead_m, next);
+        double next_size = (double)sqrtf(next[0] * next[0] + next[1] * next[1] + next[2] * next[2]);
+        /* at least 1e-9: where the force saturates, only the way outwards is left */
+        double per_m = fmax((next_size - size) / search->max_move_m, 1e-9);
+        double move_m = fmin(fmax((search->level_n - size) / per_m, -search->max_move_m), search->max_move_m);
+        for (int a = 0; a < 3; a++) point_m[a] -= direction[a] * move_m;
+    }
+    return fabs(size - search->level_n) <= 0.02 * search->level_n;
+}
+
+/* (points, shape, spacing_m, origin_m, keys, forces, level_n, max_move_m, rounds, is_met) */
+static PyObject *native_move_to_level(PyObject *module, PyObject *arguments) {
+    PyObject *points, *shape, *keys, *forces, *is_met;
+    long long rounds;
+    int64_t count = -1;
+    level_search s;
+    touch_grid grid;
+    uint8_t *met = NULL;
+    buffer_list arrays = {NULL, 0, 0};
+    (void)module;
+    if (!PyArg_ParseTuple(arguments, "OO(ddd)(ddd)OOddLO", &points, &shape, s.spacing_m, s.spacing_m + 1, s.spacing_m + 2,
+                          s.origin_m, s.origin_m + 1, s.origin_m + 2, &keys, &forces, &s.level_n, &s.max_move_m, &rounds,
+                          &is_met) ||
+        !read_wide_shape(shape, &grid))
+        return NULL;
+    double *point_m = (double *)add_output(&arrays, points, 3 * sizeof(double), &count);
+    int is_done = point_m && add_brick_field(&arrays, &grid, keys, forces, &s.field) &&
+                  (met = (uint8_t *)add_output(&arrays, is_met, 1, &count));
+    if (is_done) {
+        PyThreadState *state = PyEval_SaveThread();
+        for (int64_t n = 0; n < count; n++) met[n] = (uint8_t)move_point(&s, point_m + 3 * n, rounds);
+        PyEval_RestoreThread(state);
+    }
+    return done(&arrays, is_done);
 }
 
 /* -- order of the samples --------------------------------------------------------------------------------------------- */
@@ -142,8 +220,36 @@ static PyObject *py_raster_slots(PyObject *self, PyObject *arguments) {
     return is_done ? none() : NULL;
 }
 
-#define FIELDS_METHODS                                     \
+/* -- bricks within boxes ---------------------------------------------------------------------------------------------- */
+
+/* (spans, brick_shape, out) */
+static PyObject *native_brick_keys(PyObject *module, PyObject *arguments) {
+    PyObject *spans, *out;
+    long long shape[3];
+    int64_t boxes = -1, size = -1, written = 0;
+    buffer_list arrays = {NULL, 0, 0};
+    (void)module;
+    if (!PyArg_ParseTuple(arguments, "O(LLL)O", &spans, shape, shape + 1, shape + 2, &out)) return NULL;
+    const int64_t *span = (const int64_t *)add_numbers(&arrays, spans, 6, &boxes);
+    int64_t *key = span ? (int64_t *)add_output(&arrays, out, 8, &size) : NULL;
+    if (key) {
+        PyThreadState *state = PyEval_SaveThread();
+        for (int64_t n = 0; n < boxes; n++, span += 6)
+            for (int64_t i = span[0]; i < span[1]; i++)
+                for (int64_t j = span[2]; j < span[3]; j++)
+                    for (int64_t k = span[4]; k < span[5] && written < size; k++)
+                        key[written++] = (i * shape[1] + j) * shape[2] + k;
+        PyEval_RestoreThread(state);
+    }
+    return done(&arrays, key != NULL);
+}
+
+/* clang-format off */
+#define FIELDS_METHODS \
     {"sample_field", py_sample_field, METH_VARARGS, NULL}, \
-    {"raster_slots", py_raster_slots, METH_VARARGS, NULL}
+    {"move_to_level", native_move_to_level, METH_VARARGS, "Move points along the force to a level."}, \
+    {"raster_slots", py_raster_slots, METH_VARARGS, NULL}, \
+    {"brick_keys", native_brick_keys, METH_VARARGS, "Keys of the bricks within boxes."}
+/* clang-format on */
 
 #endif

@@ -5,19 +5,27 @@
    threads run while C works. The module uses CPython's stable ABI only, so that one binary serves every version from 3.11
    on. Each header ends with the list of its functions. */
 #include "arguments.h"
+#include "error_bound.h"
 #include "fields.h"
+#include "filters.h"
 #include "hand.h"
+#include "paper.h"
 #include "parts.h"
 #include "query.h"
 #include "receiver.h"
 #include "segments.h"
 #include "settings.h"
+#include "shapes.h"
 
 static PyMethodDef methods[] = {
     SEGMENTS_METHODS,
     PARTS_METHODS,
     QUERY_METHODS,
     FIELDS_METHODS,
+    FILTERS_METHODS,
+    PAPER_METHODS,
+    SHAPES_METHODS,
+    ERROR_BOUND_METHODS,
     RECEIVER_METHODS,
     SETTINGS_METHODS,
     HAND_METHODS,

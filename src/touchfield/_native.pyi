@@ -192,10 +192,100 @@ def sample_field(index: Buffer, shape: Shape, keys: Buffer, forces: Buffer, out:
     `keys` int64 [n] are those of the bricks, ascending, of `forces` float32 [n, 8, 8, 8, 3].
     """
 
+def move_to_level(
+    points_m: Buffer,
+    shape: Shape,
+    spacing_m: Vector,
+    origin_m: Vector,
+    keys: Buffer,
+    forces: Buffer,
+    level_n: float,
+    max_move_m: float,
+    rounds: int,
+    is_met: Buffer,
+) -> None:
+    """Move points, float64 [m, 3], along the force to where it is `level_n`, by `max_move_m` at most a round.
+
+    `is_met`, bool [m], is set for those within 2 % of it. `keys` and `forces` as in `sample_field`.
+    """
+
+def brick_keys(spans: Buffer, brick_shape: Shape, out: Buffer) -> None:
+    """Write the keys of the bricks of each box to `out`, int64 [m], as far as it reaches.
+
+    `spans` int64 [n, 3, 2] holds the start and stop of each box along each axis, in bricks.
+    """
+
 def raster_slots(bricks: Buffer, mask: Buffer, out: Buffer) -> None:
     """Write the indices of the set samples of `mask`, uint8 [n, 512], in raster order, to `out`, int64 [L].
 
     `bricks` are int32 [n, 3], ascending.
+    """
+
+# -- filters of fields in bricks
+
+def limit_bricks(
+    start: int,
+    stop: int,
+    forces: Buffer,
+    force_max_n: float,
+    floor_n: float,
+    out: Buffer,
+    has_force: Buffer,
+) -> None:
+    """Clip a range of bricks of forces, float32 [n, 512, 3], to a length, and drop forces below `floor_n`.
+
+    `has_force`, bool [n], is set for bricks that have one left.
+    """
+
+def resample_bricks(
+    start: int,
+    stop: int,
+    bricks: Buffer,
+    source: tuple[Shape, Buffer, Buffer],
+    weights: Sequence[tuple[Buffer, Buffer]],
+    out: Buffer,
+    has_force: Buffer,
+) -> None:
+    """Write a range of bricks, int32 [n, 3], of a field through a low-pass: float32 [n, 8, 8, 8, 3].
+
+    `source` is shape, keys int64 [m], ascending, and forces float32 [m, 8, 8, 8, 3]; `weights` are first
+    samples int64 [t] and weights float32 [t, taps] of each axis. `out` is initially zero; `has_force`, bool
+    [n], is set for bricks that have one.
+    """
+
+# -- coder paper
+
+def decode_huffman(
+    data: Buffer,
+    limits: Buffer,
+    ranks: Buffer,
+    order: Buffer,
+    level_count: int,
+    sent: Buffer,
+    levels: Buffer,
+) -> tuple[int, int]:
+    """Read symbols until every sample of `sent`, bool [n], is decoded.
+
+    Sent samples become True and their levels go to `levels`, uint16; runs leave `sent` unchanged. Zeros are
+    read after the end of `data`. `limits`, `ranks` and `order` are `HuffmanCode.tables`. Returns the number
+    of bits read and the number of levels; both are -1 for bits that are no code, more levels than `levels`
+    can hold, or a run beyond the last sample.
+    """
+
+def adpcm(values: Buffer, residuals: Buffer, is_decoding: bool) -> None:
+    """ADPCM of one component, int64 [n], in sixteenths of the finest step.
+
+    Reads `values` and writes `residuals`, or the reverse if `is_decoding`; in both cases `values` becomes the
+    decoded signal. Two weights adapt to the sign of the prediction error (as in G.726). The step increases
+    after a residual of magnitude 2 or more and decreases after a residual of 0.
+    """
+
+# -- shapes
+
+def ellipsoid_roots(scaled: Buffer, ratio: Vector, out: Buffer) -> None:
+    """Solve sum (r_i z_i / (u + r_i - 1))^2 = 1 for u >= 0, float64 [n]; 0 if the sum is always below 1.
+
+    `scaled` float64 [n, 3] are z_i = |p_i| / e_i; `ratio` is r_i = (e_i / e_min)^2.
     """
 
 # -- the simulated hand: `times_s` float64 [n], ascending; `state` float64 [10]: time, position, velocity and
@@ -378,6 +468,40 @@ def fill_lattice(
 def blend_weight(rate_hz: float, index: int, length: int, is_last: int) -> float:
     """The weight of frame `index` of a segment against the last frame of the segment before; 1: it is not
     blended (c/touch_segment_blend.h). `length` is that of the segment, `is_last` whether none follows."""
+
+# -- the error bound of moving bodies
+
+Rule = tuple[float, float, float, float]
+"""k, F_0, the force of a body that counts as none, and the limit of the sum, newtons."""
+
+def bound_cells(start: int, stop: int, source: Buffer, decoded: Buffer, rule: Rule, bounds: Buffer) -> None:
+    """Write upper bounds of |error| / mask within each cell of a range of bricks, float32 [n, 512].
+
+    `source` and `decoded` are cells, float32 [n, 9, 9, 9, 3]. The bound is infinite if F_0 is 0, the cell is
+    not exact and the force may vanish within it. It allows for forces that count as none in one of the two
+    fields only, and for the rounding of both to float32.
+    """
+
+def compare_frames(
+    start: int,
+    stop: int,
+    bodies: tuple[Buffer, Buffer, Buffer, Buffer, Buffer, Buffer, Buffer, Buffer, Buffer, Buffer, Buffer],
+    moves: tuple[Buffer, Buffer, Buffer],
+    stays: Buffer,
+    lattice: Lattice,
+    rule: Rule,
+    ratios: Buffer,
+    voxels: Buffer,
+) -> int:
+    """Find the largest |error| / mask in a range of frames over the voxels of each body.
+
+    `bodies`: lattices, boxes, starts, bricks, tables and supports as in `CellPool`, cells of the source and
+    the decoded fields, their `bound_cells` and the largest of each brick, and marks, uint8 [n, 512], set to 1
+    for cells that contribute to a voxel outside the bound ([0, 512] to mark nothing). `moves`:
+    `error_bound.Moves`. `stays`, bool [frames, bodies]: whether a body has not moved since the frame before.
+    Raises `ratios`, float64 [bodies], to larger ones, with frame and voxel in `voxels`, int64 [bodies, 4].
+    Returns the number of voxels in all frames whose error exceeds the mask.
+    """
 
 def blend_bricks(
     start: int,

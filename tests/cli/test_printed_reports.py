@@ -18,6 +18,7 @@ from touchfield.cli.main import _exit_code
 from touchfield.cli.view import _free_name
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.touch.spec import TouchSpec
+from touchfield.compute import jit
 from touchfield.devices.drivers.registry import Check
 from touchfield.pipeline.result import Result
 from touchfield.pipeline.spec import EncodeSpec
@@ -118,7 +119,7 @@ def test_host_checks_report_each_limit(tmp_path: Path, monkeypatch: pytest.Monke
             check = host_check("shared memory")
             assert (check.is_there, check.found) == (free >= min_bytes, f"{free / 2**20:.0f} MiB free")
     for kernels, is_there, found in ((None, False, "not writeable"), (tmp_path, True, str(tmp_path))):
-        monkeypatch.setattr(setup, "kernel_folder", lambda kernels=kernels: kernels)
+        monkeypatch.setattr(jit, "kernel_folder", lambda kernels=kernels: kernels)
         check = host_check("compiled kernels")
         assert (check.is_there, check.found, "NUMBA_CACHE_DIR" in check.mend) == (is_there, found, True)
 

@@ -21,7 +21,7 @@ from touchfield.compute.jit import inner, kernel
 from touchfield.compute.numba_internals import KernelFiles
 
 ROOT = Path(__file__).parents[2]
-DECORATORS = {"njit", "kernel", "inner", "entry", "lean", "inlined"}
+DECORATORS = {"njit", "kernel", "inner"}
 
 
 def test_concurrently_saved_variants_have_separate_files(tmp_path: Path) -> None:
@@ -57,9 +57,9 @@ def test_a_kernel_multiplies_matrices() -> None:
 
 def test_kernels_work_without_private_parts_of_numba(tmp_path: Path) -> None:
     (tmp_path / "functions.py").write_text(
-        "from touchfield.compute.jit import inner, kernel\nfrom touchfield.compute.coder_jit import lean\n"
+        "from touchfield.compute.jit import inner, kernel\n"
         "@inner\ndef double(x):\n    return 2 * x\n"
-        "@lean\ndef half(x):\n    return x / 2\n"
+        "@inner(error_model='numpy')\ndef half(x):\n    return x / 2\n"
         "@kernel\ndef both(x):\n    return double(x) + half(x)\n"
     )
     code = (
@@ -72,11 +72,13 @@ def test_kernels_work_without_private_parts_of_numba(tmp_path: Path) -> None:
     assert done.stdout.split() == ["None", "None", "7.5"], done.stderr
 
 
-def test_only_jit_imports_njit() -> None:
+def test_only_jit_imports_njit_and_no_kernel_has_a_private_option() -> None:
     package = Path(str(touchfield.__file__)).parent
     files = [*package.rglob("*.py"), *(ROOT / "reproduction").rglob("*.py")]
-    users = [path for path in files if re.search(r"^from numba import .*\bnjit\b", path.read_text(), re.M)]
+    users = [path for path in files if re.search(r"numba.*\bnjit\b", path.read_text(), re.M)]
     assert users == [package / "compute" / "jit.py"]
+    private = re.compile(r"\b(_nrt|pipeline_class)\b")
+    assert [path for path in files if private.search(path.read_text())] == []
 
 
 def names_for_python(tree: ast.AST) -> Iterator[ast.AST]:

@@ -201,7 +201,7 @@ def announce_compilation(announce: Callable[[str], None], later: Sequence[str] =
     import gc
 
     from touchfield.cli.compile_ahead import helpers
-    from touchfield.compute.jit import compilation_events
+    from touchfield.compute.compilation import compilation_events
 
     depth, is_announced = 0, False
 

@@ -1,7 +1,9 @@
 """Decorators that compile a *kernel*, an inner loop over arrays, with numba, and store the machine code on
 disk so that later runs start without compiling.
 
-`kernel` decorates functions that Python calls, `inner` those that only kernels call.
+`kernel` decorates functions that Python calls, `inner` those that only kernels call. Importing this module
+raises `MissingExtra` if numba is not installed (extra ``sources``): import modules of kernels where they are
+used.
 
 Constants stay constants: numba compiles a function again for each literal whole number that a caller passes,
 such as the stride of a loop. The compiler needs these constants to vectorise loops (decision 20).
@@ -13,13 +15,13 @@ correct for an installed package, but after editing kernels ``__pycache__`` must
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from numba import njit
+from touchfield.errors import import_extra
+
+njit = import_extra("numba", "compiled kernels of sources, filters and measures", "numba", "sources").njit
 
 try:
     from touchfield.compute import numba_internals as numba_internals
@@ -58,13 +60,3 @@ def kernel_folder() -> Path | None:
     None if there is no such folder, or numba's own cache is used.
     """
     return numba_internals.kernel_folder() if numba_internals else None
-
-
-def compilation_events(
-    on_start: Callable[[], None], on_end: Callable[[], None]
-) -> AbstractContextManager[None]:
-    """Call `on_start` and `on_end` around each compilation within the block.
-
-    With an unknown version of numba nothing is called.
-    """
-    return numba_internals.compilation_events(on_start, on_end) if numba_internals else nullcontext()

@@ -19,7 +19,7 @@ from typing import Final
 
 PACKAGE: Final = Path(__file__).parents[1]
 _CONSTANTS: Final = (
-    *("compute/jit.py", "compute/coder_jit.py", "compute/numba_internals.py"),
+    *("compute/jit.py", "compute/numba_internals.py"),
     *("medium/grid.py", "render/block/layout.py"),
 )
 """Other files whose constants or rules are compiled in; a test compares this list with the imports."""

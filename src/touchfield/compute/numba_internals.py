@@ -1,4 +1,4 @@
-"""Makes numba compile faster and keep its cache correct, through private parts of numba. No other module uses
+"""Keeps numba's cache correct, and its import short, through private parts of numba. No other module uses
 such parts.
 
 `touchfield.compute.jit` imports it, and works without it if a version of numba lacks these parts. The purpose
@@ -6,17 +6,16 @@ of each part, with measurements for numba 0.67 on two cores:
 
 - *Cache* (`attach_cache`): numba checks only the file of a kernel and keeps using old machine code of
   functions that the kernel calls in other files (decision 20). No public interface replaces that.
-- *Compiler* (`CoderCompiler`): compiling the coder takes a tenth less time.
 - *Start* (`without_blas`): importing numba takes 0.2 s less, for which every command and the servo's process
   would otherwise wait.
-- *Events* (`compilation_events`): a person who waits for the compiler is told so.
+- *Events* (`touchfield.compute.compilation`): a person who waits for the compiler is told so.
 """
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable
+from contextlib import suppress
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Final
@@ -24,14 +23,12 @@ from zlib import crc32
 
 import llvmlite  # type: ignore[import-untyped]
 import numba
-from numba.core import caching, compiler, event, types
+from numba.core import caching, event, types
 from numba.np import linalg
 
+from touchfield.compute.compilation import compilation_ended, compilation_started
 from touchfield.compute.kernel_sources import PACKAGE, SourceState, kernel_sources, open_folder
 
-_CONFIG: Any = numba.config
-_COMPILER: Any = compiler.CompilerBase
-_PASSES: Any = compiler.DefaultPassBuilder
 _CACHING: Any = caching
 _LINALG: Any = linalg
 _EVENT: Any = event
@@ -158,32 +155,6 @@ def field_names(arguments: Iterable[Any]) -> tuple[Any, ...]:
     return tuple((getattr(argument, "fields", ()), field_names(argument.types)) for argument in tuples)
 
 
-# -- compiler ----------------------------------------------------------------------------------------------
-
-
-class CoderCompiler(_COMPILER):  # type: ignore[misc]
-    """numba's compiler without needless passes, and with optimisation level 1 of LLVM.
-
-    The omitted passes search for constructs that no kernel contains. The higher levels take a tenth of all
-    the time, and make none of the coder's passes faster.
-    """
-
-    _NEEDLESS: Final = ("inline_closure_likes", "nopython_rewrites", "inline_overloads", "literal_unroll")
-
-    def define_pipelines(self) -> list[Any]:
-        pipeline = _PASSES.define_nopython_pipeline(self.state)
-        pipeline.passes = [step for step in pipeline.passes if step[0].name() not in self._NEEDLESS]
-        pipeline.finalize()
-        return [pipeline]
-
-    def compile_extra(self, function: Any) -> Any:
-        level, _CONFIG.OPT = _CONFIG.OPT, min(_CONFIG.OPT, 1)
-        try:
-            return super().compile_extra(function)
-        finally:
-            _CONFIG.OPT = level
-
-
 # -- start and events --------------------------------------------------------------------------------------
 
 
@@ -200,22 +171,13 @@ def without_blas() -> None:
         _LINALG.ensure_blas = ensure_blas
 
 
-@contextmanager
-def compilation_events(on_start: Callable[[], None], on_end: Callable[[], None]) -> Iterator[None]:
-    """Call `on_start` and `on_end` around each compilation within the block.
+class _CompilationListener(_EVENT.Listener):  # type: ignore[misc]
+    def on_start(self, event: Any) -> None:
+        compilation_started()
 
-    Nested compilations count, too.
-    """
-
-    class Listener(_EVENT.Listener):  # type: ignore[misc]
-        def on_start(self, event: Any) -> None:
-            on_start()
-
-        def on_end(self, event: Any) -> None:
-            on_end()
-
-    with _EVENT.install_listener("numba:compile", Listener()):
-        yield
+    def on_end(self, event: Any) -> None:
+        compilation_ended()
 
 
+_EVENT.register("numba:compile", _CompilationListener())
 without_blas()

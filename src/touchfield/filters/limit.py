@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from touchfield.compute.native import native
 from touchfield.compute.threads import for_chunks
 from touchfield.medium import BRICK, ForceField
 
@@ -13,9 +14,7 @@ def limit_forces(field: ForceField, force_max_n: float, floor_n: float = 0.0) ->
 
     No force of the result is longer than `force_max_n`, and the function is idempotent.
     """
-    from touchfield.filters.kernels import forces as kernels
-
     forces, has_force = np.empty_like(field.forces_n), np.zeros(len(field.bricks), np.bool_)
     flat, out = (array.reshape(-1, BRICK**3, 3) for array in (field.forces_n, forces))
-    for_chunks(kernels.limit_bricks, len(flat), flat, force_max_n, floor_n, out, has_force, chunk=64)
+    for_chunks(native.limit_bricks, len(flat), flat, force_max_n, floor_n, out, has_force, chunk=64)
     return ForceField(field.grid, field.bricks[has_force], forces[has_force])

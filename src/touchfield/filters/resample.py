@@ -35,7 +35,7 @@ the wall stays closed, thicker behind and never in front.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any, Final, NamedTuple
@@ -43,7 +43,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.arrays import Bools, Float32s, Float64s, Int64s
+from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from touchfield.compute.native import native
+from touchfield.compute.threads import for_chunks
 from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.region import RigidMotion
 from touchfield.medium import BRICK, ForceField, Grid
@@ -177,22 +179,31 @@ def resample(field: ForceField, grid: Grid, kernel: str = "spline") -> ForceFiel
     Returns ForceField: On `grid`, linear in the field, the same bits for any number of threads.
     Raises `InvalidArgument` if there is no such kernel, or the target is too fine for a field of that size.
     """
-    from touchfield.filters.kernels import forces as kernels
-
     weights = grid_weights(field.grid, grid, low_pass(kernel))
     reach = [_reach(axis_weight, bricks) for axis_weight, bricks in zip(weights, field.grid.brick_shape)]
     bricks = bricks_within(grid, np.stack([row[field.bricks[:, a]] for a, row in enumerate(reach)], axis=1))
-    source_keys = brick_keys(field.grid, field.bricks)
+    source = field.grid.shape, brick_keys(field.grid, field.bricks), field.forces_n
     results = [(bricks[:0], zero_forces(0))]
     for start in range(0, len(bricks), _BATCH):  # bounds the memory of output bricks that turn out empty
         batch = bricks[start : start + _BATCH]
-        forces, has_force = kernels.resample_bricks(
-            batch, field.grid.shape, source_keys, field.forces_n, weights
-        )
+        forces, has_force = _resample_bricks(batch, source, weights)
         results.append((batch, forces) if has_force.all() else (batch[has_force], forces[has_force]))
     if len(results) == 2:
         return ForceField(grid, *results[1])
     return ForceField(grid, *(np.concatenate(parts) for parts in zip(*results)))
+
+
+def _resample_bricks(
+    bricks: Int32s, source: tuple[Any, Int64s, Float32s], weights: Sequence[AxisWeights]
+) -> tuple[Float32s, Bools]:
+    """Resample to output bricks int32 [n, 3]: float32 [n, 8, 8, 8, 3], and which have a force, bool [n].
+
+    `source` is shape, keys and forces of the input.
+    """
+    out, has_force = zero_forces(len(bricks)), np.zeros(len(bricks), np.bool_)
+    axes = tuple((np.ascontiguousarray(axis.first), np.ascontiguousarray(axis.weights)) for axis in weights)
+    for_chunks(native.resample_bricks, len(bricks), bricks, source, axes, out, has_force, chunk=16)
+    return out, has_force
 
 
 def _reach(weights: AxisWeights, source_bricks: int) -> Int64s:

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Bools, EqualByValue, Float32s, Float64s, Int32s, Int64s, lengths_of
+from touchfield.compute.native import native
 from touchfield.compute.threads import for_chunks
 from touchfield.errors import InvalidArgument
 from touchfield.medium.budget import zero_forces
@@ -66,14 +67,12 @@ def bricks_within(grid: Grid, spans: Int64s) -> Int32s:
 
     `spans` int64 [n, 3, 2] holds the start and stop of each box along each axis, in bricks.
     """
-    from touchfield.medium import kernels
-
     pairs = float(np.maximum(0, spans[..., 1] - spans[..., 0]).prod(axis=1, dtype=np.float64).sum())
     if pairs > _MAX_REACHED:
         found = f"{pairs:.3g} bricks reached"
         raise InvalidArgument("grid", found, f"up to {_MAX_REACHED}", "Take a coarser lattice.")
     keys = np.empty(int(pairs), np.int64)
-    kernels.reached(spans, grid.brick_shape, keys)
+    native.brick_keys(np.ascontiguousarray(spans, np.int64), grid.brick_shape, keys)
     return bricks_of(grid, np.unique(keys))
 
 

@@ -32,6 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float64s, Int64s, lengths_of
+from touchfield.compute.native import native
 from touchfield.errors import InvalidArgument, require_between
 from touchfield.medium.field import brick_keys
 from touchfield.perception.human import THIRDS_HZ, VibrationThreshold, vibration_threshold
@@ -155,12 +156,12 @@ def _move_to_level(
 
     Also returns bool [n], True for points that came within 2 % of the level.
     """
-    from touchfield.perception import kernels
-
     grid, points, met = field.grid, points_m.copy(), np.empty(len(points_m), np.bool_)
-    metres, sizes = (*grid.spacing_m, *grid.origin_m), (np.array(grid.shape), np.array(grid.brick_shape))
-    limits, keys = (level_n, 0.5 * min(grid.spacing_m)), brick_keys(grid, field.bricks)
-    kernels.move_to_level(points, met, metres, *sizes, keys, field.forces_n, limits, rounds, np.empty(3))
+    max_move_m, keys = 0.5 * min(grid.spacing_m), brick_keys(grid, field.bricks)
+    native.move_to_level(
+        *(points, grid.shape, grid.spacing_m, grid.origin_m, keys, field.forces_n),
+        *(level_n, max_move_m, rounds, met),
+    )
     return points, met
 
 

@@ -15,10 +15,9 @@ from typing import Final
 import numpy as np
 
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.compute.jit import kernel_folder
 from touchfield.compute.threads import Progress, silent, worker_count
 from touchfield.devices.drivers.registry import Check, array_kinds, library_check, point_kinds
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, MissingExtra
 from touchfield.filters.limit import limit_forces
 from touchfield.filters.registry import field_filters
 from touchfield.filters.resample import resample
@@ -26,17 +25,14 @@ from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.pipeline.comparison import compare
 from touchfield.pipeline.encoding import encode
 from touchfield.pipeline.spec import EncodeSpec
-from touchfield.sources.depth.fused_scene import FusedVolume
-from touchfield.sources.depth.kernels.planes import SurfacePlanes
 from touchfield.sources.laws import ForceProfile
-from touchfield.sources.tiny_scenes import tiny_scenes
 from touchfield.tasks.measure import MeasureSpec, measure_medium
 
 _MIN_SHARED_BYTES: Final = 1 << 28
 LIBRARIES: Final = (
     ("numpy", "numpy", "", "everything"),
     ("scipy", "scipy", "", "sources and measures"),
-    ("numba", "numba", "", "compiled kernels"),
+    ("numba", "numba", "sources", "sources, filters and measures"),
     ("matplotlib", "matplotlib", "report", "pictures, and sample:terrain"),
     ("scikit-image", "skimage", "motorcycle", "sample:motorcycle"),
     ("mujoco-core", "mujoco", "physics", "simulated bodies"),
@@ -108,6 +104,10 @@ def host_checks() -> list[Check]:
     hint = "Free some of /dev/shm, or enlarge it (mount -o remount,size=1G /dev/shm)."
     checks.append(Check(purpose, free is None or free >= _MIN_SHARED_BYTES, found, hint))
 
+    try:
+        from touchfield.compute.jit import kernel_folder
+    except MissingExtra:
+        return checks  # nothing is compiled
     kernels, hint = kernel_folder(), "Set NUMBA_CACHE_DIR to a folder of yours."
     found = "not writeable" if kernels is None else f"{kernels}"
     return [*checks, Check("a folder for compiled kernels", kernels is not None, found, hint)]
@@ -148,6 +148,9 @@ def _measures() -> None:
 
 def _fusion() -> None:
     """What a depth sequence needs after its tangent planes, from a picture without any."""
+    from touchfield.sources.depth.fused_scene import FusedVolume
+    from touchfield.sources.depth.kernels.planes import SurfacePlanes
+
     grid = Grid((16, 16, 16), (0.01,) * 3, (0.0,) * 3)
     no_tiles = np.tile(np.array([0, 1e30], np.float32), (1, 1, 1))
     surface = SurfacePlanes((8, 8), np.ones(4, np.float32), np.zeros(4 * 65, np.float32), no_tiles)
@@ -168,6 +171,8 @@ GROUPS: Final[Mapping[str, Callable[[], None]]] = {
 
 def warm_up(report: Progress = silent) -> None:
     """Compile and cache every kernel by running the pipeline on tiny scenes."""
+    from touchfield.sources.tiny_scenes import tiny_scenes
+
     scenes = tiny_scenes()
     jobs = [(scene, EncodeSpec(nw=3)) for scene in scenes]
     jobs += [(scenes[0], EncodeSpec(device="tshirt-32x32"))]

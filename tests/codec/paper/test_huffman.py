@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from touchfield.codec.paper.body import RUN_SYMBOLS, BitStream, HuffmanCode, decode_symbols
+from touchfield.codec.paper.body import MAX_CODE_BITS, RUN_SYMBOLS, BitStream, HuffmanCode, decode_symbols
 from touchfield.codec.paper.encoder import encode_symbols, fitted_code, pack_runs
-from touchfield.codec.paper.kernels import MAX_CODE_BITS
 from touchfield.codec.support import encode_numbers
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument
 

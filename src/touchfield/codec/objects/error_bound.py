@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, NamedTuple
 
@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Float64s, Int64s
+from touchfield.compute.native import native
 from touchfield.compute.threads import for_chunks
 from touchfield.medium import ForceField, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.cells import CellPool
@@ -155,10 +156,8 @@ class ComposedRule:
 
         The marks are uint8 [bricks, 512], with no rows unless `is_marking`.
         """
-        from touchfield.codec.objects import kernels
-
         grid, limit_n = self.scene.grid, self.scene.force_max_n
-        rule = kernels.Rule(self.k, self.f0_n, limit_n * _FLOOR_FRACTION, limit_n)
+        rule = self.k, self.f0_n, limit_n * _FLOOR_FRACTION, limit_n
         source, decoded = (
             CellPool.joined(pools) for pools in zip(*(pair.pools for pair in pairs), strict=True)
         )
@@ -166,23 +165,28 @@ class ComposedRule:
         # with damping the error includes that of the motion, for which cells have no bound
         bounds = np.full((count, 512), np.inf if is_damped else 0.0, np.float32)
         if not is_damped:
-            for_chunks(kernels.bound_cells, count, source.cells, decoded.cells, rule, bounds, chunk=64)
+            for_chunks(native.bound_cells, count, source.cells, decoded.cells, rule, bounds, chunk=64)
         marks = np.zeros((count if is_marking else 0, 512), np.uint8)
-        bodies = kernels.Bodies(
+        bodies = (
             source.lattices, source.boxes, source.starts, source.bricks, source.tables,
             source.supported | decoded.supported, source.cells, decoded.cells,
             bounds, bounds.max(axis=1, initial=0.0), marks,
         )  # fmt: skip
         frame_indices = np.asarray(frames)
-        selected = Moves(*(column[frame_indices] for column in moves))
+        selected = Moves(*(np.ascontiguousarray(column[frame_indices]) for column in moves))
         stays = np.zeros((len(frame_indices), len(pairs)), np.bool_)
         stays[1:] = np.all([(column[1:] == column[:-1]).all(axis=2) for column in selected], axis=0)
-        arguments = bodies, selected, stays, np.array([grid.origin_m, grid.spacing_m, grid.shape]), rule
+        lattice = grid.origin_m, grid.spacing_m, grid.shape
+
+        def compare_some(start: int, stop: int) -> BoundCheck:
+            result = BoundCheck.empty(len(pairs))
+            found = result.ratios, result.voxels
+            violations = native.compare_frames(start, stop, bodies, selected, stays, lattice, rule, *found)
+            return replace(result, violations=violations)
+
         total = BoundCheck.empty(len(pairs))
-        for chunk_result in for_chunks(
-            kernels.compare_frames, len(frame_indices), *arguments, chunk=_CHUNK_FRAMES
-        ):
-            total = total.merged(BoundCheck(*chunk_result))
+        for result in for_chunks(compare_some, len(frame_indices), chunk=_CHUNK_FRAMES):
+            total = total.merged(result)
         total.voxels[:, 0] = np.where(total.voxels[:, 0] >= 0, frame_indices[total.voxels[:, 0]], -1)
         return total, marks
 

@@ -31,18 +31,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float32s, Int32s, Int64s
-from touchfield.codec.paper import kernels
 from touchfield.codec.paper.directions import Codebook
-from touchfield.codec.paper.kernels import MAX_CODE_BITS
 from touchfield.codec.paper.quantisers import AmplitudeLevels
 from touchfield.codec.segment import BitAccount, FrameCost, FrameKind
 from touchfield.codec.support import decode_numbers, decode_support
 from touchfield.codec.varint import Parts
+from touchfield.compute.native import native
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys, field_without_empty_bricks
 from touchfield.medium.samples import raster_slots
+
+MAX_CODE_BITS: Final = 24
+"""Maximum length of a Huffman code."""
 
 RUN_SYMBOLS: Final = 21  # runs of up to 2^21 - 1 held samples in one symbol
 
@@ -111,7 +113,7 @@ class HuffmanCode:
             limits[bits] = code << (MAX_CODE_BITS - bits)
             code *= 2
         order = np.argsort(self.lengths, kind="stable").astype(np.uint16)
-        return limits, ranks, order[np.count_nonzero(self.lengths == 0) :]
+        return limits, ranks, order[np.count_nonzero(self.lengths == 0) :].copy()  # aligned
 
 
 def decode_symbols(
@@ -128,8 +130,7 @@ def decode_symbols(
         raise CorruptFile(where, f"{len(bits.data)} bytes", f"{bits.bit_length} bits", mend)
     sent = np.zeros(sample_count, np.bool_)
     levels = np.empty(min(sample_count, bits.bit_length), np.uint16)
-    data = np.frombuffer(bits.data, np.uint8).copy()
-    used, count = kernels.decode(data, *code.tables, level_count, sent, levels)
+    used, count = native.decode_huffman(bits.data, *code.tables, level_count, sent, levels)
     spare = -bits.bit_length % 8
     if used != bits.bit_length or (spare and bits.data[-1] & ((1 << spare) - 1)):
         raise CorruptFile(where, "bits that do not fit", f"codes of {sample_count} samples, then zeros", mend)

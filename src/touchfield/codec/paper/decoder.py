@@ -9,7 +9,7 @@ codes:
 * ``dpcm``: the difference to the preceding sample. z is fastest, so that this is the neighbour in depth if
   there is one.
 * ``adpcm``: two adaptive weights predict the next sample. The step grows where differences are large, up to
-  four times the finest step, and shrinks again (Jayant; `kernels.adpcm`).
+  four times the finest step, and shrinks again (Jayant; `_native.adpcm`).
 * ``wavelet``: LeGall's 5/3 wavelet by integer lifting, as in JPEG 2000, three levels on each brick; exact.
 * ``dct``: the orthonormal DCT (type 2) on each brick, with its coefficients in uniform steps. The inverse is
   in fixed point (18 bits for cosines, 8 bits below a step), so that every machine computes the same forces.
@@ -32,6 +32,7 @@ from touchfield.codec.paper.body import MAX_NEWTONS, BitStream, BodyReader, Fram
 from touchfield.codec.paper.directions import Codebook, codebook_names
 from touchfield.codec.segment import FrameCost, FrameKind
 from touchfield.codec.support import decode_numbers, decode_support
+from touchfield.compute.native import native
 from touchfield.errors import CorruptFile, InvalidArgument
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.budget import memory_budget_bytes, zero_forces
@@ -111,11 +112,9 @@ def _decode_stage(stage: str, data: bytes, layout: tuple[int, Int64s, int]) -> I
     residuals = decode_numbers(data, 3 * len(slots)).reshape(3, -1)
     if stage == "dpcm":
         return np.cumsum(residuals, axis=1).T
-    from touchfield.codec.paper.kernels import adpcm
-
     grains = np.zeros_like(residuals)
     for values, residual in zip(grains, residuals, strict=True):
-        adpcm(values, residual, True)
+        native.adpcm(values, residual, True)
     return grains.T
 
 

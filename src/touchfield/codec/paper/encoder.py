@@ -23,6 +23,7 @@ from touchfield.codec.paper import quantisers
 from touchfield.codec.paper.body import (
     INTER_SET,
     INTRA_SET,
+    MAX_CODE_BITS,
     MAX_NEWTONS,
     RUN_SYMBOLS,
     BitStream,
@@ -34,12 +35,12 @@ from touchfield.codec.paper.body import (
 )
 from touchfield.codec.paper.decoder import BY_BRICK, GRAIN, LEVELS, ORDER
 from touchfield.codec.paper.directions import Codebook
-from touchfield.codec.paper.kernels import MAX_CODE_BITS, adpcm, pack_bits
 from touchfield.codec.paper.quantisers import AmplitudeLevels, amplitudes_n
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.segment import BitAccount, CodedSegment, FrameKind, FrameStats
 from touchfield.codec.support import MAX_NUMBER, encode_numbers, encode_support
 from touchfield.codec.varint import chunk, write_varint
+from touchfield.compute.native import native
 from touchfield.errors import InvalidArgument
 from touchfield.measure.estimators import entropy_bits
 from touchfield.medium import ForceField, Grid
@@ -265,6 +266,8 @@ def encode_symbols(
     code: HuffmanCode, symbols: NDArray[Any], values: Int64s | int = 0, extra: Int64s | int = 0
 ) -> BitStream:
     """Code symbols [m], each followed by ``extra[i]`` raw bits of ``values[i]``."""
+    from touchfield.codec.paper.kernels import pack_bits
+
     _, ranks, order = code.tables
     codes = np.zeros(len(code.lengths), np.int64)
     codes[order] = np.arange(len(order)) - ranks[code.lengths[order]]
@@ -360,7 +363,7 @@ def _numbers(frame: ForceField, stage: str, step_n: float) -> tuple[Int64s, int]
         grains = np.ascontiguousarray(_round_steps(vectors * GRAIN).T)
         residuals = np.zeros_like(grains)
         for values, out in zip(grains, residuals, strict=True):
-            adpcm(values, out, False)
+            native.adpcm(values, out, False)
         return residuals.reshape(-1), 0
     points = _round_steps(vectors)
     if stage == "dpcm":

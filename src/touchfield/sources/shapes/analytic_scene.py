@@ -32,7 +32,7 @@ import numpy as np
 from touchfield.arrays import Bools, Float64s
 from touchfield.errors import InvalidArgument, SourceError, as_source_error, require_one_of, require_positive
 from touchfield.json_values import JsonValue
-from touchfield.medium import ForceField, Grid
+from touchfield.medium import BRICK, ForceField, Grid
 from touchfield.medium.field import field_of_points
 from touchfield.medium.pose_track import checked_rotation
 from touchfield.sources.laws import ForceProfile
@@ -116,21 +116,60 @@ class AnalyticScene(Scene):
         forces: Float64s = (profile(phi)[..., None] * normal).sum(axis=0)
         return forces if self._motion is None else forces @ self._motion[0].T
 
+    def _forces_of_bricks_n(self, points_m: Float64s, profile: ForceProfile) -> Float64s:
+        """Return what `forces_n` does, at the samples of whole bricks.
+
+        A shape is evaluated only in bricks that its forces may reach, or where it may be the nearest one.
+        """
+        local_m = self._to_local(points_m).reshape(-1, BRICK**3, 3)
+        first, last = local_m[:, 0], local_m[:, -1]  # opposite corners
+        radius_m = float(np.linalg.norm(last - first, axis=1).max(initial=0.0)) / 2 * (1 + 1e-9)
+        ranges = [shape.distance_range((first + last) / 2, radius_m) for shape in self.shapes]
+        forces = np.zeros_like(local_m)
+        if self.combine == "union":
+            nearest_high = np.min([high for _, high in ranges], axis=0)
+            phi, normal = np.full(local_m.shape[:2], np.inf), np.zeros_like(local_m)
+            for shape, (low, _) in zip(self.shapes, ranges, strict=True):
+                some = np.flatnonzero(~(low > nearest_high))
+                other_phi, other_normal = _evaluated(shape, local_m[some])
+                is_nearer = other_phi < phi[some]
+                phi[some] = np.where(is_nearer, other_phi, phi[some])
+                normal[some] = np.where(is_nearer[..., None], other_normal, normal[some])
+            forces = profile(phi)[..., None] * normal
+        else:
+            for shape, (low, high) in zip(self.shapes, ranges, strict=True):
+                some = np.flatnonzero(_may_act(profile, low, high))
+                phi, normal = _evaluated(shape, local_m[some])
+                forces[some] += profile(phi)[..., None] * normal
+        forces = forces.reshape(-1, 3)
+        return forces if self._motion is None else forces @ self._motion[0].T
+
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`; `frame` is ignored."""
-        acting = [piece for piece in profile.pieces if piece[2] or piece[3]]
 
         def may_act(centres: Float64s, radius_m: float) -> Bools:
-            may_hold = np.zeros(len(centres), np.bool_)
             local_m = self._to_local(centres)
-            for low, high in (shape.distance_range(local_m, radius_m) for shape in self.shapes):
-                for piece_low, piece_high, *_ in acting:
-                    may_hold |= (low <= piece_high) & (high > piece_low)
-            return may_hold
+            ranges = (shape.distance_range(local_m, radius_m) for shape in self.shapes)
+            return np.any([_may_act(profile, low, high) for low, high in ranges], axis=0)
 
         return field_of_points(
-            grid, find_bricks_by_sphere(may_act, grid), lambda points: self.forces_n(points, profile)
+            grid,
+            find_bricks_by_sphere(may_act, grid),
+            lambda points: self._forces_of_bricks_n(points, profile),
         )
+
+
+def _may_act(profile: ForceProfile, low: Float64s, high: Float64s) -> Bools:
+    """Return whether a profile may have a force at distances from `low` to `high`, bool [n]."""
+    acting = [piece for piece in profile.pieces if piece[2] or piece[3]]
+    pieces = [(low <= piece_high) & (high > piece_low) for piece_low, piece_high, *_ in acting]
+    return np.any(pieces, axis=0) if pieces else np.zeros(len(low), np.bool_)
+
+
+def _evaluated(shape: Shape, bricks_m: Float64s) -> tuple[Float64s, Float64s]:
+    """Return distances [n, 512] and normals [n, 512, 3] at points of bricks."""
+    phi, normal = shape.signed_distance_and_normal(bricks_m.reshape(-1, 3))
+    return phi.reshape(bricks_m.shape[:2]), normal.reshape(bricks_m.shape)
 
 
 # -- from a file -------------------------------------------------------------------------------------------

@@ -1,52 +1,16 @@
-"""Compiled inner loops that several sources share: distance to an ellipsoid, forces that interpolate recorded
-contacts, and the sum of the fields of moving bodies."""
+"""Compiled inner loops that several sources share: forces that interpolate recorded contacts, and the sum of
+the fields of moving bodies."""
 
 from __future__ import annotations
 
 import math
-from typing import Final
 
-import numpy as np
-
-from touchfield.compute.coder_jit import entry
 from touchfield.compute.jit import kernel
 
-_MAX_STEPS: Final = 60  # of Newton's iteration; at its slowest, near the focal ellipse, it needs about ten
 _CUTOFF = 50.0  # of r^2 / l^2, at which exp(-r^2 / 2 l^2) is 1e-11
 
 
-@kernel
-def greatest_roots(scaled, ratio):
-    """Solve sum (r_i z_i / (u + r_i - 1))^2 = 1 for u >= 0, float64 [n].
-
-    Returns 0 if the sum is always below 1.
-
-    `scaled` float64 [n, 3]: z_i = |p_i| / e_i; `ratio` float64 [3]: r_i = (e_i / e_min)^2.
-    """
-    roots = np.empty(len(scaled))
-    for k in range(len(scaled)):
-        root = 0.0
-        for i in range(3):  # no term may exceed 1 at the root
-            root = max(root, ratio[i] * scaled[k, i] - (ratio[i] - 1.0))
-        for _ in range(_MAX_STEPS):
-            square = fall = 0.0
-            for i in range(3):
-                denominator = root + (ratio[i] - 1.0)
-                if denominator > 0.0:
-                    term = (ratio[i] * scaled[k, i] / denominator) ** 2
-                    square += term
-                    fall += term / denominator
-            if square <= 1.0:
-                break
-            after = root + square * (math.sqrt(square) - 1.0) / fall
-            if after <= root * (1.0 + 4e-16):
-                break
-            root = after
-        roots[k] = root
-    return roots
-
-
-@entry
+@kernel(error_model="numpy")
 def add_forces(start, stop, positions, points, weights, reach, out):
     """Add forces at `positions`, float64 [n, 3], in kernel lengths.
 

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchfield.arrays import Float64s
+from touchfield.compute.native import native
 from touchfield.errors import InvalidArgument
 from touchfield.medium.pose_track import checked_rotation
 
@@ -308,14 +309,13 @@ class Ellipsoid(_RotatedShape):
     rotation_deg: Triple = (0.0, 0.0, 0.0)
 
     def _local_distance(self, local: Float64s) -> tuple[Float64s, Float64s]:
-        from touchfield.sources.shapes.kernels import greatest_roots
-
         half = np.asarray(self.half_extents_m, np.float64)
         smallest = int(half.argmin())
         ratio = (half / half[smallest]) ** 2
         scaled = np.abs(local) / half
         scaled[scaled < _NEGLIGIBLE] = 0.0  # its root, and the cube of the root, would underflow
-        root = greatest_roots(scaled, ratio)  # t / e_min^2 + 1, which keeps precision near the smallest axis
+        root = np.empty(len(scaled))  # t / e_min^2 + 1, which keeps precision near the smallest axis
+        native.ellipsoid_roots(scaled, tuple(ratio.tolist()), root)
         denominator = root[:, None] + (ratio - 1.0)
         on_unit = np.divide(ratio * scaled, denominator, out=np.zeros_like(scaled), where=denominator > 0)
         focal = root == 0  # two nearest points, on both sides of the plane across the smallest axis

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from touchfield.arrays import Float32s, Float64s, Int32s
-from touchfield.compute.coder_jit import entry, lean
+from touchfield.compute.jit import inner, kernel
 from touchfield.compute.threads import for_chunks
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.grid import Grid
@@ -27,7 +27,7 @@ _WEIGHTS = np.array([1.0, 4.0, 6.0, 4.0, 1.0])
 _RADIUS = 2
 
 
-@lean
+@inner(error_model="numpy", forceinline=True)
 def _fit(heights, r, c, step):
     """Fit a plane to the known neighbours by weighted least squares: slopes along columns and rows."""
     rows, cols = heights.shape
@@ -59,7 +59,7 @@ def _fit(heights, r, c, step):
     return 0.0, 0.0
 
 
-@entry
+@kernel(error_model="numpy")
 def _gradients(start, stop, heights, step, per_col, per_row, out):
     for r in range(start, stop):
         for c in range(heights.shape[1]):
@@ -83,7 +83,7 @@ def gradients(heights_m: Float64s, step_m: float, dx_m: float, dy_m: float) -> F
     return out
 
 
-@lean
+@inner(error_model="numpy", forceinline=True)
 def amplitude(phi, table):
     """Evaluate f(phi), newtons, of a force profile whose pieces are the rows of `table`."""
     for p in range(table.shape[0]):
@@ -92,7 +92,7 @@ def amplitude(phi, table):
     return 0.0
 
 
-@lean
+@inner(error_model="numpy", forceinline=True)
 def _surface(x, y, lattice, step, heights, slopes):
     """Return whether the surface is known at (x, y), and its height and slopes there."""
     rows, cols = heights.shape
@@ -122,7 +122,7 @@ def _surface(x, y, lattice, step, heights, slopes):
     return True, h, gx, gy
 
 
-@entry
+@kernel(error_model="numpy")
 def _flag(start, stop, shape, origin, spacing, lattice, facing, step, heights, slopes, table, flags):
     """Flag the bricks with a force in the columns of bricks start..stop."""
     low, high = table[0, 0], table[-1, 1]
@@ -149,11 +149,11 @@ def _flag(start, stop, shape, origin, spacing, lattice, facing, step, heights, s
                     k = ((k >> 3) + 1) * 8
 
 
-@entry
+@kernel(error_model="numpy")
 def _fill(
     start, stop, starts, bricks, shape, origin, spacing, lattice, facing, step, heights, slopes, table, out
 ):
-    """Fill the bricks of columns start..stop.
+    """Fill the bricks of columns start..stop; `out` is initially zero.
 
     Column c has bricks starts[c] to starts[c + 1] - 1.
     """
@@ -169,7 +169,6 @@ def _fill(
                     x, y = origin[0] + gi * spacing[0], origin[1] + gj * spacing[1]
                     is_known, h, gx, gy = _surface(x, y, lattice, step, heights, slopes)
                 if not is_known:
-                    out[first:last, i, j] = 0.0
                     continue
                 nz = 1.0 / np.sqrt(1.0 + gx * gx + gy * gy)
                 nx, ny = -gx * nz, -gy * nz
@@ -191,13 +190,12 @@ def bricks_and_forces(
 
     `heights_m` float64 [rows, cols], NaN where unknown; `slopes` float32 [rows, cols, 2], dh/dx and dh/dy.
     """
-    shape, origin, spacing = np.array(grid.shape), np.array(grid.origin_m), np.array(grid.spacing_m)
-    lattice = np.array([at.x0_m, at.dx_m, at.y0_m, at.dy_m])
+    # tuples, because references to arrays are counted at each call of an inner function
     common = (
-        shape,
-        origin,
-        spacing,
-        lattice,
+        tuple(map(int, grid.shape)),
+        tuple(map(float, grid.origin_m)),
+        tuple(map(float, grid.spacing_m)),
+        (float(at.x0_m), float(at.dx_m), float(at.y0_m), float(at.dy_m)),
         float(at.facing),
         at.step_m,
         heights_m,
