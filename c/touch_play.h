@@ -43,6 +43,7 @@ typedef struct {
     int64_t log_rows;        /* of the latest ticks; 0: no log */
     uint64_t frames_bytes;   /* for frames that are decoded ahead */
     int is_simulated;        /* time is the number of the tick divided by the rate */
+    int is_complete;         /* no frame is left out: for a servo that waits with touch_play_is_ready */
 } touch_play_options;
 
 typedef struct { /* a field of a frame, in the order of its bricks */
@@ -692,7 +693,8 @@ static inline int touch_play_drop_late(touch_play *play, int64_t needed) {
     touch_receiver *receiver = play->receiver;
     int64_t feed = touch_shared(&receiver->clock.feed), stop = needed + receiver->layout.directory_slots - 1;
     int64_t is_loop = receiver->layout.is_loop, count = receiver->layout.frame_count;
-    if (receiver->layout.is_simulated || touch_shared(&receiver->clock.mode) != TOUCH_PLAYING) return 1;
+    int is_complete = play->options.is_complete || receiver->layout.is_simulated;
+    if (is_complete || touch_shared(&receiver->clock.mode) != TOUCH_PLAYING) return 1;
     if (feed != TOUCH_RUNNING && feed != TOUCH_STALLED) return 1;
     if (!is_loop && count < stop) stop = count;
     int64_t frame = touch_play_first_reachable(play, stop);

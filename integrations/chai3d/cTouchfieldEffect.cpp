@@ -37,6 +37,7 @@ const char* cTouchfieldEffect::cReceiver::open(const std::string& a_filename, co
     if (touch_play_open(&m_play, m_bytes.data(), m_bytes.size(), &device)) return m_play.error;
     if (!(a_settings.m_forceMax > 0.0)) m_play.options.device.force_max_n = touch_fmin(m_play.file.force_max_n, 1e6);
     m_play.options.is_loop = a_settings.m_loop, m_play.options.speed = a_settings.m_speed;
+    m_play.options.is_complete = a_settings.m_complete;
     touch_render_options& render = m_play.options.render;
     render.rate_hz = a_settings.m_rate, render.wall_n_per_m = a_settings.m_wallStiffness;
     render.friction = a_settings.m_friction < 0.0 ? static_cast<double>(TOUCH_OF_MEDIUM) : a_settings.m_friction;

@@ -18,6 +18,7 @@ struct cTouchfieldSettings {
     double m_rate = 1000.0;          // Hz, of the haptic loop
     double m_speed = 1.0;            // seconds of the medium for one second
     bool m_loop = false;
+    bool m_complete = false;         // no frame is left out, however late: for a simulation that waits with isReady
 };
 
 // The medium lies in the axes of the object that the effect is added to. A unit of the world is a metre, and a unit of force

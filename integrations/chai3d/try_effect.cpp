@@ -62,6 +62,7 @@ int main(int a_count, char** a_words) {
     bool isRealTime = false;
     const char* name = readOptions(a_count, a_words, settings, isRealTime);
     if (!name) return std::fputs(c_usage, stderr), 64;
+    settings.m_complete = !isRealTime;
     cTouchfieldEffect effect(nullptr, name, settings);
     if (!effect.getError().empty()) return std::fprintf(stderr, "%s: %s\n", name, effect.getError().c_str()), 65;
     cLoop loop = {effect, isRealTime, 0, cClock::now()};

@@ -33,6 +33,7 @@ public sealed class TouchfieldOptions
     public double Speed = 1; // seconds of the medium for one second
     public double StartS; // time of the medium at which it starts
     public bool IsLoop;
+    public bool IsComplete; // no frame is left out, however late: for a simulation that waits with IsReady
 }
 
 // Plays a file: proxy at walls, friction, damping, limits of the force and ramp. A thread of its own decodes ahead. One
@@ -179,6 +180,7 @@ public sealed class TouchfieldPlayer : IDisposable
         Set("speed", options.Speed);
         Set("start_s", options.StartS);
         Set("is_loop", options.IsLoop ? 1 : 0);
+        Set("is_complete", options.IsComplete ? 1 : 0);
     }
 
     void Set(string option, double value)

@@ -61,6 +61,7 @@ static class TryTouchfield
                 case "-a": ticksPerStep = (int)Number(words[++n]); break;
                 default: return null;
             }
+        options.IsComplete = !isRealTime;
         return n + 1 == words.Length ? words[n] : null;
     }
 

@@ -75,6 +75,7 @@ int touchfield_set(touchfield *player, const char *option, double value) {
     touch_play_options *options = &player->play.options;
     if (player->memory || !(fabs(value) <= 1e300)) return 0;
     if (!strcmp(option, "is_loop")) return options->is_loop = value != 0.0, 1;
+    if (!strcmp(option, "is_complete")) return options->is_complete = value != 0.0, 1;
     if (!strcmp(option, "is_passive")) return options->render.is_passive = value != 0.0, 1;
     for (size_t n = 0; n < sizeof NUMBERS / sizeof *NUMBERS; n++) {
         if (strcmp(option, NUMBERS[n].name)) continue;

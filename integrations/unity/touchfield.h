@@ -40,7 +40,8 @@ TOUCHFIELD_API double touchfield_force_max_n(const touchfield *player);
 /* Set an option before touchfield_start; 0: there is no such option, or the value is not finite. Options of the device:
    force_max_n (that of the medium), force_continuous_n, delay_s, inertia_kg, resolution_m; of the renderer: rate_hz (1000),
    friction, damping_n_s_per_m, coupling_n_per_m (each below 0: as the medium states, or the stable value), wall_n_per_m,
-   scale, force_scale, ramp_s, is_passive; of the player: is_loop, speed, start_s. touch_settings.h describes them. */
+   scale, force_scale, ramp_s, is_passive; of the player: is_loop, is_complete (no frame is left out, for a servo that waits
+   with touchfield_is_ready), speed, start_s. touch_settings.h and touch_play.h describe them. */
 TOUCHFIELD_API int touchfield_set(touchfield *player, const char *option, double value);
 /* Lay out the receiver and decode the first frame, once; 0, or a code of touch.h. */
 TOUCHFIELD_API int touchfield_start(touchfield *player);
