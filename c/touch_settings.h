@@ -19,7 +19,8 @@ typedef struct { /* what the maker of a device states; 0: not stated, or none */
 
 enum { TOUCH_RENDER_AUTO, TOUCH_RENDER_PROXY, TOUCH_RENDER_FIELD }; /* AUTO: a proxy where the field has walls */
 
-enum { TOUCH_OF_MEDIUM = -1, TOUCH_STABLE = -1 }; /* for friction and damping; for the coupling that the loop can render */
+#define TOUCH_OF_MEDIUM (-1.0) /* for friction and damping */
+#define TOUCH_STABLE (-1.0)    /* for the coupling: the one that the loop can render */
 
 typedef struct { /* options of the renderer; touch_render_defaults has values that are safe for a hand */
     double rate_hz;           /* of the ticks */

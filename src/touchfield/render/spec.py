@@ -180,13 +180,9 @@ def _options(spec: RenderSpec, axes: NDArray[np.float64] | None = None) -> NDArr
         options[name] = getattr(spec, name)
     options["is_passive"] = spec.passivity
     options["axes"] = np.eye(3) if axes is None else axes
-    for name, default in (
-        ("friction", layout.OF_MEDIUM),
-        ("damping_n_s_per_m", layout.OF_MEDIUM),
-        ("coupling_n_per_m", layout.STABLE),
-    ):
+    for name in ("friction", "damping_n_s_per_m", "coupling_n_per_m"):
         value = getattr(spec, name)
-        options[name] = default if value is None else value
+        options[name] = _CHOSEN if value is None else value
     for limits, unit in (("force_limits", "n"), ("torque_limits", "nm")):
         options[limits]["peak"] = getattr(spec, f"peak_{unit}") or 0.0
         options[limits]["continuous"] = getattr(spec, f"continuous_{unit}") or 0.0
@@ -209,6 +205,9 @@ def _stated(device: Device) -> NDArray[np.void]:
         stated["inertia_kg"] = device.inertia_kg or _NONE
     return stated
 
+
+_CHOSEN: Final = -1.0
+"""``TOUCH_OF_MEDIUM`` and ``TOUCH_STABLE``: friction and damping of the medium, the stable coupling."""
 
 _NONE: Final = -1.0
 """A delay or an inertia of `touch_device` that is stated as 0."""

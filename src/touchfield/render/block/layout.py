@@ -35,8 +35,6 @@ MATERIAL_CREST: Final = 4
 RENDER_AUTO: Final = 0
 RENDER_PROXY: Final = 1
 RENDER_FIELD: Final = 2
-OF_MEDIUM: Final = -1
-STABLE: Final = -1
 
 CELLS: Final = np.dtype(
     [
