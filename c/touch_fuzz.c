@@ -56,14 +56,15 @@ static int run(const uint8_t *bytes, size_t size, uint8_t *memory, uint64_t room
         }
         if (code == TOUCH_END) code = TOUCH_OK;
     }
-    /* what touch_room tells is never too little */
+    /* touch_room never asks for too little */
     if (code && own <= room && each <= room && code == TOUCH_MEMORY) abort();
     if (decoder.arena.peak > own || peak > each) abort();
     return code;
 }
 
 int main(int count, char **words) {
-    uint64_t most = count > 3 ? (uint64_t)atoi(words[2]) * 1000000 : 0, bytes = 0, room = (uint64_t)96 << 20, told[8] = {0};
+    uint64_t most = count > 3 ? (uint64_t)atoi(words[2]) * 1000000 : 0, bytes = 0, room = (uint64_t)96 << 20;
+    uint64_t inputs_of_code[8] = {0};
     uint8_t *memory = (uint8_t *)malloc(2 * room), **data = (uint8_t **)calloc((size_t)count, sizeof *data);
     size_t *size = (size_t *)calloc((size_t)count, sizeof *size), largest = 1;
     uint8_t *own;
@@ -84,12 +85,12 @@ int main(int count, char **words) {
         n = 3 + (int)any((uint32_t)count - 3), length = mutate(own, data[n], size[n]);
         exact = (uint8_t *)malloc(length); /* so that a read beyond its end is seen */
         if (!exact) return 64;
-        memcpy(exact, own, length), told[run(exact, length, memory, room)]++, bytes += length;
+        memcpy(exact, own, length), inputs_of_code[run(exact, length, memory, room)]++, bytes += length;
         free(exact);
     }
     free(memory), free(own);
     for (n = 3; n < count; n++) free(data[n]);
     free(data), free(size);
-    for (n = 0; n < 8; n++) printf("code %d: %llu inputs\n", n, (unsigned long long)told[n]);
+    for (n = 0; n < 8; n++) printf("code %d: %llu inputs\n", n, (unsigned long long)inputs_of_code[n]);
     return 0;
 }

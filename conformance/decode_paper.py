@@ -89,10 +89,10 @@ class TableSet(NamedTuple):
 
 def table_set(c: Cursor, direction_count: int) -> TableSet:
     """A table set."""
-    told = c.chunk()
-    count = len(told) // 4
-    need(len(told) % 4 == 0 and 1 <= count <= (1 << 16) - RUN_SYMBOLS, f"{len(told)} bytes of levels")
-    levels = np.frombuffer(told, "<f4").astype(np.float32)
+    payload = c.chunk()
+    count = len(payload) // 4
+    need(len(payload) % 4 == 0 and 1 <= count <= (1 << 16) - RUN_SYMBOLS, f"{len(payload)} bytes of levels")
+    levels = np.frombuffer(payload, "<f4").astype(np.float32)
     need(levels[0] >= 0 and levels[-1] <= MOST_NEWTONS, "the range of the levels")
     need(all(a < b for a, b in zip(levels, levels[1:])), "the order of the levels")
     return TableSet(
@@ -139,7 +139,7 @@ class Bits:
 
 
 def amplitude_stream(bits: Bits, code: Code, level_count: int, samples: int) -> list[int | None]:
-    """For each sample its level, or None where it is held."""
+    """For each sample its level, or None where it repeats the one before."""
     out: list[int | None] = []
     while len(out) < samples:
         symbol = bits.symbol(code)
@@ -175,14 +175,14 @@ def synthesis(
 ) -> Forces:
     """The forces of one frame from its two streams; of a difference frame, the differences."""
     levels = amplitude_stream(Bits(c), tables.amplitude_code, len(tables.levels_n), len(samples))
-    directions, held, forces = Bits(c), ZERO, Forces()
+    directions, force, forces = Bits(c), ZERO, Forces()
     for at, level in zip(samples, levels):
         if kind == 1:
-            held = before.get(at, ZERO)
+            force = before.get(at, ZERO)
         if level is not None:
             sent = tables.levels_n[level] * vertices[directions.symbol(tables.direction_code)]
-            held = held + sent if kind == 1 else sent
-        forces[at] = held
+            force = force + sent if kind == 1 else sent
+        forces[at] = force
     directions.end()
     return forces
 

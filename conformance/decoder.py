@@ -157,7 +157,7 @@ def read_records(data: bytes) -> list[Record]:
 
 
 def read_segments(records: list[Record], frame_count: int) -> list[Segment]:
-    """The segments, each with the VIBR before it, held against INDX."""
+    """The segments, each with the VIBR before it, compared with INDX."""
     entries, segments = Cursor(records[-2].payload, CorruptFile), []
     need(entries.number("I") == sum(r.tag == "SEGM" for r in records), "the number of segments in INDX")
     first, vibration = 0, None

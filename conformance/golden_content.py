@@ -73,10 +73,10 @@ def apart(t: int) -> ForceField:
 def hum(t: int) -> VibrationFrame:
     """Samples that vibrate, others in every frame, and nothing in frame 4."""
     i, j, k = samples(WALL)
-    held = ((i + 2 * j + 3 * k + t // 2) % 3 == 0) & (i < 14) & (j > 3) & (k > 6 + t) & (t != 4)
-    amplitudes = ((1 + (3 * i + 5 * j + k + t) % 61) / 64)[held]
-    frequencies = (40 + 10 * (k + t) + (i * j) % 7)[held]
-    places = np.argwhere(held).astype(np.int32)
+    vibrates = ((i + 2 * j + 3 * k + t // 2) % 3 == 0) & (i < 14) & (j > 3) & (k > 6 + t) & (t != 4)
+    amplitudes = ((1 + (3 * i + 5 * j + k + t) % 61) / 64)[vibrates]
+    frequencies = (40 + 10 * (k + t) + (i * j) % 7)[vibrates]
+    places = np.argwhere(vibrates).astype(np.int32)
     return VibrationFrame(WALL, places, amplitudes.astype(np.float32), frequencies.astype(np.float32))
 
 

@@ -108,13 +108,13 @@ def container_faults(golden: Path) -> Iterator[tuple[str, bytes]]:
     yield "vibration-late", assembled(records, late)
     yield "vibration-of-others", assembled([*records[:-1], late.changed(4, "H", 2), records[-1]])
     objects = (golden / "objects-rigid.touch").read_bytes()
-    told = [r for r in records_of(objects) if r.tag == b"OBJT"]
-    one, two = told[0].to_bytes(), told[1].to_bytes()
+    bodies = [r for r in records_of(objects) if r.tag == b"OBJT"]
+    one, two = bodies[0].to_bytes(), bodies[1].to_bytes()
     yield "objects-swapped", objects.replace(one + two, two + one)
     yield "objects-missing", assembled([r for r in records_of(objects) if r.tag != b"OBJT"])
-    shape = 2 + int.from_bytes(told[0].payload[:2], "little")
+    shape = 2 + int.from_bytes(bodies[0].payload[:2], "little")
     large = [
-        r.changed(shape, "3I", 1 << 20, 1 << 16, 513) if r == told[0] else r for r in records_of(objects)
+        r.changed(shape, "3I", 1 << 20, 1 << 16, 513) if r == bodies[0] else r for r in records_of(objects)
     ]
     yield "object-too-large", assembled(large)
 

@@ -46,7 +46,7 @@ FIELDS: dict[str, tuple[Callable[[int], ForceField], int, PaperSpec | TouchSpec]
     "vibration": (block, 6, PaperSpec(segment_frames=2)),
     "vibration-touch": (block, 6, TouchSpec(segment_frames=2)),
 }
-"""Fields by the number of their frame, how many, and what is asked of which coder."""
+"""Per file: the field as a function of the frame number, the number of frames, and the coder's options."""
 
 SCENES: dict[str, tuple[HapticScene, PaperSpec | TouchSpec]] = {
     "objects-rigid": (bodies(9, 1000.0, False, 0.125), PaperSpec()),
