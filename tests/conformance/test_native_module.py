@@ -412,3 +412,46 @@ def test_decode_compiles_no_kernel(tmp_path: Path) -> None:
     )
     subprocess.run([sys.executable, "-c", program], check=True)
     assert (tmp_path / "field.npz").exists()
+
+
+def test_kernels_in_c_refuse_arrays_of_another_size(native: Any) -> None:
+    """Each would read or write beyond an array."""
+    brick, keys = np.zeros((1, 8, 8, 8, 3), np.float32), np.zeros(1, np.int64)
+    two, flag = np.zeros((2, 8, 8, 8, 3), np.float32), np.zeros(1, np.bool_)
+    axis = np.zeros(8, np.int64), np.ones((8, 1), np.float32)
+    source, bricks = ((8, 8, 8), keys, brick), np.zeros((1, 3), np.int32)
+    triple, points = (1.0, 1.0, 1.0), np.zeros((2, 3))
+    native.resample_bricks(0, 1, bricks, source, (axis,) * 3, brick.copy(), flag)
+    calls: list[Callable[[], object]] = [
+        lambda: native.limit_bricks(0, 2, brick, 1.0, 0.0, brick.copy(), flag),
+        lambda: native.limit_bricks(0, 1, brick, 1.0, 0.0, two, flag),
+        lambda: native.resample_bricks(0, 1, bricks + 1, source, (axis,) * 3, brick.copy(), flag),
+        lambda: native.resample_bricks(0, 1, bricks, ((8, 8, 8), keys, two), (axis,) * 3, brick.copy(), flag),
+        lambda: native.resample_bricks(
+            0, 1, bricks, source, ((axis[0][:3], axis[1]),) * 3, brick.copy(), flag
+        ),
+        lambda: native.move_to_level(points, (8, 8, 8), triple, triple, keys, two, 1.0, 1.0, 1, np.zeros(2)),
+        lambda: native.move_to_level(points, (8, 8, 8), triple, triple, keys, brick, 1.0, 1.0, 1, flag),
+        lambda: native.adpcm(np.zeros(2, np.int64), np.zeros(3, np.int64), True),
+        lambda: native.ellipsoid_roots(points, triple, np.zeros(3)),
+        lambda: native.decode_huffman(b"", keys, keys, keys, 1, flag, np.zeros(4, np.uint16)),
+        lambda: native.bound_cells(0, 1, brick, brick, (0.1, 0.1, 0.0, 1.0), np.zeros((1, 512), np.float32)),
+    ]
+    for call in calls:
+        with pytest.raises(ValueError, match=r"\(6, "):
+            call()
+
+
+def test_brick_keys_end_with_their_array(native: Any) -> None:
+    spans, out = np.array([[[0, 2], [0, 2], [1, 3]]]), np.full(6, -1, np.int64)
+    native.brick_keys(spans, (2, 2, 4), out[:5].copy())
+    native.brick_keys(spans, (2, 2, 4), out)
+    assert out.tolist() == [1, 2, 5, 6, 9, 10]
+
+
+def test_bits_of_no_code_are_refused(native: Any) -> None:
+    limits, ranks = np.zeros(25, np.int64), np.zeros(25, np.int64)
+    sent, levels = np.zeros(4, np.bool_), np.zeros(4, np.uint16)
+    assert native.decode_huffman(b"\xff", limits, ranks, b"", 1, sent, levels) == (-1, -1)
+    limits[1:] = 1 << 24  # every code has one bit, and its symbol is not there
+    assert native.decode_huffman(b"\xff", limits, ranks, b"", 1, sent, levels) == (-1, -1)

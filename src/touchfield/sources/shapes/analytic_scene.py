@@ -125,7 +125,7 @@ class AnalyticScene(Scene):
         first, last = local_m[:, 0], local_m[:, -1]  # opposite corners
         radius_m = float(np.linalg.norm(last - first, axis=1).max(initial=0.0)) / 2 * (1 + 1e-9)
         ranges = [shape.distance_range((first + last) / 2, radius_m) for shape in self.shapes]
-        forces = np.zeros_like(local_m)
+        forces: Float64s = np.zeros_like(local_m)
         if self.combine == "union":
             nearest_high = np.min([high for _, high in ranges], axis=0)
             phi, normal = np.full(local_m.shape[:2], np.inf), np.zeros_like(local_m)
@@ -141,8 +141,8 @@ class AnalyticScene(Scene):
                 some = np.flatnonzero(_may_act(profile, low, high))
                 phi, normal = _evaluated(shape, local_m[some])
                 forces[some] += profile(phi)[..., None] * normal
-        forces = forces.reshape(-1, 3)
-        return forces if self._motion is None else forces @ self._motion[0].T
+        vectors: Float64s = forces.reshape(-1, 3)
+        return vectors if self._motion is None else vectors @ self._motion[0].T
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`; `frame` is ignored."""
@@ -163,7 +163,7 @@ def _may_act(profile: ForceProfile, low: Float64s, high: Float64s) -> Bools:
     """Return whether a profile may have a force at distances from `low` to `high`, bool [n]."""
     acting = [piece for piece in profile.pieces if piece[2] or piece[3]]
     pieces = [(low <= piece_high) & (high > piece_low) for piece_low, piece_high, *_ in acting]
-    return np.any(pieces, axis=0) if pieces else np.zeros(len(low), np.bool_)
+    return np.asarray(np.any(pieces, axis=0)) if pieces else np.zeros(len(low), np.bool_)
 
 
 def _evaluated(shape: Shape, bricks_m: Float64s) -> tuple[Float64s, Float64s]:
