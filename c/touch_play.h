@@ -121,7 +121,8 @@ static inline int touch_play_open(touch_play *play, const void *bytes, uint64_t 
     if (code) return touch_play_fail(play, code, play->file.error);
     if (!(device->force_max_n >= 1e-6 && device->force_max_n <= 1e6))
         return touch_play_fail(play, TOUCH_ARGUMENT, "a device without a greatest force");
-    play->materials = touch_provenance_of(play->file.provenance.bytes, play->file.provenance.size, "materials.json");
+    if (TOUCH_HAS_EXTRAS)
+        play->materials = touch_provenance_of(play->file.provenance.bytes, play->file.provenance.size, "materials.json");
     touch_play_options *options = &play->options;
     options->render = touch_render_defaults(), options->device = *device;
     options->blends = 1, options->speed = 1.0;
@@ -558,8 +559,9 @@ static inline int64_t touch_play_find_body(const void *context, touch_stated_tex
 /* Write the materials that are stored with the medium, in front of the arena. */
 static inline int touch_play_write_materials(touch_play *play) {
     int64_t offset = play->receiver->layout.arena_offset - (int64_t)touch_play_materials_room(play);
-    if (!play->materials.at || touch_write_materials(play->receiver, offset, play->materials, play->options.render.friction < 0.0,
-                                                     touch_play_find_body, &play->decoder))
+    int is_of_medium = play->options.render.friction < 0.0;
+    if (!TOUCH_HAS_EXTRAS || !play->materials.at) return TOUCH_OK;
+    if (touch_write_materials(play->receiver, offset, play->materials, is_of_medium, touch_play_find_body, &play->decoder))
         return TOUCH_OK;
     return touch_play_fail(play, TOUCH_CORRUPT, "materials that are damaged, or of an object that is not there");
 }

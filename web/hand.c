@@ -50,23 +50,21 @@ EXPORT(hand_close) void hand_close(void) {
     hand_is_open = 0;
 }
 
-/* Open the file of `room` for the hand; the stiffness of walls that its provenance states, 0: none. A force on the file
-   before goes to zero as at a seek. */
-EXPORT(hand_open) int hand_open(double wall_n_per_m) {
+/* Open the file of `room` for the hand. A force on the file before goes to zero as at a seek. */
+EXPORT(hand_open) int hand_open(void) {
     touch_device device;
     memset(&device, 0, sizeof device), device.force_max_n = 1.0;
     int code = touch_play_open(&hand_play, (const void *)(uintptr_t)page_file_at, page_file_size, &device);
     if (code) return hand_fail(code, hand_play.error);
     touch_play_options *options = &hand_play.options;
     options->device.force_max_n = hand_play.file.force_max_n;
-    options->render.wall_n_per_m = wall_n_per_m;
     options->is_loop = 1, options->max_ahead = HAND_AHEAD, options->frames_bytes = HAND_FRAMES_BYTES;
     uint64_t start = (page_file_at + page_file_size + 63) & ~(uint64_t)63, size = touch_play_room(&hand_play);
     if (size > UINT32_MAX || !page_reach(start + size)) return hand_fail(TOUCH_MEMORY, "the field is too large");
     code = touch_play_start(&hand_play, (void *)(uintptr_t)start);
     if (code) return hand_fail(code, hand_play.error);
     touch_tick_state *state = &hand_play.receiver->state;
-    state->force.output = state->force.wanted = hand_before.output, state->force.heat = hand_before.heat;
+    state->force.output = state->force.desired = hand_before.output, state->force.heat = hand_before.heat;
     state->gain = touch_is_zero(hand_before.output) ? 0.0 : 1.0;
     touch_play_pause(&hand_play);
     hand_is_open = 1, hand_is_seeking = 0;

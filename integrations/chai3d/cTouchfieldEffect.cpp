@@ -40,9 +40,9 @@ const char* cTouchfieldEffect::cReceiver::open(const std::string& a_filename, co
     m_play.options.is_complete = a_settings.m_complete;
     touch_render_options& render = m_play.options.render;
     render.rate_hz = a_settings.m_rate, render.wall_n_per_m = a_settings.m_wallStiffness;
-    render.friction = a_settings.m_friction < 0.0 ? static_cast<double>(TOUCH_OF_MEDIUM) : a_settings.m_friction;
-    render.damping_n_s_per_m = a_settings.m_damping < 0.0 ? static_cast<double>(TOUCH_OF_MEDIUM) : a_settings.m_damping;
-    render.coupling_n_per_m = a_settings.m_coupling < 0.0 ? static_cast<double>(TOUCH_STABLE) : a_settings.m_coupling;
+    render.friction = a_settings.m_friction < 0.0 ? TOUCH_OF_MEDIUM : a_settings.m_friction;
+    render.damping_n_s_per_m = a_settings.m_damping < 0.0 ? TOUCH_OF_MEDIUM : a_settings.m_damping;
+    render.coupling_n_per_m = a_settings.m_coupling < 0.0 ? TOUCH_STABLE : a_settings.m_coupling;
     m_memory.reset(new (std::nothrow) std::uint8_t[static_cast<std::size_t>(touch_play_room(&m_play))]);
     if (touch_play_start(&m_play, m_memory.get())) return m_play.error;
     touch_play_resume(&m_play);

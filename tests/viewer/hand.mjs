@@ -7,11 +7,11 @@ const { exports: c } = new WebAssembly.Instance(new WebAssembly.Module(readFileS
 let now = 5000.5;
 const rows = [];
 const actions = {
-  open: ({ file, wall = 0 }) => {
+  open: ({ file }) => {
     const data = readFileSync(file);
     c.hand_close();
     new Uint8Array(c.memory.buffer).set(data, c.room(data.length));
-    if (c.hand_open(wall)) throw new Error("the hand does not open the file");
+    if (c.hand_open()) throw new Error("the hand does not open the file");
   },
   move: ({ point, from }) => c.hand_move(...point, Number(!!from), ...(from ?? point)),
   follow: ({ time, speed }) => c.hand_follow(time, speed),

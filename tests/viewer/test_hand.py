@@ -90,9 +90,9 @@ def test_thin_plate_holds_the_hand(plate: Path, tmp_path: Path) -> None:
 
 def test_forces_are_those_of_the_python_player(plate: Path, tmp_path: Path) -> None:
     steps = [*moved(ABOVE, 100), *moved(THROUGH, 100), *moved((0.01, 0.0, -0.001), 200)]
-    rows = run_hand(tmp_path, step("open", file=plate, wall=800), *steps)
+    rows = run_hand(tmp_path, step("open", file=plate), *steps)
     landed = int(np.argmax(rows.device_m.any(axis=1)))
-    _, expected_n = player_forces(plate, rows.device_m[landed:], loop=True, wall_n_per_m=800.0)
+    _, expected_n = player_forces(plate, rows.device_m[landed:], loop=True)
     assert landed < 5 and np.abs(rows.force_n).max() > 0.5
     atol_n = 1e-7  # the player's simulated hand adds up its time: positions differ in their last digits
     np.testing.assert_allclose(rows.force_n[landed:], expected_n, atol=atol_n, rtol=0)
@@ -129,7 +129,7 @@ def test_pressed_hand_stays_on_its_side_over_a_seek(tmp_path: Path) -> None:
     tf.encode(tf.HapticMedium.from_array(force, grid, 20.0), tmp_path / "plate.touch")
     steps = [*moved((0, 0, 0.006), 100), *moved((0, 0, -0.004), 200)]
     steps += [step("follow", time=0.7, speed=0), step("tick", count=200)]
-    rows = run_hand(tmp_path, step("open", file=tmp_path / "plate.touch", wall=1000), *steps)
+    rows = run_hand(tmp_path, step("open", file=tmp_path / "plate.touch"), *steps)
     assert (rows.force_n[200:300, 2] > 0.3).all() and not rows.force_n[315:322].all()
     assert (rows.force_n[400:, 2] > 0.3).all() and (rows.proxy_m[400:, 2] > 0).all()
 

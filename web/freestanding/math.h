@@ -12,6 +12,7 @@
 #define fabsf __builtin_fabsf
 #define HUGE_VAL __builtin_huge_val()
 #define INFINITY __builtin_inff()
+#define NAN __builtin_nanf("")
 #define TOUCH_FROM_PAGE(name) __attribute__((import_module("page"), import_name(name)))
 TOUCH_FROM_PAGE("sin") double sin(double x);
 TOUCH_FROM_PAGE("cos") double cos(double x);
@@ -27,6 +28,7 @@ double fmod(double x, double y);
 #define isnan(x) __builtin_isnan(x)
 #define isfinite(x) __builtin_isfinite(x)
 static inline double fmax(double x, double y) { return x > y || isnan(y) ? x : y; }
+static inline double fmin(double x, double y) { return x < y || isnan(y) ? x : y; }
 double ldexp(double x, int power);
 double frexp(double x, int *power);
 #endif

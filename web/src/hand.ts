@@ -6,7 +6,7 @@ interface Exports {
   memory: WebAssembly.Memory;
   room(bytes: number): number;
   message(): number;
-  hand_open(wall: number): number;
+  hand_open(): number;
   hand_close(): void;
   hand_move(x: number, y: number, z: number, isLifted: number, fromX: number, fromY: number, fromZ: number): void;
   hand_follow(time: number, speed: number): void;
@@ -32,7 +32,7 @@ export interface Rendered {
 
 /** What the page tells the hand. A file that is opened has a number, which its answers have, too. */
 export type HandOrder =
-  | { do: "open"; file: number; module: WebAssembly.Module; data: Uint8Array; wall: number }
+  | { do: "open"; file: number; module: WebAssembly.Module; data: Uint8Array }
   | { do: "close" }
   | { do: "move"; point: Triple; from: Triple | null }
   | { do: "follow"; time: number; speed: number }
@@ -50,20 +50,6 @@ export const PAGE_MATH = {
   exp: Math.exp, expm1: Math.expm1, pow: Math.pow,
 };
 
-/** The stiffness of walls that a provenance states, N/m, as `stated_n_per_m` of render/spec.py has it; 0: none. */
-function statedStiffness(provenance: [string, string][]): number {
-  const texts = new Map(provenance);
-  if (texts.has("edits")) return 0;
-  try {
-    const spec = JSON.parse(texts.get("source.spec") ?? texts.get("spec") ?? "{}");
-    const stated = spec.law === "penalty" ? Number(spec.stiffness_n_per_m) : 0;
-    return stated >= MIN_STATED && stated <= MAX_STATED ? stated : 0;
-  } catch {
-    return 0;
-  }
-}
-
-const [MIN_STATED, MAX_STATED] = [1, 5000];
 const WAKE_MS = 1; // browsers make it four
 const DECODE_MS = 3;
 const REPORT_MS = 15;
@@ -91,13 +77,13 @@ export class HandWorker {
     else this.wasm.hand_move(...order.point, Number(!!order.from), ...(order.from ?? order.point));
   }
 
-  private open({ file, module, data, wall }: HandOrder & { do: "open" }): void {
+  private open({ file, module, data }: HandOrder & { do: "open" }): void {
     this.close();
     this.file = file;
     this.wasm ??= new WebAssembly.Instance(module, { page: PAGE_MATH }).exports as unknown as Exports;
     const at = this.wasm.room(data.length);
     if (at) new Uint8Array(this.wasm.memory.buffer).set(data, at);
-    if (!at || this.wasm.hand_open(wall)) return this.fail(at ? this.message() : "the file is too large");
+    if (!at || this.wasm.hand_open()) return this.fail(at ? this.message() : "the file is too large");
     this.isOpen = true;
     this.wakes(true);
   }
@@ -167,7 +153,7 @@ export class Hand {
   }
 
   /** Open a file; one that continues the one before leaves the last report until its own first one. */
-  open(data: Uint8Array, provenance: [string, string][], isContinued: boolean): void {
+  open(data: Uint8Array, isContinued: boolean): void {
     const { rendered } = this;
     this.close();
     if (isContinued) this.rendered = rendered;
@@ -180,7 +166,7 @@ export class Hand {
         this.onReport();
       };
       this.worker.onerror = (): void => this.none("no worker is allowed");
-      this.order({ do: "open", file: this.file, module: this.module, data, wall: statedStiffness(provenance) });
+      this.order({ do: "open", file: this.file, module: this.module, data });
     } catch {
       this.none("no worker is allowed");
     }

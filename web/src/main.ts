@@ -535,7 +535,7 @@ const MAX_HAND_BYTES = 1 << 26;
 function startHand(data: Uint8Array | null, isContinued = false): void {
   if (state!.opened.head.type === 2) return hand.close("an array of actuators is not touched with a probe"), showHand();
   if (!data || data.length > MAX_HAND_BYTES) return hand.close(data ? "the file is too large" : "the file is read in parts"), showHand();
-  hand.open(data, state!.opened.records.provenance, isContinued);
+  hand.open(data, isContinued);
   hand.move(state!.point, entry ?? state!.point);
   hand.follow(state!.time, playing ? speed() : 0);
 }
