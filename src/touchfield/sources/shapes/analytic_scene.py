@@ -150,7 +150,7 @@ class AnalyticScene(Scene):
         def may_act(centres: Float64s, radius_m: float) -> Bools:
             local_m = self._to_local(centres)
             ranges = (shape.distance_range(local_m, radius_m) for shape in self.shapes)
-            return np.any([_may_act(profile, low, high) for low, high in ranges], axis=0)
+            return np.asarray(np.any([_may_act(profile, low, high) for low, high in ranges], axis=0))
 
         return field_of_points(
             grid,
