@@ -1,5 +1,5 @@
-/* The receiver: tick, release, cycle, give_order, publish, unrolled_frame, limited, contact_force, receiver_layout and
-   openhaptics_callback (_native.pyi). */
+/* The receiver: tick, release, cycle, give_order, publish, unrolled_frame, limited, friction, contact_force,
+   receiver_layout and openhaptics_callback (_native.pyi). */
 #ifndef TOUCHFIELD_RECEIVER_H
 #define TOUCHFIELD_RECEIVER_H
 
@@ -89,6 +89,13 @@ static PyObject *py_limited(PyObject *self, PyObject *const *arguments, Py_ssize
     touch_vector force = touch_limit_output(settings, &settings->force_limits, &receiver->state.force, desired, numbers[3]);
     PyBuffer_Release(&view);
     return tuple_of_vector(force);
+}
+
+static PyObject *py_friction(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
+    double numbers[8]; /* force, velocity, mu, slip speed */
+    (void)self;
+    if (!expect_arguments(count, 8) || !read_doubles(arguments, 8, numbers)) return NULL;
+    return tuple_of_vector(touch_friction(vector_of(numbers), vector_of(numbers + 3), numbers[6], numbers[7]));
 }
 
 static PyObject *py_contact_force(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
@@ -182,6 +189,7 @@ static PyObject *py_openhaptics_callback(PyObject *self, PyObject *unused) {
     {"release", FAST_FUNCTION(py_release), METH_FASTCALL, NULL},                    \
     {"cycle", FAST_FUNCTION(py_cycle), METH_FASTCALL, NULL},                        \
     {"limited", FAST_FUNCTION(py_limited), METH_FASTCALL, NULL},                    \
+    {"friction", FAST_FUNCTION(py_friction), METH_FASTCALL, NULL},                  \
     {"contact_force", FAST_FUNCTION(py_contact_force), METH_FASTCALL, NULL},        \
     {"give_order", FAST_FUNCTION(py_give_order), METH_FASTCALL, NULL},              \
     {"publish", FAST_FUNCTION(py_publish), METH_FASTCALL, NULL},                    \

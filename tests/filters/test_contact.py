@@ -10,7 +10,7 @@ import pytest
 from hypothesis import example, given, strategies as st
 from numpy.typing import ArrayLike, NDArray
 
-from touchfield.filters.kernels.forces import friction
+from touchfield.compute.native import native
 from touchfield.medium import ForceField, Grid
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.shapes.analytic_scene import AnalyticScene
@@ -33,7 +33,7 @@ def friction_n(
     """Friction of the renderer's loop at many contacts."""
     force, velocity = np.broadcast_arrays(np.asarray(force_n, float), np.asarray(velocity_m_s, float))
     rows = zip(force.reshape(-1, 3), velocity.reshape(-1, 3), strict=True)
-    frictions = [friction(*f, *v, float(mu), float(slip_speed_m_s)) for f, v in rows]
+    frictions = [native.friction(*f, *v, float(mu), float(slip_speed_m_s)) for f, v in rows]
     return np.reshape(np.array(frictions, float), force.shape)
 
 
