@@ -8,7 +8,9 @@ d (Macedo and Castro 2010; Fuselier and Wright 2017). The leave-one-out error ha
 noise minimise it. Friction is not a gradient: it remains as a residual, and the relative error shows its
 size.
 
-The field extends to `REACH` kernel lengths from the samples used: there is no extrapolation beyond.
+The field extends to `REACH` kernel lengths from the samples used: there is no extrapolation beyond. A kernel
+is at least `MIN_SAMPLES` samples of the medium's lattice long (`ContactScene.set_lattice`): a narrower one
+lies between samples, and the medium then misses the recorded forces.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from __future__ import annotations
 import json
 import math
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -45,6 +48,13 @@ _EXPECTED: Final = "an MCAP file of positions and forces"
 MAX_POINTS: Final = 350
 
 REACH: Final = 1.0  # kernel lengths: a sample at this distance still determines 60 % of the potential
+MIN_SAMPLES: Final = 3.0
+"""Samples of the lattice in the shortest kernel.
+
+Two suffice for a force at all eight corners around a contact; at three the low-pass and the interpolation
+between samples lose less.
+"""
+
 _MIN_POINTS: Final = 4
 _FARTHEST_M: Final = 1e4
 _STRONGEST_N: Final = 1e6
@@ -101,14 +111,16 @@ class CurlFree:
         )
 
     @classmethod
-    def fitted(cls, points_m: Float64s, forces_n: Float64s, spacing_m: float) -> CurlFree:
+    def fitted(
+        cls, points_m: Float64s, forces_n: Float64s, spacing_m: float, min_length_m: float = 0.0
+    ) -> CurlFree:
         """Return the interpolant with the smallest leave-one-out error.
 
         `points_m`, `forces_n` float64 [n, 3]: at least 4, not all forces 0, no two points equal; `spacing_m`
-        float: spacing of the points; the lengths that are tried are multiples of it.
+        float: spacing of the points; the lengths that are tried are multiples of it, at least `min_length_m`.
         """
         fits = []
-        for length_m in (length * spacing_m for length in _LENGTHS):
+        for length_m in sorted({max(length * spacing_m, min_length_m) for length in _LENGTHS}):
             kernel = covariances(points_m / length_m)
             fits += [cls.through(points_m, forces_n, length_m, noise, kernel) for noise in _NOISES]
         return min(fits, key=lambda fit: fit.relative_error)
@@ -188,33 +200,68 @@ class ContactScene(Scene):
     axes = UP_Z_AXES
     box_wording = "the trace"
     has_law = False
+    has_decoded_notes = True
 
     def __init__(self, trace: ContactTrace, where: str = "trace") -> None:
         require_contacts(trace, where)
-        points_m, forces_n, spacing_m = thin_contacts(trace.positions_m, trace.forces_n)
-        if len(points_m) < _MIN_POINTS:
-            raise SourceError(
-                where, f"{len(points_m)} places", f"at least {_MIN_POINTS}", "Record a longer contact."
-            )
-        self.interpolant = CurlFree.fitted(points_m, forces_n, spacing_m)
+        self._trace, self._averages = trace, thin_contacts(trace.positions_m, trace.forces_n)
+        if len(self._averages[0]) < _MIN_POINTS:
+            found = f"{len(self._averages[0])} places"
+            raise SourceError(where, found, f"at least {_MIN_POINTS}", "Record a longer contact.")
+        self._fits = {0.0: CurlFree.fitted(*self._averages)}
+        self._select_fit(0.0)
+        # the box does not depend on a lattice, which is placed by it
+        self._margin_m = self.reach_m
+
+    def set_lattice(self, grid: Grid) -> None:
+        """See `Scene.set_lattice`: the kernel becomes at least `MIN_SAMPLES` samples long."""
+        min_length_m = MIN_SAMPLES * max(grid.spacing_m)
+        if self._fits[0.0].length_m >= min_length_m:
+            min_length_m = 0.0
+        if min_length_m not in self._fits:
+            self._fits[min_length_m] = CurlFree.fitted(*self._averages, min_length_m)
+        self._select_fit(min_length_m)
+
+    def _select_fit(self, min_length_m: float) -> None:
+        self.interpolant = self._fits[min_length_m]
         self.reach_m = REACH * self.interpolant.length_m
         error = self.interpolant.relative_error
+        widened = f", {MIN_SAMPLES:g} samples of the lattice" if min_length_m else ""
         self.notes = (
-            f"A curl-free field through {len(points_m)} means of {len(trace.positions_m)} samples, with a "
-            f"leave-one-out error of {100 * error:.3g} %; no force beyond {1e3 * self.reach_m:.3g} mm of a "
-            "sample; the force law is ignored.",
+            f"A curl-free field through {len(self.interpolant.points_m)} means of "
+            f"{len(self._trace.positions_m)} samples, before it is sampled with a leave-one-out error of "
+            f"{100 * error:.3g} %; no force beyond {1e3 * self.reach_m:.3g} mm of a sample{widened}; the "
+            "force law is ignored.",
         )
         if error > _HIGH_ERROR:
             self.notes += (
                 "This part of the forces is not a gradient: friction, inertia, or varying contacts. The "
-                "field "
-                "is a rough mean of them.",
+                "field is a rough mean of them.",
             )
+
+    def decoded_notes(self, field: ForceField, to_hand: Callable[[Float64s], Float64s]) -> tuple[str, ...]:
+        """See `Scene.decoded_notes`: the part of the recorded forces that the file misses."""
+        positions_m = to_hand(self._trace.positions_m)
+        low, high = field.grid.box_m
+        is_inside = ((positions_m >= low) & (positions_m <= high)).all(axis=1)
+        recorded_n = self._trace.forces_n[is_inside]
+        outside = 1 - float(is_inside.mean())
+        notes: tuple[str, ...] = ()
+        if recorded_n.any():
+            missed_n = field.sample_n(positions_m[is_inside]) - recorded_n
+            missed = float(np.sqrt((missed_n**2).sum() / (recorded_n**2).sum()))
+            notes = (
+                f"At the {len(recorded_n)} recorded positions the file misses {100 * missed:.3g} % of the "
+                "forces (RMS of the difference over that of the recording).",
+            )
+        if outside:
+            notes += (f"{100 * outside:.3g} % of the recorded positions are outside the workspace.",)
+        return notes
 
     def bounds_m(self) -> Float64s:
         """Return the box of the trace, float64 [2, 3]."""
         points = self.interpolant.points_m
-        return np.stack([points.min(axis=0) - self.reach_m, points.max(axis=0) + self.reach_m])
+        return np.stack([points.min(axis=0) - self._margin_m, points.max(axis=0) + self._margin_m])
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`; frame and law are ignored."""
