@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from effect_makers import written
+from effect_makers import key_paths, written
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
 from touchfield.exchange.ahap import SHARPNESS_HZ, read_ahap
 from touchfield.exchange.symbolic import TRANSIENT_S, ArrayEffect
@@ -178,11 +178,6 @@ FULL = {
     ],
 }
 VALUES = st.sampled_from([None, True, -1, 0, 0.5, 1e308, 10**30, "", "HapticTransient", [], {}, [{}]])
-
-
-def key_paths(node: Any, prefix: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    keys = list(node) if isinstance(node, dict) else list(range(len(node))) if isinstance(node, list) else []
-    return [path for key in keys for path in ((*prefix, key), *key_paths(node[key], (*prefix, key)))]
 
 
 @given(keys=st.sampled_from(key_paths(FULL)), value=VALUES)

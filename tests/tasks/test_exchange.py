@@ -289,6 +289,21 @@ def test_effects_are_imported_as_streams(tmp_path: Path) -> None:
         assert [opened.medium[i].support_count for i in (19, 20)] == [0, 1]
 
 
+@pytest.mark.parametrize(("suffix", "step"), [(".tact", 0.00501), (".haptic", 1.01e-4)])
+def test_a_pattern_of_a_vendor_is_exported_and_imported(tmp_path: Path, suffix: str, step: float) -> None:
+    path, drives = vest_stream(tmp_path / "a.touch")
+    export(path, tmp_path / f"a{suffix}")
+    done = import_effect(tmp_path / f"a{suffix}", tmp_path / "b.touch", FINE, rate_hz=20.0)
+    is_vest = suffix == ".tact"
+    assert done.prepared.device.name == ("tactsuit-x40" if is_vest else "array-1x1")
+    expected = drives if is_vest else drives.max(axis=(1, 2))[:, None, None]
+    with open_file(tmp_path / "b.touch") as opened:
+        assert len(opened.medium) == len(drives)
+        for field, drive in zip(opened.medium, expected, strict=True):
+            found = field.to_dense()[:, ::-1, 0, 2].T / opened.summary()["force_max_n"]
+            assert (np.abs(found - drive) <= step + 2.1 * K * drive + 1e-4).all()  # coded twice
+
+
 def test_an_exported_force_is_imported_as_one_actuator(tmp_path: Path) -> None:
     path = wall_stream(tmp_path / "a.touch")
     rows = [(0.0, 0, 0, 0.005), (0.1, 0, 0, 0.005)]

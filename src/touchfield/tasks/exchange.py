@@ -6,7 +6,7 @@ Imported effects are symbolic media (paper figure 1).
 stream -> array of actuators -> drives -> .hjif, .tact, .wav, .haptic, .ahap      `export`
 stream + trajectory of a probe -> force over time -> .hjif, .wav                  `export`
 stream -> the page in the browser -> .html                                        `export`
-.hjif, .hmpg, .ahap -> drives -> symbolic medium -> stream                        `import_effect`
+.hjif, .hmpg, .ahap, .haptic, .tact -> drives -> symbolic medium -> stream        `import_effect`
 
 The force over time is that of the field at the probe, at every tick of the file: a thousand per second, or
 fewer for more than 65 s. The probe moves in a straight line from one sample to the next, and waits at the
@@ -36,6 +36,7 @@ from touchfield.exchange.effect_files import (
     write_wav,
     write_wav_array,
 )
+from touchfield.exchange.haptic_read import read_haptic
 from touchfield.exchange.hjif_import import read_hjif_array
 from touchfield.exchange.hjif_write import MAX_SPAN_TICKS, write_hjif_array, write_hjif_force
 from touchfield.exchange.symbolic import (
@@ -46,6 +47,7 @@ from touchfield.exchange.symbolic import (
     effect_device,
     effect_medium,
 )
+from touchfield.exchange.tact_read import read_tact
 from touchfield.filters.device_spec import device_grid
 from touchfield.medium.trace import HAPTIC_RATE_HZ, Trace, read_trace
 from touchfield.network.opening import open_stream
@@ -62,7 +64,11 @@ from touchfield.tasks.view import view
 
 EXPORTS: Final = (".hjif", ".tact", ".wav", ".haptic", ".ahap", ".html")
 _FORCES: Final = (".hjif", ".wav")  # the formats of a force over time
-IMPORTS: Final = (".hjif", ".hmpg", ".ahap")
+_READERS: Final = {
+    ".hjif": read_hjif_array, ".hmpg": read_hjif_array, ".ahap": read_ahap, ".haptic": read_haptic,
+    ".tact": read_tact,
+}  # fmt: skip
+IMPORTS: Final = tuple(_READERS)
 _MAX_SAMPLES: Final = 1 << 23
 _VEST: Final = "tactsuit-x40"
 
@@ -122,10 +128,11 @@ def import_effect(
 
     A stream stores the drive as a force, within the error bound of its coder, and as a vibration, with the
     frequency in whole hertz and the drive to within a ninth (`touchfield.codec.vibration`). A receiver
-    renders the greater of the two. `source` is ``.hjif``, ``.hmpg`` (its binary form) or ``.ahap``. Of `spec`
-    the coder, haptic filters, frames and vibration are used; the device is that of the effect. `rate_hz` is
-    the number of frames per second, and `force_max_n` the force of a full drive: None is that of the file, or
-    else 3.3 N. Raises TouchfieldError; no file `out` is then left.
+    renders the greater of the two. `source` is ``.hjif``, ``.hmpg`` (its binary form), ``.ahap`` (Apple),
+    ``.haptic`` (Meta) or ``.tact`` (bHaptics). Of `spec` the coder, haptic filters, frames and vibration are
+    used; the device is that of the effect. `rate_hz` is the number of frames per second, and `force_max_n`
+    the force of a full drive: None is that of the file, or else 3.3 N. Raises TouchfieldError; no file `out`
+    is then left.
     """
     options = spec or EncodeSpec()
     if force_max_n is not None and not 0 < force_max_n <= 1e6:
@@ -133,7 +140,7 @@ def import_effect(
     kind = Path(source).suffix.lower()
     require_ending(source, *IMPORTS)
     require_ending(out, "OUT.touch")
-    pattern = (read_ahap if kind == ".ahap" else read_hjif_array)(source, rate_hz)
+    pattern = _READERS[kind](source, rate_hz)
     full_n = pattern.force_max_n if force_max_n is None else force_max_n
     effect_profile = effect_device(pattern.effect.lattice, pattern.device_name, full_n)
     symbolic = effect_medium(
