@@ -280,7 +280,7 @@ def _curve(values: Float64s, timescale: int) -> dict[str, Any]:
 
 def _force_curve(ticks: Int64s, drives: Float32s) -> dict[str, Any]:
     """Return the Curve of one actuator."""
-    samples = np.broadcast_to(np.round(drives.astype(np.float64), _DIGITS), len(ticks))
+    samples: Float64s = np.broadcast_to(np.round(drives.astype(np.float64), _DIGITS), len(ticks))
     return _curve_band(_curve_effect(ticks, samples), DEFAULT_TIMESCALE // 2)
 
 

@@ -13,7 +13,7 @@ apart (`ArrayEffect.parts`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -155,10 +155,17 @@ class ImportedEffect:
 
 @dataclass
 class Drive:
-    """Amplitudes and frequencies (0: unknown) over the frames, float64 [frames] each."""
+    """Amplitudes and frequencies (0: unknown) over the frames, float64 [frames] each.
+
+    `strongest` is the amplitude of the drive that has set the frequency.
+    """
 
     amplitudes: Float64s
     frequencies_hz: Float64s
+    strongest: Float64s = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self.strongest = self.amplitudes.copy()
 
     @classmethod
     def silent(cls, frames: int) -> Drive:
@@ -166,9 +173,10 @@ class Drive:
         return cls(np.zeros(frames), np.zeros(frames))
 
     def add(self, other: Drive, frames: slice = slice(None)) -> None:
-        """Add amplitudes in these frames; the frequency is that of the stronger drive."""
-        stronger = other.amplitudes > self.amplitudes[frames]
+        """Add amplitudes in these frames; the frequency is that of the strongest drive that was added."""
+        stronger = other.amplitudes > self.strongest[frames]
         self.frequencies_hz[frames][stronger] = other.frequencies_hz[stronger]
+        self.strongest[frames][stronger] = other.amplitudes[stronger]
         self.amplitudes[frames] += other.amplitudes
 
 
@@ -242,7 +250,7 @@ def effect_medium(
     scale = np.float32(force_max_n)
     force_part, vibration_part = effect.parts or (effect.drives, effect.drives)
 
-    def field(i: int) -> ForceField:
+    def make_field(i: int) -> ForceField:
         forces = np.zeros((*grid.shape, 3), np.float32)
         forces[:, :, 0, 2] = force_part[i][::-1].T * scale
         return ForceField.from_dense(grid, forces)
@@ -256,6 +264,6 @@ def effect_medium(
         return VibrationFrame(grid, positions, amplitudes_n[x, y], hertz[x, y])
 
     return HapticMedium(
-        grid, effect.rate_hz, len(effect), field, axes=UP_Y_AXES, tags=("symbolic",), provenance=provenance,
-        vibration=None if effect.frequencies_hz is None else vibration,
+        grid, effect.rate_hz, len(effect), make_field, axes=UP_Y_AXES, tags=("symbolic",),
+        provenance=provenance, vibration=None if effect.frequencies_hz is None else vibration,
     )  # fmt: skip
