@@ -187,7 +187,7 @@ def decoded_notes(prepared: Prepared, path: str | Path) -> tuple[str, ...]:
     if source is None or prepared.device.is_array or not source.has_decoded_notes:
         return ()
     with open_file(path) as opened:
-        return source.decoded_notes(opened.medium[0], to_hand)
+        return source.decoded_notes(opened.medium[0], to_hand, prepared.device.force_max_n)
 
 
 def file_error_bound(path: str | Path) -> dict[str, Any]:

@@ -150,17 +150,22 @@ class Scene(ABC):
         A fused scene, for example, is then built from these frames.
         """
 
-    def set_lattice(self, grid: Grid) -> None:  # noqa: B027  (most scenes are the same on any lattice)
+    def set_lattice(  # noqa: B027  (most scenes are the same on any lattice)
+        self, grid: Grid, force_max_n: float
+    ) -> None:
         """Take notice of the medium's lattice, scene metres, before fields are computed for it.
 
-        Fields may be requested on finer lattices than that. By default nothing changes.
+        Forces above `force_max_n` are clipped at the samples of the lattice. Fields may be requested on finer
+        lattices than that. By default nothing changes.
         """
 
-    def decoded_notes(self, field: ForceField, to_hand: Callable[[Float64s], Float64s]) -> tuple[str, ...]:
+    def decoded_notes(
+        self, field: ForceField, to_hand: Callable[[Float64s], Float64s], force_max_n: float
+    ) -> tuple[str, ...]:
         """Return notes on how well a written file reproduces the source; by default none.
 
         `field` is the first frame as a receiver decodes it; `to_hand` converts points [n, 3] of the scene to
-        metres of the field.
+        metres of the field; `force_max_n` is the device's greatest force.
         """
         return ()
 

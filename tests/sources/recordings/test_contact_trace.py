@@ -21,7 +21,13 @@ from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.recordings.contact_trace import ContactScene, CurlFree, recorded_contacts
+from touchfield.sources.recordings.contact_trace import (
+    ContactScene,
+    CurlFree,
+    recorded_contacts,
+    sampling_loss,
+    thin_contacts,
+)
 from touchfield.sources.registry import open_source
 
 PROFILE = profile_of(LawSpec(), 3.3)
@@ -149,14 +155,44 @@ def test_the_note_states_what_the_file_misses_at_the_recorded_positions(
 
 def test_the_kernel_is_three_samples_of_the_lattice_or_longer() -> None:
     scene = ContactScene(tapped())
-    length_m, box_m = scene.interpolant.length_m, scene.bounds_m()
+    box_m = scene.bounds_m()
+    lengths_m = []
     for spacing_m in (0.0001, 0.003, 0.0002):
-        scene.set_lattice(Grid((4, 4, 4), (spacing_m, 0.0001, 0.0001), (0, 0, 0)))
-        expected_m = max(length_m, 3 * spacing_m)
-        assert expected_m <= scene.interpolant.length_m < 1.2 * expected_m
-        assert f"beyond {1e3 * scene.reach_m:.3g} mm" in scene.notes[0]
-        assert ("3 samples of the lattice" in scene.notes[0]) == (spacing_m == 0.003)
+        scene.set_lattice(Grid((4, 4, 4), (spacing_m, 0.0001, 0.0001), (0, 0, 0)), 3.3)
+        lengths_m.append(scene.interpolant.length_m)
+        assert lengths_m[-1] >= 3 * spacing_m and f"beyond {1e3 * scene.reach_m:.3g} mm" in scene.notes[0]
+    assert lengths_m[1] >= 0.009 > lengths_m[0], "a later lattice has a fit of its own"
     assert scene.bounds_m() == pytest.approx(box_m)
+
+
+def test_a_fit_that_exceeds_the_device_beside_the_path_is_not_used() -> None:
+    """Two passes 1.6 mm apart with opposite friction: an exact fit is far above 2 N beside them."""
+    x = np.linspace(-0.02, 0.02, 300)
+    points = np.concatenate(
+        [np.stack([x, 0 * x + y, 0.0003 * np.sin(300 * x)], axis=1) for y in (-8e-4, 8e-4)]
+    )
+    forces = np.concatenate(
+        [np.stack([0 * x + f, 0 * x, 1 + 0.3 * np.sin(400 * x)], axis=1) for f in (0.8, -0.8)]
+    )
+    grid = Grid((64, 16, 16), (0.001, 0.001, 0.001), (-0.0315, -0.0075, -0.0075))
+    scene = ContactScene(ContactTrace(points, forces))
+    scene.set_lattice(grid, 2.0)
+    averages = thin_contacts(points, forces)
+    by_error = CurlFree.fitted(*averages, 0.003)
+
+    def missed(fit: CurlFree) -> float:
+        """Sampled everywhere, clipped to 2 N and interpolated, against the recording."""
+        dense = fit.forces_n(grid.to_m(np.argwhere(np.ones(grid.shape))), fit.length_m).reshape(
+            *grid.shape, 3
+        )
+        size = np.linalg.norm(dense, axis=-1, keepdims=True)
+        found = trilinear(dense * np.minimum(1, 2.0 / np.maximum(size, 1e-9)), grid.to_index(points))
+        return float(np.sqrt(((found - forces) ** 2).sum() / (forces**2).sum()))
+
+    assert scene.interpolant.relative_error > by_error.relative_error
+    assert missed(scene.interpolant) < 0.7 * missed(by_error)
+    assert sampling_loss(by_error, averages[0], grid, 2.0) > 0.5
+    assert sampling_loss(by_error, averages[0], grid.refined(8), 1e6) < 0.1, "fine, and without a limit"
 
 
 def test_recorded_positions_outside_the_workspace_are_noted(tmp_path: Path) -> None:
