@@ -261,7 +261,7 @@ class ContactScene(Scene):
         error = fit.relative_error
         self.notes = (
             f"A curl-free field through {len(fit.points_m)} means of {len(self._trace.positions_m)} samples, "
-            f"before it is sampled with a leave-one-out error of {100 * error:.3g} %; no force beyond "
+            f"with a leave-one-out error of {100 * error:.3g} % before it is sampled; no force beyond "
             f"{1e3 * self.reach_m:.3g} mm of a sample; the force law is ignored.",
         )
         if error > _HIGH_ERROR:
