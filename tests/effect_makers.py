@@ -99,6 +99,12 @@ def schema_errors(document: dict[str, Any], folder: Path) -> list[str]:
     return [f"{list(error.absolute_path)}: {error.message}" for error in validator.iter_errors(document)]
 
 
+def key_paths(node: Any, prefix: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """The keys and indices that lead to each value of a JSON document."""
+    keys = list(node) if isinstance(node, dict) else list(range(len(node))) if isinstance(node, list) else []
+    return [path for key in keys for path in ((*prefix, key), *key_paths(node[key], (*prefix, key)))]
+
+
 class TactSpan(NamedTuple):
     """Dots that are on during a time interval, milliseconds, float32 [5, 4]."""
 

@@ -28,6 +28,7 @@ from touchfield.sources.options import SourceOptions
 from touchfield.sources.physics.toml_file import open_physics
 from touchfield.sources.registry import open_source
 from touchfield.sources.shapes.analytic_scene import read_toml
+from touchfield.tasks.exchange import IMPORTS, import_effect
 from video_makers import depths_mm, write_video
 
 BALL = '<body name="ball" pos="0 0 .5"><freejoint/><geom size=".05"/></body>'
@@ -70,6 +71,29 @@ def time_limit() -> Iterator[None]:
 
 
 # -- pipes, sockets, devices -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", IMPORTS)
+def test_an_effect_is_one_clear_error_whatever_it_contains(tmp_path: Path, suffix: str) -> None:
+    path, out = tmp_path / f"a{suffix}", tmp_path / "out.touch"
+    os.mkfifo(path)
+    with pytest.raises(SourceError, match="a pipe, a socket or a device"):
+        import_effect(path, out)
+    path.unlink()
+    contents: tuple[bytes, ...] = (
+        b"", b"\0" * 64, b"[" * 100_000, b"{}", b"null", b'{"project": {"tracks": [[]]}}', b"\xff\xfe{}",
+        b'{"version": {"major": 1e999}}', b'{"Pattern": ' + b"9" * 5000 + b"}",
+    )  # fmt: skip
+    for content in contents:
+        path.write_bytes(content)
+        with pytest.raises(TouchfieldError) as caught:
+            import_effect(path, out)
+        assert path.name in str(caught.value) and "\n" not in str(caught.value)
+    with path.open("wb") as file:
+        file.truncate(1 << 33)  # sparse: 8 GiB
+    with pytest.raises(SourceError, match=r"more than|longer than|bytes"):
+        import_effect(path, out)
+    assert not out.exists()
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from effect_makers import written
+from effect_makers import effects, key_paths, written
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
 from touchfield.exchange.ahap import SHARPNESS_HZ, read_ahap
+from touchfield.exchange.effect_files import write_ahap
 from touchfield.exchange.symbolic import TRANSIENT_S, ArrayEffect
 
 
@@ -127,6 +128,72 @@ def test_overlapping_events_add_and_the_strongest_sets_the_frequency(tmp_path: P
     assert result.frequencies_hz[[2, 7, 12], 0, 0].tolist() == [65, 65, 300]
 
 
+def test_frequency_is_that_of_the_strongest_event_and_not_of_a_sum(tmp_path: Path) -> None:
+    weak = [event("HapticContinuous", 0, 0.1, HapticIntensity=0.3, HapticSharpness=0) for _ in range(2)]
+    strong = event("HapticContinuous", 0, 0.1, HapticIntensity=0.35, HapticSharpness=1)
+    for entries in ([*weak, strong], [strong, *weak], [weak[0], strong, weak[1]]):
+        result = read(tmp_path, *entries)
+        assert result.drives[5] == pytest.approx(0.95) and result.frequencies_hz is not None
+        assert result.frequencies_hz[5] == SHARPNESS_HZ[1]
+
+
+def test_a_tap_over_a_continuous_event_is_their_sum(tmp_path: Path) -> None:
+    """Figures worked out by hand: a tap of 0.9 at 0.1 s over a rise to 0.6, sharpness raised by 0.3 there."""
+    continuous = event("HapticContinuous", 0, 0.3, HapticIntensity=0.6, AttackTime=0.1, ReleaseTime=0.1)
+    tap = event("HapticTransient", 0.1, HapticIntensity=0.9)
+    sharper = {"Parameter": {"ParameterID": "HapticSharpnessControl", "Time": 0.1, "ParameterValue": 0.3}}
+    path = written(tmp_path / "a.ahap", {"Pattern": [continuous, sharper, tap]})
+    imported = read_ahap(path, 200.0)
+    found = imported.effect.drives[:, 0, 0]
+    assert found[[10, 19, 20, 23, 24, 25, 40, 60, 70, 80]] == pytest.approx(
+        [0.3, 0.57, 1, 0.6 + 0.9 * 7 / 22, 0.6 + 0.9 * 2 / 22, 0.6, 0.6, 0.6, 0.3, 0], abs=1e-6
+    )
+    hertz = imported.effect.frequencies_hz
+    assert hertz is not None and hertz[[10, 30], 0, 0] == pytest.approx([182.5, 253])
+    # of 79 driven frames three are limited: 0.6 + 0.9, 0.6 + 0.9 * 17 / 22, 0.6 + 0.9 * 12 / 22
+    (note,) = imported.notes
+    assert note.startswith("In 3.8 % of the pattern the drives of overlapping events add up to more than 1")
+
+
+def test_what_overlaps_lose_and_what_is_not_used_is_noted(tmp_path: Path) -> None:
+    dull, sharp = (
+        event("HapticContinuous", start, 0.1, HapticIntensity=0.4, HapticSharpness=value)
+        for start, value in ((0, 0), (0.05, 1))
+    )
+    path = written(tmp_path / "a.ahap", {"Pattern": [dull, sharp]})
+    (note,) = read_ahap(path).notes
+    assert "overlapping events differ in sharpness" in note and note.startswith("In 37.5 %")  # 6 of 16
+    decaying = event("HapticContinuous", 0, 0.1, DecayTime=0.1)
+    tap = event("HapticTransient", 0.5, AttackTime=0.5, Flavour=1)
+    slow = curve("HapticAttackTimeControl", 0, (0, 1))
+    document = {"Pattern": [decaying, tap, slow, {"Smell": 1}], "Colour": 1}
+    (note,) = read_ahap(written(tmp_path / "b.ahap", document)).notes
+    assert note.startswith("Not used: ")
+    for name in (
+        "Colour", "Pattern[].Smell", "DecayTime of HapticContinuous", "AttackTime of HapticTransient",
+        "Flavour of HapticTransient", "HapticAttackTimeControl",
+    ):  # fmt: skip
+        assert name in note
+
+
+@given(effect=effects())
+def test_an_exported_pattern_returns(tmp_path_factory: pytest.TempPathFactory, effect: ArrayEffect) -> None:
+    drives = np.maximum(effect.drives, np.float32(0.01))  # without taps, which become transients
+    path, count = tmp_path_factory.mktemp("ahap") / "a.ahap", len(effect)
+    write_ahap(path, ArrayEffect(effect.rate_hz, drives, effect.frequencies_hz))
+    found = read_ahap(path, effect.rate_hz).effect
+    flat = drives.reshape(count, -1)
+    assert found.drives[:count, 0, 0] == pytest.approx(flat.max(axis=1), abs=2e-4)
+    assert not found.drives[max(count, 2) :].any()
+    if effect.frequencies_hz is not None and found.frequencies_hz is not None:
+        hertz = effect.frequencies_hz.reshape(count, -1)[np.arange(count), flat.argmax(axis=1)]
+        low, high = SHARPNESS_HZ
+        expected = np.clip(hertz, low, high)[hertz > 0]
+        assert found.frequencies_hz[:count, 0, 0][hertz > 0] == pytest.approx(
+            expected, abs=2e-4 * (high - low)
+        )
+
+
 def test_sounds_are_ignored(tmp_path: Path) -> None:
     sound, touch = event("AudioContinuous", 0, 1.0), event("HapticTransient", 0.0)
     result = read_ahap(
@@ -178,11 +245,6 @@ FULL = {
     ],
 }
 VALUES = st.sampled_from([None, True, -1, 0, 0.5, 1e308, 10**30, "", "HapticTransient", [], {}, [{}]])
-
-
-def key_paths(node: Any, prefix: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    keys = list(node) if isinstance(node, dict) else list(range(len(node))) if isinstance(node, list) else []
-    return [path for key in keys for path in ((*prefix, key), *key_paths(node[key], (*prefix, key)))]
 
 
 @given(keys=st.sampled_from(key_paths(FULL)), value=VALUES)

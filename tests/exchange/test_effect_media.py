@@ -136,6 +136,8 @@ def test_overlapping_drives_add_and_the_stronger_sets_the_frequency() -> None:
     assert total.frequencies_hz.tolist() == [10.0, 20.0, 30.0, 40.0], "of equal ones that which was there"
     total.add(Drive(np.array([0.5]), np.array([50.0])), slice(3, 4))
     assert total.frequencies_hz[3] == 50.0
+    total.add(Drive(np.array([0.6]), np.array([60.0])), slice(3, 4))  # less than the sum, more than each
+    assert total.frequencies_hz[3] == 60.0 and total.amplitudes[3] == pytest.approx(1.5)
 
 
 def test_device_of_an_effect_is_a_profile_if_it_fits() -> None:

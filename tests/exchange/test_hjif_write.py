@@ -272,3 +272,57 @@ def test_schemas_refuse_invalid_documents(tmp_path: Path, shared_data: Path) -> 
         "relative_position"
     ] = 0.5
     assert len(schema_errors(document, shared_data / "hjif_schemas")) == 1
+
+
+# -- arrays whose force and vibration differ ----------------------------------------------------------------
+
+
+@given(effect=effects(), seed=st.integers(0, 2**32 - 1), force_max_n=st.sampled_from([0.01, 1.0, 3.3, 40.0]))
+def test_force_and_vibration_return_apart(
+    tmp_path_factory: pytest.TempPathFactory, effect: ArrayEffect, seed: int, force_max_n: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    forces = (rng.random(effect.drives.shape) * (rng.random(effect.drives.shape) < 0.7)).astype(np.float32)
+    forces[0, 0, 0] = 0.5
+    both = ArrayEffect.from_parts(effect.rate_hz, forces, effect.drives, effect.frequencies_hz)
+    path = tmp_path_factory.mktemp("parts") / "a.hjif"
+    write_hjif_array(path, both, force_max_n=force_max_n)
+    check_reference_rules(load(path))
+    imported = read_hjif_array(path, effect.rate_hz)
+    assert imported.force_max_n == pytest.approx(force_max_n) and imported.effect.parts is not None
+    on_ticks = np.isclose(
+        1000 * np.arange(len(effect)) / effect.rate_hz % 1, 0
+    )  # others are between two ticks
+    for found, part in zip(imported.effect.parts, (forces, effect.drives)):
+        assert found[: len(part)][on_ticks] == pytest.approx(part[on_ticks], abs=1.01 * AMPLITUDE_STEP)
+    known = effect.drives[on_ticks] > 1.1 * AMPLITUDE_STEP
+    if effect.frequencies_hz is not None and known.any():
+        assert imported.effect.frequencies_hz is not None
+        found_hz = imported.effect.frequencies_hz[: len(effect)][on_ticks][known]
+        stated = effect.frequencies_hz[on_ticks][known]
+        assert found_hz[stated > 0] == pytest.approx(np.maximum(stated[stated > 0], 1), abs=1.01)
+
+
+def test_parts_that_last_longer_than_a_curve_are_refused(tmp_path: Path) -> None:
+    forces = np.random.default_rng(3).random((67, 1, 2)).astype(np.float32)
+    effect = ArrayEffect.from_parts(1.0, forces, np.float32(0.5) * forces[::-1], None)
+    with pytest.raises(InvalidArgument, match=r"66 s; expected at most 65\.535 s"):
+        write_hjif_array(tmp_path / "a.hjif", effect)
+    fits = ArrayEffect.from_parts(1.0, forces[:66], forces[:66] * 0, None)
+    write_hjif_array(tmp_path / "a.hjif", fits, force_max_n=2.0)
+    check_reference_rules(load(tmp_path / "a.hjif"))
+
+
+@pytest.mark.shared
+def test_two_perceptions_are_valid(tmp_path: Path, shared_data: Path) -> None:
+    drives = np.random.default_rng(5).random((4, 5, 4)).astype(np.float32)
+    effect = ArrayEffect.from_parts(20.0, drives, drives * np.float32(0.1), np.full_like(drives, 200))
+    write_hjif_array(tmp_path / "a.hjif", effect, "tactsuit-x40", force_max_n=3.3)
+    assert schema_errors(load(tmp_path / "a.hjif"), shared_data / "hjif_schemas") == []
+
+
+def test_parts_that_do_not_make_the_drives_are_refused() -> None:
+    half = np.full((2, 1, 1), 0.5, np.float32)
+    for parts in ((half, half * 2), (half * 0, half * 0), (half[:1], half), (half, half.astype(float))):
+        with pytest.raises(InvalidArgument, match="parts"):
+            ArrayEffect(1.0, half, None, parts)  # type: ignore[arg-type]

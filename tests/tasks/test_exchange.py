@@ -33,6 +33,7 @@ from touchfield.exchange.symbolic import DEFAULT_CARRIER_HZ
 from touchfield.filters.device_spec import device_grid
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.grid import Placement
+from touchfield.medium.medium import VibrationFrame
 from touchfield.pipeline import encode
 from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.encoding import encode_prepared
@@ -287,6 +288,60 @@ def test_effects_are_imported_as_streams(tmp_path: Path) -> None:
     with open_file(tmp_path / "t.touch") as opened:
         assert (opened.summary()["grid_shape"], opened.summary()["rate_hz"]) == ([1, 1, 1], 200)
         assert [opened.medium[i].support_count for i in (19, 20)] == [0, 1]
+
+
+@pytest.mark.parametrize(("suffix", "step"), [(".tact", 0.00501), (".haptic", 1.01e-4)])
+def test_a_pattern_of_a_vendor_is_exported_and_imported(tmp_path: Path, suffix: str, step: float) -> None:
+    path, drives = vest_stream(tmp_path / "a.touch")
+    export(path, tmp_path / f"a{suffix}")
+    done = import_effect(tmp_path / f"a{suffix}", tmp_path / "b.touch", FINE, rate_hz=20.0)
+    is_vest = suffix == ".tact"
+    assert done.prepared.device.name == ("tactsuit-x40" if is_vest else "array-1x1")
+    expected = drives if is_vest else drives.max(axis=(1, 2))[:, None, None]
+    with open_file(tmp_path / "b.touch") as opened:
+        assert len(opened.medium) == len(drives)
+        for field, drive in zip(opened.medium, expected, strict=True):
+            found = field.to_dense()[:, ::-1, 0, 2].T / opened.summary()["force_max_n"]
+            assert (np.abs(found - drive) <= step + 2.1 * K * drive + 1e-4).all()  # coded twice
+
+
+def vibrating_stream(path: Path, share: float) -> Path:
+    """A vest whose vibration, 90 to 170 Hz, is a fraction of its force."""
+    vest = replace(device("tactsuit-x40"), panels=1)
+    grid = device_grid(vest)
+    forces = np.zeros((*vest.lattice, 3), np.float32)
+    forces[..., 2] = np.linspace(0.3, 3.2, 20).reshape(4, 5, 1)
+    field = ForceField.from_dense(grid, forces)
+    positions = np.argwhere(forces[..., 2] > 0).astype(np.int32)
+    amplitudes_n = forces[..., 2].reshape(-1) * np.float32(share)
+    hertz = np.linspace(90, 170, 20).round().astype(np.float32)
+    medium = HapticMedium.from_frames([field] * 2, 20.0)
+    medium = replace(medium, vibration=lambda _: VibrationFrame(grid, positions, amplitudes_n, hertz))
+    return stream(path, medium, "tactsuit-x40")
+
+
+@pytest.mark.parametrize("share", [0.1, 1.0, 2.0])
+def test_force_and_vibration_return_as_they_were(tmp_path: Path, share: float) -> None:
+    path = vibrating_stream(tmp_path / "a.touch", share)
+    done = export(path, tmp_path / "a.hjif")
+    assert any("two perceptions" in note for note in done.notes) == (share != 1)
+    import_effect(tmp_path / "a.hjif", tmp_path / "b.touch", FINE, rate_hz=20.0)
+    with open_file(path) as before, open_file(tmp_path / "b.touch") as after:
+        assert after.summary()["force_max_n"] == before.summary()["force_max_n"]
+        forces_n, found_n = (opened.medium[0].to_dense()[..., 2] for opened in (before, after))
+        assert found_n == pytest.approx(forces_n, rel=2 * K, abs=1e-3)
+        bands = [opened.medium.vibration for opened in (before, after)]
+        assert bands[0] is not None and bands[1] is not None
+        vibration, found = bands[0](0), bands[1](0)
+        assert found.positions.tolist() == vibration.positions.tolist()
+        # two codings, half a step each where the force is the vibration; else the very same step
+        tolerance = 2 * MAX_RELATIVE_ERROR if share == 1 else 1e-3
+        limit_n = np.minimum(vibration.amplitudes_n, before.summary()["force_max_n"])
+        assert found.amplitudes_n == pytest.approx(limit_n, rel=max(tolerance, 0.07 * (share > 1)))
+        assert found.frequencies_hz.tolist() == vibration.frequencies_hz.tolist()
+    for suffix in (".wav", ".haptic", ".ahap", ".tact"):  # which have one signal
+        notes = export(path, tmp_path / f"a{suffix}").notes
+        assert any("become one drive" in note for note in notes) == (share != 1)
 
 
 def test_an_exported_force_is_imported_as_one_actuator(tmp_path: Path) -> None:

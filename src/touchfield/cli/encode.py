@@ -267,7 +267,9 @@ def export(
 
 @command("Make", "import effect.hjif effect.touch", name="import")
 def import_(
-    effect: Annotated[Path, "EFFECT.hjif, its binary form EFFECT.hmpg, or EFFECT.ahap."],
+    effect: Annotated[
+        Path, "EFFECT.hjif, its binary form .hmpg, .ahap (Apple), .haptic (Meta) or .tact (bHaptics)."
+    ],
     out: Annotated[Path, "The .touch file to write."],
     rate_hz: Annotated[float, "Frames a second of the medium."] = 100.0,
     force_max_n: Annotated[float | None, "Force of a full drive; default: the file's, or 3.3."] = None,

@@ -4,7 +4,9 @@ of actuators, or to a force over time.
 An array is made from the channels of the first perception in `MODALITIES`. A channel drives the actuators
 that it targets; one without targets drives all of its array, and if no channel states an array, the channels
 form a row. Body parts are placed side by side, in order of appearance. Where several channels overlap, their
-amplitudes are added, up to 1, and the frequency is that of the strongest.
+amplitudes are added, up to 1, and the frequency is that of the strongest. If another perception has a force
+along the normal of each actuator of this array, the effect has both parts, and the force of a full drive is
+the greatest gain of the force.
 
 Drives are sampled at the frames of a rate and are linear between frames, so that faster changes are smoothed.
 
@@ -72,28 +74,65 @@ def read_hjif_array(path: str | Path, rate_hz: float = DEFAULT_RATE_HZ) -> Impor
             "one of " + ", ".join(MODALITIES),
         )
     perception = next((candidate for candidate in supported if candidate.modality != "Other"), supported[0])
-    notes = _notes(document, perception)
-    frames = _frames(document, perception, rate_hz)
+    normal = _normal_force(document, perception)
+    used = (perception,) if normal is None else (perception, normal)
+    notes = _notes(document, used)
+    frames = max(_frames(document, item, rate_hz) for item in used)
     if perception.modality == "Force" and any(channel.direction for channel in perception.channels):
         return _magnitude(document, perception, frames, rate_hz, notes)
-    cells, rows, columns, parts = _cells(perception, frames)
+    _, rows, columns, parts = _cells(perception, frames)
     if parts > 1:
         notes += (f"Its {parts} body parts are placed side by side.",)
-    total, strongest, hertz = (np.zeros((rows * columns, frames), np.float32) for _ in range(3))
-    for channel, indices in zip(perception.channels, cells):
-        drive = drive_of(channel.bands, frames, document.timescale / rate_hz, document.timescale)
-        amplitudes = np.minimum(drive.amplitudes * channel.gain, 1).astype(np.float32)
-        stronger = amplitudes > strongest[indices]
-        hertz[indices] = np.where(stronger, drive.frequencies_hz.astype(np.float32), hertz[indices])
-        strongest[indices] = np.maximum(strongest[indices], amplitudes)
-        total[indices] = np.minimum(total[indices] + amplitudes, 1)
+    total, strongest, hertz = _actuators(document, perception, frames, rate_hz)
     unknown = (strongest > 0) & (hertz == 0)
     if unknown.any():
         percent = 100 * float(unknown.sum() / (strongest > 0).sum())
         notes += (f"{percent:.3g} % of the signal has no frequency of its own, and is played at a device's.",)
     drives, frequencies = (_images(values, rows, columns) for values in (total, hertz))
-    effect = ArrayEffect(float(rate_hz), drives, frequencies if frequencies.any() else None)
-    return ImportedEffect(effect, perception.device_name, notes=notes)
+    known_hz = frequencies if frequencies.any() else None
+    if normal is None:
+        effect = ArrayEffect(float(rate_hz), drives, known_hz)
+        return ImportedEffect(effect, perception.device_name, notes=notes)
+    full_n = max(channel.gain for channel in normal.channels)
+    forces, _, _ = _actuators(document, normal, frames, rate_hz, full_n)
+    effect = ArrayEffect.from_parts(float(rate_hz), _images(forces, rows, columns), drives, known_hz)
+    return ImportedEffect(effect, perception.device_name, full_n * 10.0**normal.unit_exponent, notes)
+
+
+def _normal_force(document: Hjif, perception: Perception) -> Perception | None:
+    """Return the perception of forces along the normals of the actuators of another one, or None."""
+    layout = [(channel.body, channel.resolution, channel.targets) for channel in perception.channels]
+    for other in document.perceptions:
+        if other is perception or other.modality != "Force" or perception.modality == "Force":
+            continue
+        is_normal = all(
+            channel.direction is not None and channel.direction[:2] == (0, 0) and channel.direction[2] > 0
+            for channel in other.channels
+        )
+        same = [(channel.body, channel.resolution, channel.targets) for channel in other.channels] == layout
+        greatest = max((channel.gain for channel in other.channels), default=0.0)
+        if is_normal and same and 0 < greatest * 10.0**other.unit_exponent <= 1e6:
+            return other
+    return None
+
+
+def _actuators(
+    document: Hjif, perception: Perception, frames: int, rate_hz: float, full_gain: float = 1.0
+) -> tuple[Float32s, Float32s, Float32s]:
+    """Return sums, strongest amplitudes, frequencies: float32 [actuators from the lower left, frames] each.
+
+    Amplitudes are fractions of `full_gain`, up to 1.
+    """
+    cells, rows, columns, _ = _cells(perception, frames)
+    total, strongest, hertz = (np.zeros((rows * columns, frames), np.float32) for _ in range(3))
+    for channel, indices in zip(perception.channels, cells):
+        drive = drive_of(channel.bands, frames, document.timescale / rate_hz, document.timescale)
+        amplitudes = np.minimum(drive.amplitudes * (channel.gain / full_gain), 1).astype(np.float32)
+        stronger = amplitudes > strongest[indices]
+        hertz[indices] = np.where(stronger, drive.frequencies_hz.astype(np.float32), hertz[indices])
+        strongest[indices] = np.maximum(strongest[indices], amplitudes)
+        total[indices] = np.minimum(total[indices] + amplitudes, 1)
+    return total, strongest, hertz
 
 
 def force_n(perception: Perception, ticks: Float64s) -> Float64s:
@@ -134,14 +173,14 @@ def _magnitude(
     return ImportedEffect(ArrayEffect(float(rate_hz), drives), perception.device_name, greatest_n, notes)
 
 
-def _notes(document: Hjif, perception: Perception) -> tuple[str, ...]:
-    omitted = [other.modality for other in document.perceptions if other is not perception]
+def _notes(document: Hjif, used: tuple[Perception, ...]) -> tuple[str, ...]:
+    omitted = [other.modality for other in document.perceptions if not any(other is item for item in used)]
     notes = (
         (f"Left out: {len(omitted)} other perceptions ({', '.join(sorted(set(omitted)))}).",)
         if omitted
         else ()
     )
-    if perception.modality == "Other":
+    if used[0].modality == "Other":
         notes = (*notes, 'Its perception is of type "Other", without a unit: it is read as a vibration.')
     return notes
 

@@ -17,6 +17,10 @@ reference decoder uses the latest effect that has started, so that nothing is pl
 columns from the left and rows from below (`Y` is "up" in the schema of vectors); the channels are in order of
 rows from the top.
 
+**An array with parts**, a force and a vibration of its own, has two perceptions: the vibration as above, and
+the force in newtons along the array's normal, with one Curve for each actuator and the force of a full drive
+as gain. It may last up to 65535 ticks, since a Curve has one effect.
+
 **A force** is a perception with three channels, along x, y and z, each with one Curve, linear between
 keyframes. The gain of a channel is its largest force: F = amplitude * gain newtons. The binary form quantises
 an amplitude in steps of 2/255, so that the error is relative to the largest force of the axis, and an axis
@@ -68,11 +72,13 @@ def write_hjif_array(
     *,
     panel: str = "front",
     description: str = "",
+    force_max_n: float = 1.0,
 ) -> None:
     """Write the drives of an array as ``.hjif``.
 
     Raises InvalidArgument if the array has more than 127 columns or rows, there is no such panel, or a frame
-    takes less than one tick of a millisecond or more than 65535; SourceError if the file cannot be written.
+    takes less than one tick of a millisecond or more than 65535, or an effect with parts takes more than
+    65535; SourceError if the file cannot be written.
 
     Parameters
     ----------
@@ -85,6 +91,8 @@ def write_hjif_array(
     panel : str
         "front" or "back" of the chest.
     description : str
+    force_max_n : float
+        Force of a full drive, newtons; used for an effect with parts.
     """
     columns, rows, _ = effect.lattice
     if max(columns, rows) > MAX_VECTOR:
@@ -99,32 +107,42 @@ def write_hjif_array(
             "array", found, f"1 to {MAX_SPAN_TICKS} ticks to a frame, of a millisecond each"
         )
     ticks = np.round(np.arange(max(len(effect), 2)) * gap).astype(np.int64)
+    if effect.parts is not None and ticks[-1] > MAX_SPAN_TICKS:
+        found = f"a force and a vibration of {ticks[-1] / DEFAULT_TIMESCALE:g} s"
+        raise InvalidArgument("array", found, f"at most {MAX_SPAN_TICKS / DEFAULT_TIMESCALE:g} s")
     side, mask = _PANELS[panel]
 
-    def channels() -> Iterator[dict[str, Any]]:
+    size = f"{columns} x {rows} actuators"
+
+    def channels(is_force: bool) -> Iterator[dict[str, Any]]:
+        force_part, vibration_part = effect.parts or (effect.drives, effect.drives)
         for row, column in np.ndindex(rows, columns):
             hertz = None if effect.frequencies_hz is None else effect.frequencies_hz[:, row, column]
-            drives = effect.drives[:, row, column]
+            drives = (force_part if is_force else vibration_part)[:, row, column]
+            normal = {"direction": {"X": 0, "Y": 0, "Z": MAX_VECTOR}} if is_force else {}
             yield {
                 "description": f"row {row + 1} from the top, column {column + 1} from the left",
-                "gain": 1.0,
+                "gain": force_max_n if is_force else 1.0,
                 "mixing_coefficient": 1.0,
                 "body_part_mask": mask,
                 "actuator_resolution": {"X": columns, "Y": rows, "Z": 1},
                 "body_part_target": ["Chest", side],
                 "actuator_target": [{"X": column, "Y": rows - 1 - row, "Z": 0}],
-                "bands": [_wave(ticks, drives, filled_hz(drives, hertz))],
+                **normal,
+                "bands": [
+                    _force_curve(ticks, drives)
+                    if is_force
+                    else _wave(ticks, drives, filled_hz(drives, hertz))
+                ],
             }
 
-    size = f"{columns} x {rows} actuators"
+    perceptions = [("Vibrotactile", f"{size}, {panel} of the chest", channels(is_force=False))]
+    if effect.parts is not None:
+        require_up_to(_MAX_FORCE_N, force_max_n=force_max_n)
+        text = f"force along the normal of {size}, {panel} of the chest, newtons"
+        perceptions.append(("Force", text, channels(is_force=True)))
     _write(
-        path,
-        description or f"array of {size}",
-        DEFAULT_TIMESCALE,
-        ("Vibrotactile", f"{size}, {panel} of the chest"),
-        device_name,
-        channels(),
-        columns * rows,
+        path, description or f"array of {size}", DEFAULT_TIMESCALE, perceptions, device_name, columns * rows
     )
 
 
@@ -169,24 +187,21 @@ def write_hjif_force(
         }
         for axis, name in enumerate("XYZ")
     ]
-    perception = "Force", f"force at a point, in units of {full_scale_n:g} N"
-    _write(
-        path, description or "force over time", timescale, perception, device_name, channels, len(channels)
-    )
+    perception = "Force", f"force at a point, in units of {full_scale_n:g} N", channels
+    _write(path, description or "force over time", timescale, [perception], device_name, len(channels))
 
 
 def _write(
     path: str | Path,
     description: str,
     timescale: int,
-    perception: tuple[str, str],
+    perceptions: Sequence[tuple[str, str, Iterable[dict[str, Any]]]],
     device_name: str,
-    channels: Iterable[dict[str, Any]],
     channel_count: int,
 ) -> None:
-    """Write one perception (modality, description), a channel at a time.
+    """Write perceptions (modality, description, channels), a channel at a time.
 
-    An array may be too large to be in memory as JSON at once.
+    An array may be too large to be in memory as JSON at once. `channel_count` is that of one perception.
     """
     root: dict[str, Any] = {
         "version": "2023",
@@ -198,19 +213,20 @@ def _write(
         "avatars": [],
         "syncs": [],
     }
-    modality, perception_text = perception
     devices = {"reference_devices": [{"id": 1, "name": device_name}]} if device_name else {}
-    perception_fields = {
-        "id": 0, "avatar_id": 0, "unit_exponent": -3, "perception_unit_exponent": 0,
-        "perception_modality": modality, "description": perception_text, **devices, "effect_library": [],
-    }  # fmt: skip
     device = {"reference_device_id": 1} if device_name else {}
     with atomic_path(Path(path)) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         file.write(json.dumps(root)[:-1] + ', "perceptions": [')
-        file.write(json.dumps(perception_fields)[:-1] + ', "channels": [')
-        for n, channel in enumerate(channels):
-            file.write(("" if n == 0 else ",") + "\n" + json.dumps({"id": n, **device, **channel}))
-        file.write("]}]}\n")
+        for index, (modality, text, channels) in enumerate(perceptions):
+            fields = {
+                "id": index, "avatar_id": 0, "unit_exponent": -3, "perception_unit_exponent": 0,
+                "perception_modality": modality, "description": text, **devices, "effect_library": [],
+            }  # fmt: skip
+            file.write((",\n" if index else "") + json.dumps(fields)[:-1] + ', "channels": [')
+            for n, channel in enumerate(channels):
+                file.write(("" if n == 0 else ",") + "\n" + json.dumps({"id": n, **device, **channel}))
+            file.write("]}")
+        file.write("]}\n")
 
 
 def _wave(ticks: Int64s, drives: Float32s, hertz: Float32s) -> dict[str, Any]:
@@ -258,22 +274,38 @@ def _effect(position: int, phase: float, keyframes: list[dict[str, Any]]) -> dic
 
 def _curve(values: Float64s, timescale: int) -> dict[str, Any]:
     """Return the Curve of one axis, from one value a tick."""
-    amplitudes = np.round(values, _DIGITS)
-    indices = keyframe_indices(np.arange(len(values)), amplitudes[:, None], (AMPLITUDE_STEP / 2,))
-    line = list(zip(indices.tolist(), amplitudes[indices].tolist()))
+    effect = _curve_effect(np.arange(len(values)), np.round(values, _DIGITS))
+    return _curve_band(effect, max(1, min(timescale // 2, int(MAX_FREQUENCY_HZ))))
+
+
+def _force_curve(ticks: Int64s, drives: Float32s) -> dict[str, Any]:
+    """Return the Curve of one actuator."""
+    samples: Float64s = np.broadcast_to(np.round(drives.astype(np.float64), _DIGITS), len(ticks))
+    return _curve_band(_curve_effect(ticks, samples), DEFAULT_TIMESCALE // 2)
+
+
+def _curve_band(effect: dict[str, Any], limit_hz: int) -> dict[str, Any]:
+    return {
+        "band_type": "Curve",
+        "curve_type": "Linear",
+        "lower_frequency_limit": 0,
+        "upper_frequency_limit": limit_hz,
+        "effects": [effect],
+    }
+
+
+def _curve_effect(ticks: Int64s, amplitudes: Float64s) -> dict[str, Any]:
+    """Return the effect of a Curve, of three keyframes or more, from rounded amplitudes at ticks."""
+    indices = keyframe_indices(ticks, amplitudes[:, None], (AMPLITUDE_STEP / 2,))
+    line = list(zip((ticks[indices] - ticks[0]).tolist(), amplitudes[indices].tolist()))
     if len(line) == 2 and line[1][0] > 1:
         # the reference decoder fails on a Curve of two keyframes: add one on the line, not rounded
         middle, rise = line[1][0] // 2, line[1][1] - line[0][1]
         line.insert(1, (middle, line[0][1] + rise * middle / line[1][0]))
     # too short to be divided: repeat the last keyframe
     line += [(line[-1][0] + n, line[-1][1]) for n in range(1, 4 - len(line))]
-    return {
-        "band_type": "Curve",
-        "curve_type": "Linear",
-        "lower_frequency_limit": 0,
-        "upper_frequency_limit": max(1, min(timescale // 2, int(MAX_FREQUENCY_HZ))),
-        "effects": [_effect(0, 0.0, [{"relative_position": t, "amplitude_modulation": a} for t, a in line])],
-    }
+    keyframes = [{"relative_position": tick, "amplitude_modulation": value} for tick, value in line]
+    return _effect(int(ticks[0]), 0.0, keyframes)
 
 
 def keyframe_indices(ticks: Int64s, values: Float64s, tolerances: Sequence[float]) -> Int64s:

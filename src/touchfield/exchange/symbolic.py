@@ -7,12 +7,13 @@ read into and written from `ArrayEffect`, the intermediate form between files an
 An actuator has one drive. As in `touchfield.pipeline.array_medium`, it is the greater of |F| and the
 amplitude of the vibration, divided by the force that drives an actuator fully. A medium made from an effect
 therefore contains the drive twice: as the force along the array's normal, for programs that use only forces,
-and as the vibration's amplitude, with the frequency.
+and as the vibration's amplitude, with the frequency. A format that stores the two apart (HJIF) restores them
+apart (`ArrayEffect.parts`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -73,11 +74,15 @@ class ArrayEffect:
         0 to 1; row 0 is the top one, column 0 the left one, as one looks at the array.
     frequencies_hz : float32 [frames, rows, columns] or None
         0 where unknown; None if all are unknown.
+    parts : two float32 [frames, rows, columns] or None
+        The force and the amplitude of the vibration, of which a drive is the greater, 0 to 1; None if a drive
+        stands for both.
     """
 
     rate_hz: float
     drives: Float32s
     frequencies_hz: Float32s | None = None
+    parts: tuple[Float32s, Float32s] | None = None
 
     def __post_init__(self) -> None:
         drives, frequencies = self.drives, self.frequencies_hz
@@ -89,6 +94,8 @@ class ArrayEffect:
         if not ((drives >= 0).all() and (drives <= 1).all()):
             raise InvalidArgument("drives", "a number below 0, above 1 or not finite", "0 to 1")
         object.__setattr__(self, "drives", frozen(np.ascontiguousarray(drives)))
+        if self.parts is not None:
+            self._check_parts(*self.parts)
         if frequencies is None:
             return
         if frequencies.dtype != np.float32 or frequencies.shape != drives.shape:
@@ -98,6 +105,29 @@ class ArrayEffect:
         if not ((frequencies >= 0).all() and (frequencies <= MAX_FREQUENCY_HZ).all()):
             raise InvalidArgument("frequencies_hz", "a number out of range", f"0 to {MAX_FREQUENCY_HZ:g} Hz")
         object.__setattr__(self, "frequencies_hz", frozen(np.ascontiguousarray(frequencies)))
+
+    def _check_parts(self, forces: Float32s, vibrations: Float32s) -> None:
+        for part in (forces, vibrations):
+            if part.dtype != np.float32 or part.shape != self.drives.shape:
+                raise InvalidArgument("parts", f"{part.dtype} {part.shape}", f"{self.drives.shape}")
+        if (
+            not (np.maximum(forces, vibrations) == self.drives).all()
+            or min(forces.min(), vibrations.min()) < 0
+        ):
+            raise InvalidArgument(
+                "parts", "parts that do not make the drives", "drives that are the greater part"
+            )
+
+    @classmethod
+    def from_parts(
+        cls, rate_hz: float, forces: Float32s, vibrations: Float32s, frequencies_hz: Float32s | None
+    ) -> ArrayEffect:
+        """Return the effect of forces and of amplitudes of vibration, 0 to 1.
+
+        Both are float32 [frames, rows, columns]. Raises InvalidArgument as the class does.
+        """
+        drives = np.maximum(forces, vibrations)
+        return cls(rate_hz, drives, frequencies_hz, (forces, vibrations))
 
     def __len__(self) -> int:
         return len(self.drives)
@@ -125,10 +155,17 @@ class ImportedEffect:
 
 @dataclass
 class Drive:
-    """Amplitudes and frequencies (0: unknown) over the frames, float64 [frames] each."""
+    """Amplitudes and frequencies (0: unknown) over the frames, float64 [frames] each.
+
+    `strongest` is the amplitude of the drive that has set the frequency.
+    """
 
     amplitudes: Float64s
     frequencies_hz: Float64s
+    strongest: Float64s = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self.strongest = self.amplitudes.copy()
 
     @classmethod
     def silent(cls, frames: int) -> Drive:
@@ -136,9 +173,10 @@ class Drive:
         return cls(np.zeros(frames), np.zeros(frames))
 
     def add(self, other: Drive, frames: slice = slice(None)) -> None:
-        """Add amplitudes in these frames; the frequency is that of the stronger drive."""
-        stronger = other.amplitudes > self.amplitudes[frames]
+        """Add amplitudes in these frames; the frequency is that of the strongest drive that was added."""
+        stronger = other.amplitudes > self.strongest[frames]
         self.frequencies_hz[frames][stronger] = other.frequencies_hz[stronger]
+        self.strongest[frames][stronger] = other.amplitudes[stronger]
         self.amplitudes[frames] += other.amplitudes
 
 
@@ -204,26 +242,28 @@ def effect_medium(
 ) -> HapticMedium:
     """Convert an effect to a symbolic medium on (columns, rows, 1) samples.
 
-    x is right and y up. The force along z is the drive times `force_max_n`, which drives an actuator fully.
+    x is right and y up. The force along z is the drive times `force_max_n`, which drives an actuator fully;
+    so is the amplitude of the vibration. Of an effect with parts each has its own.
     """
     if grid.shape != effect.lattice:
         raise InvalidArgument("grid", f"{grid.shape}", f"{effect.lattice}, as the effect has it")
     scale = np.float32(force_max_n)
+    force_part, vibration_part = effect.parts or (effect.drives, effect.drives)
 
-    def field(i: int) -> ForceField:
+    def make_field(i: int) -> ForceField:
         forces = np.zeros((*grid.shape, 3), np.float32)
-        forces[:, :, 0, 2] = effect.drives[i][::-1].T * scale
+        forces[:, :, 0, 2] = force_part[i][::-1].T * scale
         return ForceField.from_dense(grid, forces)
 
     def vibration(i: int) -> VibrationFrame:
         assert effect.frequencies_hz is not None
-        hertz, amplitudes_n = effect.frequencies_hz[i][::-1].T, effect.drives[i][::-1].T * scale
+        hertz, amplitudes_n = effect.frequencies_hz[i][::-1].T, vibration_part[i][::-1].T * scale
         driven = np.argwhere((hertz > 0) & (amplitudes_n > 0))
         x, y = driven.T
         positions = np.concatenate([driven, np.zeros((len(driven), 1), np.int64)], axis=1).astype(np.int32)
         return VibrationFrame(grid, positions, amplitudes_n[x, y], hertz[x, y])
 
     return HapticMedium(
-        grid, effect.rate_hz, len(effect), field, axes=UP_Y_AXES, tags=("symbolic",), provenance=provenance,
-        vibration=None if effect.frequencies_hz is None else vibration,
+        grid, effect.rate_hz, len(effect), make_field, axes=UP_Y_AXES, tags=("symbolic",),
+        provenance=provenance, vibration=None if effect.frequencies_hz is None else vibration,
     )  # fmt: skip

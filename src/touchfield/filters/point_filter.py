@@ -33,13 +33,15 @@ def point_frames(scene: Scene, mapping: DeviceFilter) -> Callable[[int], ForceFi
     # finer than the device's lattice, and reaching beyond the workspace
     margin = math.ceil(2 * low_pass(spec.low_pass).half_width * factor) + 1
     fine = grid.refined(factor).padded((margin, margin, margin))
-    requested = placement.to_scene(fine)
+    requested, lattice = placement.to_scene(fine), placement.to_scene(grid)
     force_max_n = mapping.device.force_max_n
+    scene.set_lattice(lattice, force_max_n)  # also for the notes of the source
     floor_n = force_max_n * spec.force_floor_share
     latest: tuple[ForceField, ForceField] | None = None
 
     def frame(i: int) -> ForceField:
         nonlocal latest
+        scene.set_lattice(lattice, force_max_n)  # the scene may serve several media in turn
         source, last = scene.field(i, requested, law), latest
         if last is None or last[0] is not source:
             resampled = resample(source.on_grid(fine), grid, spec.low_pass)

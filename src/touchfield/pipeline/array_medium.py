@@ -58,14 +58,21 @@ class Drives:
 
     def drives(self, frame: int) -> Float32s:
         """Drives of one frame, 0 to 1, float32 [panels, rows, columns] from the top left."""
+        return np.maximum(*self.parts(frame))
+
+    def parts(self, frame: int) -> tuple[Float32s, Float32s]:
+        """The force and the amplitude of the vibration of one frame, each like `drives`."""
         support = self.medium[frame].support()
-        image_n = np.zeros(self._shape[:0:-1], np.float32)
-        image_n[support.positions[:, 0], support.positions[:, 1]] = support.amplitudes_n
-        band = self.medium.vibration
-        if band is not None:
-            vibration = band(frame)
+        forces_n = np.zeros(self._shape[:0:-1], np.float32)
+        forces_n[support.positions[:, 0], support.positions[:, 1]] = support.amplitudes_n
+        vibrations_n = np.zeros_like(forces_n)
+        if self.medium.vibration is not None:
+            vibration = self.medium.vibration(frame)
             columns_rows = (vibration.positions[:, 0], vibration.positions[:, 1])
-            image_n[columns_rows] = np.maximum(image_n[columns_rows], vibration.amplitudes_n)
+            vibrations_n[columns_rows] = vibration.amplitudes_n
+        return self._fraction(forces_n), self._fraction(vibrations_n)
+
+    def _fraction(self, image_n: Float32s) -> Float32s:
         with np.errstate(over="ignore"):  # the F_max of a stream may be tiny
             fraction = np.minimum(image_n.astype(np.float64) / self.force_max_n, 1.0)
         return self._on_panel(fraction.astype(np.float32))

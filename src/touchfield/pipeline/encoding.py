@@ -121,6 +121,7 @@ def encode(
         path = worker_path(source)
         supported, notes = encode_with_workers(local_path, path, prepared, provenance, executor, report)
         size, bound = local_path.stat().st_size, file_error_bound(local_path)
+        notes += decoded_notes(prepared, local_path)
         encoded = Encoded(prepared, size, 0.0, supported, notes, bound=bound)
     encoded = replace(encoded, encode_s=time.perf_counter() - start_s)
     if send is not None:
@@ -146,6 +147,7 @@ def encode_prepared(
         else:
             supported, notes = write_voxels(writer, prepared, provenance, report)
     size, bound = Path(out).stat().st_size, file_error_bound(out)
+    notes += decoded_notes(prepared, out)
     return Encoded(prepared, size, time.perf_counter() - start_s, supported, notes, bound=bound)
 
 
@@ -177,6 +179,15 @@ def record_of(coded: CodedObject) -> ObjectRecord:
     values, grid = {**vars(coded), "is_deforming": int(coded.is_deforming)}, coded.grid
     del values["grid"]
     return ObjectRecord(grid_shape=grid.shape, spacing_m=grid.spacing_m, origin_m=grid.origin_m, **values)
+
+
+def decoded_notes(prepared: Prepared, path: str | Path) -> tuple[str, ...]:
+    """Notes of the source on a written file (`Scene.decoded_notes`); none for an array of actuators."""
+    source, to_hand = prepared.source, prepared.placement.to_hand
+    if source is None or prepared.device.is_array or not source.has_decoded_notes:
+        return ()
+    with open_file(path) as opened:
+        return source.decoded_notes(opened.medium[0], to_hand, prepared.device.force_max_n)
 
 
 def file_error_bound(path: str | Path) -> dict[str, Any]:

@@ -88,6 +88,7 @@ class Scene(ABC):
     exaggeration : float; Factor already applied to the heights (z) of a height map.
     is_captured : bool; Frames are captured when they are requested (`touchfield.sources.depth.capture`).
     stored : HapticMedium or None; The stored force field of the scene; None if the forces are computed.
+    has_decoded_notes : bool; The scene compares a written file with what it was made of (`decoded_notes`).
     has_gpu : bool; Forces are computed on a GPU if one is selected (`touchfield.compute.cuda.computing`).
     report : callable; ``report(done, total)`` is called while the scene prepares its first field; callers may
         set it.
@@ -106,6 +107,7 @@ class Scene(ABC):
     tags: tuple[str, ...] = ("direct",)
     is_captured: bool = False
     stored: HapticMedium | None = None
+    has_decoded_notes: bool = False
     has_gpu: bool = False
     report: Progress = staticmethod(silent)
 
@@ -147,6 +149,25 @@ class Scene(ABC):
 
         A fused scene, for example, is then built from these frames.
         """
+
+    def set_lattice(  # noqa: B027  (most scenes are the same on any lattice)
+        self, grid: Grid, force_max_n: float
+    ) -> None:
+        """Take notice of the medium's lattice, scene metres, before fields are computed for it.
+
+        Forces above `force_max_n` are clipped at the samples of the lattice. Fields may be requested on finer
+        lattices than that. By default nothing changes.
+        """
+
+    def decoded_notes(
+        self, field: ForceField, to_hand: Callable[[Float64s], Float64s], force_max_n: float
+    ) -> tuple[str, ...]:
+        """Return notes on how well a written file reproduces the source; by default none.
+
+        `field` is the first frame as a receiver decodes it; `to_hand` converts points [n, 3] of the scene to
+        metres of the field; `force_max_n` is the device's greatest force.
+        """
+        return ()
 
     def late_notes(self) -> tuple[str, ...]:
         """Return notes that are known only after fields were computed; by default none."""

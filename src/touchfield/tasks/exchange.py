@@ -6,7 +6,7 @@ Imported effects are symbolic media (paper figure 1).
 stream -> array of actuators -> drives -> .hjif, .tact, .wav, .haptic, .ahap      `export`
 stream + trajectory of a probe -> force over time -> .hjif, .wav                  `export`
 stream -> the page in the browser -> .html                                        `export`
-.hjif, .hmpg, .ahap -> drives -> symbolic medium -> stream                        `import_effect`
+.hjif, .hmpg, .ahap, .haptic, .tact -> drives -> symbolic medium -> stream        `import_effect`
 
 The force over time is that of the field at the probe, at every tick of the file: a thousand per second, or
 fewer for more than 65 s. The probe moves in a straight line from one sample to the next, and waits at the
@@ -36,7 +36,9 @@ from touchfield.exchange.effect_files import (
     write_wav,
     write_wav_array,
 )
+from touchfield.exchange.haptic_read import read_haptic
 from touchfield.exchange.hjif_import import read_hjif_array
+from touchfield.exchange.hjif_read import DEFAULT_TIMESCALE
 from touchfield.exchange.hjif_write import MAX_SPAN_TICKS, write_hjif_array, write_hjif_force
 from touchfield.exchange.symbolic import (
     DEFAULT_RATE_HZ,
@@ -46,10 +48,11 @@ from touchfield.exchange.symbolic import (
     effect_device,
     effect_medium,
 )
+from touchfield.exchange.tact_read import read_tact
 from touchfield.filters.device_spec import device_grid
 from touchfield.medium.trace import HAPTIC_RATE_HZ, Trace, read_trace
 from touchfield.network.opening import open_stream
-from touchfield.pipeline.array_medium import PANELS, array_drives
+from touchfield.pipeline.array_medium import PANELS, Drives, array_drives
 from touchfield.pipeline.encoding import Encoded, encode_prepared
 from touchfield.pipeline.preparation import prepare
 from touchfield.pipeline.provenance import file_provenance
@@ -62,8 +65,19 @@ from touchfield.tasks.view import view
 
 EXPORTS: Final = (".hjif", ".tact", ".wav", ".haptic", ".ahap", ".html")
 _FORCES: Final = (".hjif", ".wav")  # the formats of a force over time
-IMPORTS: Final = (".hjif", ".hmpg", ".ahap")
+_READERS: Final = {
+    ".hjif": read_hjif_array, ".hmpg": read_hjif_array, ".ahap": read_ahap, ".haptic": read_haptic,
+    ".tact": read_tact,
+}  # fmt: skip
+IMPORTS: Final = tuple(_READERS)
 _MAX_SAMPLES: Final = 1 << 23
+_SAME_SIGNAL: Final = 0.25
+_SAME_SIGNAL_FLOOR: Final = 0.02
+"""A vibration within these of the force, of which an import makes both, is the same signal, coded twice."""
+_PARTS_IN_HJIF: Final = (
+    "The force and the vibration are two perceptions: a reader of vibration alone does not play the force."
+)
+_PARTS_LOST: Final = "The force and the vibration become one drive, the greater of the two."
 _VEST: Final = "tactsuit-x40"
 
 
@@ -122,10 +136,11 @@ def import_effect(
 
     A stream stores the drive as a force, within the error bound of its coder, and as a vibration, with the
     frequency in whole hertz and the drive to within a ninth (`touchfield.codec.vibration`). A receiver
-    renders the greater of the two. `source` is ``.hjif``, ``.hmpg`` (its binary form) or ``.ahap``. Of `spec`
-    the coder, haptic filters, frames and vibration are used; the device is that of the effect. `rate_hz` is
-    the number of frames per second, and `force_max_n` the force of a full drive: None is that of the file, or
-    else 3.3 N. Raises TouchfieldError; no file `out` is then left.
+    renders the greater of the two. `source` is ``.hjif``, ``.hmpg`` (its binary form), ``.ahap`` (Apple),
+    ``.haptic`` (Meta) or ``.tact`` (bHaptics). Of `spec` the coder, haptic filters, frames and vibration are
+    used; the device is that of the effect. `rate_hz` is the number of frames per second, and `force_max_n`
+    the force of a full drive: None is that of the file, or else 3.3 N. Raises TouchfieldError; no file `out`
+    is then left.
     """
     options = spec or EncodeSpec()
     if force_max_n is not None and not 0 < force_max_n <= 1e6:
@@ -133,7 +148,7 @@ def import_effect(
     kind = Path(source).suffix.lower()
     require_ending(source, *IMPORTS)
     require_ending(out, "OUT.touch")
-    pattern = (read_ahap if kind == ".ahap" else read_hjif_array)(source, rate_hz)
+    pattern = _READERS[kind](source, rate_hz)
     full_n = pattern.force_max_n if force_max_n is None else force_max_n
     effect_profile = effect_device(pattern.effect.lattice, pattern.device_name, full_n)
     symbolic = effect_medium(
@@ -164,27 +179,25 @@ def _export_array(
     columns, rows, _ = target.lattice
     checked_frames("stream", len(drives), columns * rows, MAX_MEDIUM_VALUES)
     panel_index = PANELS.index(panel) if target.panels > 1 else 0
-    drive_frames, frequency_frames = np.zeros((len(drives), rows, columns), np.float32), None
-    for i in range(len(drives)):
-        drive_frames[i] = drives.drives(i)[panel_index]
-        frequencies = drives.frequencies(i)
-        if frequencies is not None:
-            frequency_frames = np.zeros_like(drive_frames) if frequency_frames is None else frequency_frames
-            frequency_frames[i] = frequencies[panel_index]
-        report(i + 1, len(drives))
-    effect = ArrayEffect(drives.rate_hz, drive_frames, frequency_frames)
+    effect = _array_effect(drives, panel_index, rows, columns, report)
     notes: tuple[str, ...] = ()
     title = f"{Path(stream.reader.provenance.get('source', '')).name or 'a stream'} for {target.name}"
+    if effect.parts is not None:
+        keeps_parts = kind == ".hjif" and len(effect) / effect.rate_hz <= MAX_SPAN_TICKS / DEFAULT_TIMESCALE
+        notes = (_PARTS_IN_HJIF if keeps_parts else _PARTS_LOST,)
+        effect = effect if keeps_parts else replace(effect, parts=None)
     if kind == ".tact":
         write_tact(path, effect, panel=panel)
         if effect.frequencies_hz is not None:
-            notes = ("The frequencies are left out: a vest of bHaptics has none.",)
+            notes += ("The frequencies are left out: a vest of bHaptics has none.",)
     elif kind == ".wav":
-        notes = write_wav_array(path, effect)
+        notes += write_wav_array(path, effect)
     elif kind == ".hjif":
-        write_hjif_array(path, effect, target.name, panel=panel, description=title)
+        write_hjif_array(
+            path, effect, target.name, panel=panel, description=title, force_max_n=drives.force_max_n
+        )
     else:
-        notes = (write_ahap if kind == ".ahap" else write_haptic)(path, effect, path.stem, title)
+        notes += (write_ahap if kind == ".ahap" else write_haptic)(path, effect, path.stem, title)
     figures = {
         "columns": columns,
         "rows": rows,
@@ -200,6 +213,25 @@ def _export_array(
     if not effect.drives.any():
         notes = (*notes, "The result is empty: no actuator is driven.")
     return _export_result(path, target.name, len(effect) / effect.rate_hz, figures, notes)
+
+
+def _array_effect(drives: Drives, panel_index: int, rows: int, columns: int, report: Progress) -> ArrayEffect:
+    """The drives of one panel; with parts if the vibration is not that of the drives."""
+    shape = (len(drives), rows, columns)
+    forces, vibrations = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    frequency_frames = None if drives.medium.vibration is None else np.zeros(shape, np.float32)
+    for i in range(len(drives)):
+        forces[i], vibrations[i] = (part[panel_index] for part in drives.parts(i))
+        frequencies = drives.frequencies(i)
+        if frequency_frames is not None and frequencies is not None:
+            frequency_frames[i] = frequencies[panel_index]
+        report(i + 1, len(drives))
+    differs = np.abs(vibrations - forces) > _SAME_SIGNAL * forces + _SAME_SIGNAL_FLOOR
+    if (differs & (vibrations > 0)).any():
+        return ArrayEffect.from_parts(drives.rate_hz, forces, vibrations, frequency_frames)
+    # the steps of the vibration are coarse: where there is a force, it is the more accurate drive
+    same = np.where(forces > 0, forces, vibrations)
+    return ArrayEffect(drives.rate_hz, same, frequency_frames)
 
 
 def _target_array(stream: OpenStream, kind: str, device_name: str | None) -> Device:

@@ -21,7 +21,13 @@ from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.recordings.contact_trace import ContactScene, CurlFree, recorded_contacts
+from touchfield.sources.recordings.contact_trace import (
+    ContactScene,
+    CurlFree,
+    recorded_contacts,
+    sampling_loss,
+    thin_contacts,
+)
 from touchfield.sources.registry import open_source
 
 PROFILE = profile_of(LawSpec(), 3.3)
@@ -110,6 +116,94 @@ def test_a_csv_becomes_a_stream(tmp_path: Path) -> None:
         out = frame.grid.to_m(support.positions) - frame.grid.to_m(support.positions).mean(axis=0)
         assert len(opened.medium) == 1 and len(out) > 100
         assert (np.einsum("ij,ij->i", out, frame.vectors_n()) < 0).mean() > 0.95  # a spring pulls back
+
+
+def tapped(count: int = 2000) -> ContactTrace:
+    """A probe that taps on a floor of 500 N/m, y up, while it moves along x and z."""
+    seconds = np.arange(count) * (4.0 / count)
+    x, z = (s * np.sin(2 * np.pi * hertz * seconds) for s, hertz in ((0.02, 0.7), (0.015, 0.43)))
+    y = 0.002 - 0.004 * (0.5 + 0.5 * np.sin(2 * np.pi * 2.1 * seconds))
+    forces = np.zeros((count, 3))
+    forces[:, 1] = 500 * np.maximum(0, -y)
+    return ContactTrace(np.stack([x, y, z], axis=1), forces)
+
+
+def trilinear(dense: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Interpolate [x, y, z, 3] at fractional indices [n, 3], as a receiver does."""
+    low = np.floor(index).astype(int)
+    total = np.zeros((len(index), 3))
+    for corner in np.ndindex(2, 2, 2):
+        weights = np.where(corner, index - low, 1 - (index - low)).prod(axis=1)
+        total += weights[:, None] * dense[tuple((low + corner).T)]
+    return total
+
+
+@pytest.mark.parametrize(("nw", "most"), [(5, 0.35), (6, 0.12)])
+def test_the_note_states_what_the_file_misses_at_the_recorded_positions(
+    tmp_path: Path, nw: int, most: float
+) -> None:
+    trace = tapped()
+    done = encode(written(tmp_path / "a.csv", trace), tmp_path / "a.touch", EncodeSpec(nw=nw, mapping="1"))
+    with open_file(tmp_path / "a.touch") as opened:
+        frame, offset_m = opened.medium[0], np.array(opened.summary()["mapping_offset_m"])
+    found = trilinear(frame.to_dense(), frame.grid.to_index(trace.positions_m - offset_m))
+    missed = np.sqrt(((found - trace.forces_n) ** 2).sum() / (trace.forces_n**2).sum())
+    (note,) = [note for note in done.notes if "the file misses" in note]
+    assert f"misses {100 * missed:.3g} % of the forces" in note and "2000 recorded positions" in note
+    assert missed < most  # 0.57 at nw 6 while the kernel was narrower than a sample
+
+
+def test_the_kernel_is_three_samples_of_the_lattice_or_longer() -> None:
+    scene = ContactScene(tapped())
+    box_m = scene.bounds_m()
+    lengths_m = []
+    for spacing_m in (0.0001, 0.003, 0.0002):
+        scene.set_lattice(Grid((4, 4, 4), (spacing_m, 0.0001, 0.0001), (0, 0, 0)), 3.3)
+        lengths_m.append(scene.interpolant.length_m)
+        assert lengths_m[-1] >= 3 * spacing_m and f"beyond {1e3 * scene.reach_m:.3g} mm" in scene.notes[0]
+    assert lengths_m[1] >= 0.009 > lengths_m[0], "a later lattice has a fit of its own"
+    assert scene.bounds_m() == pytest.approx(box_m)
+
+
+def test_a_fit_that_exceeds_the_device_beside_the_path_is_not_used() -> None:
+    """Two passes 1.6 mm apart with opposite friction: an exact fit is far above 2 N beside them."""
+    x = np.linspace(-0.02, 0.02, 300)
+    points = np.concatenate(
+        [np.stack([x, 0 * x + y, 0.0003 * np.sin(300 * x)], axis=1) for y in (-8e-4, 8e-4)]
+    )
+    forces = np.concatenate(
+        [np.stack([0 * x + f, 0 * x, 1 + 0.3 * np.sin(400 * x)], axis=1) for f in (0.8, -0.8)]
+    )
+    grid = Grid((64, 16, 16), (0.001, 0.001, 0.001), (-0.0315, -0.0075, -0.0075))
+    scene = ContactScene(ContactTrace(points, forces))
+    scene.set_lattice(grid, 2.0)
+    averages = thin_contacts(points, forces)
+    by_error = CurlFree.fitted(*averages, 0.003)
+
+    def missed(fit: CurlFree) -> float:
+        """Sampled everywhere, clipped to 2 N and interpolated, against the recording."""
+        dense = fit.forces_n(grid.to_m(np.argwhere(np.ones(grid.shape))), fit.length_m).reshape(
+            *grid.shape, 3
+        )
+        size = np.linalg.norm(dense, axis=-1, keepdims=True)
+        found = trilinear(dense * np.minimum(1, 2.0 / np.maximum(size, 1e-9)), grid.to_index(points))
+        return float(np.sqrt(((found - forces) ** 2).sum() / (forces**2).sum()))
+
+    assert scene.interpolant.relative_error > by_error.relative_error
+    assert missed(scene.interpolant) < 0.7 * missed(by_error)
+    assert sampling_loss(by_error, averages[0], grid, 2.0) > 0.5
+    assert sampling_loss(by_error, averages[0], grid.refined(8), 1e6) < 0.1, "fine, and without a limit"
+
+
+def test_recorded_positions_outside_the_workspace_are_noted(tmp_path: Path) -> None:
+    trace = tapped()
+    far = ContactTrace(trace.positions_m * [30, 1, 1], trace.forces_n)  # 1.2 m, more than the device reaches
+    done = encode(written(tmp_path / "a.csv", far), tmp_path / "a.touch", EncodeSpec(nw=5, mapping="1"))
+    assert any("% of the recorded positions are outside the workspace" in note for note in done.notes)
+    everything = encode(
+        written(tmp_path / "b.csv", trace), tmp_path / "b.touch", EncodeSpec(nw=5, mapping="1")
+    )
+    assert not any("outside the workspace" in note for note in everything.notes)
 
 
 def test_logs_of_a_play_and_units_are_read(tmp_path: Path) -> None:

@@ -8,7 +8,11 @@ d (Macedo and Castro 2010; Fuselier and Wright 2017). The leave-one-out error ha
 noise minimise it. Friction is not a gradient: it remains as a residual, and the relative error shows its
 size.
 
-The field extends to `REACH` kernel lengths from the samples used: there is no extrapolation beyond.
+The field extends to `REACH` kernel lengths from the samples used: there is no extrapolation beyond. A kernel
+is at least `MIN_SAMPLES` samples of the medium's lattice long (`ContactScene.set_lattice`): a narrower one
+lies between samples, and the medium then misses the recorded forces. Of the kernels that are tried for a
+lattice, the one with the least leave-one-out error and sampling loss is used: a fit without noise may exceed
+the device's greatest force beside the path, where the samples are, and is then clipped there.
 """
 
 from __future__ import annotations
@@ -16,6 +20,7 @@ from __future__ import annotations
 import json
 import math
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -28,6 +33,7 @@ from touchfield.errors import InvalidArgument, SourceError, import_extra
 from touchfield.files import readable, require_plain
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.field import field_of_points
+from touchfield.medium.grid import CORNERS
 from touchfield.medium.trace import MAX_SAMPLES, ContactTrace, has_forces, read_contacts
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
@@ -45,6 +51,13 @@ _EXPECTED: Final = "an MCAP file of positions and forces"
 MAX_POINTS: Final = 350
 
 REACH: Final = 1.0  # kernel lengths: a sample at this distance still determines 60 % of the potential
+MIN_SAMPLES: Final = 3.0
+"""Samples of the lattice in the shortest kernel.
+
+Two suffice for a force at all eight corners around a contact; at three the low-pass and the interpolation
+between samples lose less.
+"""
+
 _MIN_POINTS: Final = 4
 _FARTHEST_M: Final = 1e4
 _STRONGEST_N: Final = 1e6
@@ -101,17 +114,25 @@ class CurlFree:
         )
 
     @classmethod
-    def fitted(cls, points_m: Float64s, forces_n: Float64s, spacing_m: float) -> CurlFree:
+    def fitted(
+        cls,
+        points_m: Float64s,
+        forces_n: Float64s,
+        spacing_m: float,
+        min_length_m: float = 0.0,
+        loss: Callable[[CurlFree], float] = lambda fit: 0.0,
+    ) -> CurlFree:
         """Return the interpolant with the smallest leave-one-out error.
 
+        `loss` is another error of a fit, relative to the forces; the root of the sum of squares counts.
         `points_m`, `forces_n` float64 [n, 3]: at least 4, not all forces 0, no two points equal; `spacing_m`
-        float: spacing of the points; the lengths that are tried are multiples of it.
+        float: spacing of the points; the lengths that are tried are multiples of it, at least `min_length_m`.
         """
         fits = []
-        for length_m in (length * spacing_m for length in _LENGTHS):
+        for length_m in sorted({max(length * spacing_m, min_length_m) for length in _LENGTHS}):
             kernel = covariances(points_m / length_m)
             fits += [cls.through(points_m, forces_n, length_m, noise, kernel) for noise in _NOISES]
-        return min(fits, key=lambda fit: fit.relative_error)
+        return min(fits, key=lambda fit: math.hypot(fit.relative_error, loss(fit)))
 
     def forces_n(self, at_m: Float64s, reach_m: float = math.inf) -> Float64s:
         """Return forces, newtons, float64 [n, 3], at points [n, 3]; 0 beyond `reach_m`."""
@@ -137,6 +158,28 @@ def covariances(points: Float64s, others: Float64s | None = None) -> Float64s:
     for i, j in np.ndindex(3, 3):
         blocks[:, i, :, j] = (float(i == j) - offsets[i] * offsets[j]) * gaussian
     return blocks.reshape(3 * len(gaussian), -1)
+
+
+def sampling_loss(fit: CurlFree, points_m: Float64s, grid: Grid, force_max_n: float) -> float:
+    """Return what a lattice loses of an interpolant at points [n, 3], as a fraction of its RMS force there.
+
+    Forces are clipped to `force_max_n` at the samples and trilinear between them.
+    """
+    index = grid.to_index(points_m)
+    low = np.floor(index)
+    sampled_n = np.zeros_like(points_m)
+    for corner in CORNERS:
+        weights = np.where(corner, index - low, 1 - (index - low)).prod(axis=1)
+        forces_n = fit.forces_n(grid.to_m(low + corner), REACH * fit.length_m)
+        sampled_n += weights[:, None] * _clipped(forces_n, force_max_n)
+    exact_n = fit.forces_n(points_m)
+    missed = np.mean((sampled_n - _clipped(exact_n, force_max_n)) ** 2)
+    return math.sqrt(float(missed) / max(float(np.mean(exact_n**2)), 1e-30))
+
+
+def _clipped(forces_n: Float64s, force_max_n: float) -> Float64s:
+    lengths = np.linalg.norm(forces_n, axis=1, keepdims=True)
+    return np.asarray(forces_n * (force_max_n / np.maximum(lengths, force_max_n)))
 
 
 def thin_contacts(points_m: Float64s, forces_n: Float64s) -> tuple[Float64s, Float64s, float]:
@@ -188,33 +231,78 @@ class ContactScene(Scene):
     axes = UP_Z_AXES
     box_wording = "the trace"
     has_law = False
+    has_decoded_notes = True
 
     def __init__(self, trace: ContactTrace, where: str = "trace") -> None:
         require_contacts(trace, where)
-        points_m, forces_n, spacing_m = thin_contacts(trace.positions_m, trace.forces_n)
-        if len(points_m) < _MIN_POINTS:
-            raise SourceError(
-                where, f"{len(points_m)} places", f"at least {_MIN_POINTS}", "Record a longer contact."
+        self._trace, self._averages = trace, thin_contacts(trace.positions_m, trace.forces_n)
+        if len(self._averages[0]) < _MIN_POINTS:
+            found = f"{len(self._averages[0])} places"
+            raise SourceError(where, found, f"at least {_MIN_POINTS}", "Record a longer contact.")
+        self._fits: dict[tuple[Grid, float], CurlFree] = {}
+        self._set_fit(CurlFree.fitted(*self._averages))
+        # the box does not depend on a lattice, which is placed by it
+        self._margin_m = self.reach_m
+
+    def set_lattice(self, grid: Grid, force_max_n: float) -> None:
+        """See `Scene.set_lattice`: the kernel becomes at least `MIN_SAMPLES` samples long."""
+        key = grid, force_max_n
+        if key not in self._fits:
+            points_m = self._averages[0]
+            self._fits[key] = CurlFree.fitted(
+                *self._averages,
+                MIN_SAMPLES * max(grid.spacing_m),
+                lambda fit: sampling_loss(fit, points_m, grid, force_max_n),
             )
-        self.interpolant = CurlFree.fitted(points_m, forces_n, spacing_m)
-        self.reach_m = REACH * self.interpolant.length_m
-        error = self.interpolant.relative_error
+        self._set_fit(self._fits[key])
+
+    def _set_fit(self, fit: CurlFree) -> None:
+        self.interpolant, self.reach_m = fit, REACH * fit.length_m
+        error = fit.relative_error
         self.notes = (
-            f"A curl-free field through {len(points_m)} means of {len(trace.positions_m)} samples, with a "
-            f"leave-one-out error of {100 * error:.3g} %; no force beyond {1e3 * self.reach_m:.3g} mm of a "
-            "sample; the force law is ignored.",
+            f"A curl-free field through {len(fit.points_m)} means of {len(self._trace.positions_m)} samples, "
+            f"with a leave-one-out error of {100 * error:.3g} % before it is sampled; no force beyond "
+            f"{1e3 * self.reach_m:.3g} mm of a sample; the force law is ignored.",
         )
         if error > _HIGH_ERROR:
             self.notes += (
                 "This part of the forces is not a gradient: friction, inertia, or varying contacts. The "
-                "field "
-                "is a rough mean of them.",
+                "field is a rough mean of them.",
             )
+
+    def decoded_notes(
+        self, field: ForceField, to_hand: Callable[[Float64s], Float64s], force_max_n: float
+    ) -> tuple[str, ...]:
+        """See `Scene.decoded_notes`: the part of the recorded forces that the file misses."""
+        positions_m = to_hand(self._trace.positions_m)
+        low, high = field.grid.box_m
+        is_inside = ((positions_m >= low) & (positions_m <= high)).all(axis=1)
+        recorded_n = self._trace.forces_n[is_inside]
+        outside = 1 - float(is_inside.mean())
+        notes: tuple[str, ...] = ()
+        if recorded_n.any():
+            missed_n = field.sample_n(positions_m[is_inside]) - recorded_n
+            missed = float(np.sqrt((missed_n**2).sum() / (recorded_n**2).sum()))
+            notes = (
+                f"At the {len(recorded_n)} recorded positions the file misses {100 * missed:.3g} % of the "
+                "forces (RMS of the difference over that of the recording).",
+            )
+        too_great = (
+            float((np.linalg.norm(recorded_n, axis=1) > force_max_n).mean()) if len(recorded_n) else 0.0
+        )
+        if too_great:
+            notes += (
+                f"{100 * too_great:.3g} % of the recorded forces exceed {force_max_n:g} N, the device's "
+                "greatest, and are clipped to it.",
+            )
+        if outside:
+            notes += (f"{100 * outside:.3g} % of the recorded positions are outside the workspace.",)
+        return notes
 
     def bounds_m(self) -> Float64s:
         """Return the box of the trace, float64 [2, 3]."""
         points = self.interpolant.points_m
-        return np.stack([points.min(axis=0) - self.reach_m, points.max(axis=0) + self.reach_m])
+        return np.stack([points.min(axis=0) - self._margin_m, points.max(axis=0) + self._margin_m])
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`; frame and law are ignored."""
