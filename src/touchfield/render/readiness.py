@@ -25,7 +25,7 @@ _TEXTS: Final = {
     "is_calibrated": ("calibrated", "not calibrated"),
     "is_started": ("started", "not started"),
     "is_free": ("free", "in use by another program"),
-    "has_moved": ("moved", "not moved yet"),
+    "has_moved": ("moved", "still at its first position"),
 }
 """Text for a state that is True, and for one that is False."""
 
@@ -92,12 +92,12 @@ def open_when_ready(
 ) -> bool:
     """Open a device and wait until it is ready; returns False if `must_stop` ended the wait.
 
-    `on_note` gets one note for each state that is waited for. Raises `DeviceError` if the device is not ready
-    after `wait_s` seconds, or cannot be opened; the caller closes it.
+    `on_note` gets one note for each state that lasts for more than one poll. Raises `DeviceError` if the
+    device is not ready after `wait_s` seconds, or cannot be opened; the caller closes it.
     """
     require_between(0, MAX_WAIT_S, wait=wait_s)
     deadline_s = time.monotonic() + wait_s
-    is_open, noted = False, ""
+    is_open, latest, noted = False, "", ""
     while not must_stop():
         try:
             if not is_open:
@@ -114,8 +114,9 @@ def open_when_ready(
             is_open, error, note = False, absent, f"waiting for {absent}"
         if time.monotonic() >= deadline_s:
             raise error
-        if note != noted:
+        if note == latest != noted:
             noted = note
             on_note(note.strip())
+        latest = note
         time.sleep(min(_POLL_S, max(deadline_s - time.monotonic(), 0.0)))
     return False

@@ -74,11 +74,11 @@ def test_a_device_that_reports_nothing_is_ready_at_once() -> None:
     assert Readiness().text == "its driver reports no state"
 
 
-def test_each_state_that_is_waited_for_gives_one_note() -> None:
+def test_each_state_that_lasts_gives_one_note() -> None:
     cold = Readiness("A7", is_powered=False, is_calibrated=False, hint="Switch it on.")
     warm = Readiness("A7", is_powered=True, is_calibrated=False, hint="Calibrate it.")
     notes: list[str] = []
-    arm = Scripted(cold, cold, warm, warm, Readiness("A7", is_powered=True, is_calibrated=True))
+    arm = Scripted(cold, cold, cold, warm, warm, cold, Readiness("A7", is_powered=True, is_calibrated=True))
     assert open_when_ready(arm, 5.0, on_note=notes.append)
     assert notes == [
         "arm A7 is without power, not calibrated: waiting for it. Switch it on.",
@@ -100,8 +100,8 @@ def test_a_device_that_does_not_get_ready_is_an_error_of_one_line_after_the_wait
 
 def test_an_absent_device_is_opened_again_and_another_error_ends_the_wait() -> None:
     absent = DeviceAbsent("arm", "none", "one")
-    arm, notes = Scripted(absent, absent, Readiness()), []
-    assert open_when_ready(arm, 5.0, on_note=notes.append) and arm.log == "ococor"
+    arm, notes = Scripted(absent, absent, absent, Readiness()), []
+    assert open_when_ready(arm, 5.0, on_note=notes.append) and arm.log == "ocococor"
     assert notes == ["waiting for arm: found none; expected one"]
     with pytest.raises(DeviceAbsent, match="found none"):
         open_when_ready(Scripted(absent), 0.1)
@@ -398,7 +398,9 @@ def test_a_touch_is_calibrated_in_its_inkwell_and_must_then_move(hd: FakeDriver)
     notes: list[str] = []
     arm = OpenHaptics()
     assert open_when_ready(arm, 20.0, on_note=notes.append)
-    assert [part in note for part, note in zip(("not calibrated", "not moved yet"), notes[-2:])] == [
+    assert [
+        part in note for part, note in zip(("not calibrated", "still at its first position"), notes[-2:])
+    ] == [
         True,
         True,
     ]
@@ -410,7 +412,8 @@ def test_a_touch_that_stays_at_its_inkwell_is_refused(hd: FakeDriver) -> None:
     hd.library.fake_freeze(1 << 30)
     arm = OpenHaptics("Left Device")
     with pytest.raises(
-        DeviceError, match=r"device Left Device: found a device that is not moved yet.*Take the pen"
+        DeviceError,
+        match=r"device Left Device: found a device that is still at its first position.*Take the pen",
     ):
         open_when_ready(arm, 0.4)
     arm.close()

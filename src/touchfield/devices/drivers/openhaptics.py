@@ -278,7 +278,7 @@ class OpenHaptics(PointDevice):
             self._name or "",
             is_calibrated=is_calibrated if is_started else None,
             is_started=is_started,
-            has_moved=has_moved,
+            has_moved=None if is_calibrated is False else has_moved,
             hint=hint,
         )
         if state.is_ready:
