@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import json
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -17,6 +18,7 @@ import numpy as np
 import pytest
 from fake_driver import FakeDriver, built
 from fake_haply import FakeHaply, fake_haply
+from tests.render.player_makers import OMNI, numbered_medium
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import ServerConnection, serve
 
@@ -31,6 +33,7 @@ from touchfield.devices.drivers.unit_lock import UnitLock
 from touchfield.errors import DeviceAbsent, DeviceError, InvalidArgument
 from touchfield.options import duration_s
 from touchfield.render.array_player import ArrayPlayer
+from touchfield.render.player import Player
 from touchfield.render.readiness import Readiness, open_when_ready
 from touchfield.tasks.setup import device_checks
 
@@ -166,14 +169,21 @@ def test_a_folder_that_cannot_be_used_is_an_error_of_one_line(tmp_path: Path, mo
 
 
 def service(
-    status: Callable[[int], dict[str, Any] | None] = lambda n: READY, ids: tuple[str, ...] = ("04BA",)
+    status: Callable[[int], dict[str, Any] | None] = lambda n: READY,
+    ids: tuple[str, ...] = ("04BA",),
+    is_centred: bool = False,
 ) -> Any:
-    """A fake service whose devices have these ids; `status` is that of message n, 0 being the first."""
+    """A fake service whose devices have these ids; `status` is that of message n, 0 being the first.
+
+    With `is_centred` the hand rests at the origin.
+    """
 
     def message(n: int) -> dict[str, Any]:
         state = FakeHaply.state(n)
         entry = state["inverse3"][0]
         extra = {} if status(n) is None else {"status": status(n)}
+        if is_centred:
+            entry["state"]["cursor_position"] = {"x": 0.0, "y": 0.0, "z": 0.0}
         return {**state, "inverse3": [{**entry, "device_id": name, **extra} for name in ids]}
 
     return fake_haply(first=message(0), answer=lambda n, _: message(n))
@@ -287,6 +297,53 @@ def test_units_of_a_service_are_listed_without_a_command() -> None:
         ("unit AAAA", False, "not calibrated"), ("unit BBBB", False, "not calibrated")
     ]  # fmt: skip
     assert fake.forces == []
+
+
+def test_zero_reaches_an_inverse3_that_its_dead_user_still_occupies() -> None:
+    """A standby opens it in that state; until it sets zero, nothing is sent."""
+    with service(lambda n: {**READY, "in_use": True}) as fake:
+        arm = arm_of(fake)
+        arm.open()
+        arm.put_wrench(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        arm.close()
+    assert fake.forces == [(0.0, 0.0, 0.0)] * 2  # the second by `close`
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
+def test_the_standby_gets_the_lock_of_a_killed_servo() -> None:
+    with service(is_centred=True) as fake:
+        opener = point_device(f"haply:127.0.0.1:{fake.port}").opener
+        with Player(numbered_medium(20), OMNI, opener, loop=True) as player:
+            player.play()
+            assert not player.wait(0.5) and player.servo_pid is not None
+            with pytest.raises(DeviceError, match="drives it"):
+                opener().open()
+            os.kill(player.servo_pid, signal.SIGKILL)
+            with pytest.raises(DeviceError, match="servo process"):
+                player.wait(30)
+        assert any("set to zero through a new connection" in note for note in player.notes), player.notes
+        assert np.any(fake.forces) and not np.any(fake.forces[-1])
+        arm = opener()
+        arm.open()
+        arm.close()
+
+
+def test_a_player_waits_for_its_device_and_a_stop_ends_the_wait() -> None:
+    notes: list[str] = []
+    with service(lambda n: {**READY, "calibrated": False}) as fake:
+        opener = point_device(f"haply:127.0.0.1:{fake.port}").opener
+        player = Player(numbered_medium(20), OMNI, opener, wait_s=0.5, on_note=notes.append)
+        with pytest.raises(DeviceError, match="not calibrated; expected a ready one"), player:
+            raise AssertionError("entered without a device that is ready")
+        assert len(notes) == 1 and not np.any(fake.forces)
+        waiting = Player(numbered_medium(20), OMNI, opener, wait_s=600.0, on_note=lambda note: stop())
+
+        def stop() -> None:
+            raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt), waiting:
+            raise AssertionError("entered without a device that is ready")
+        assert not np.any(fake.forces)
 
 
 # -- Force Dimension
