@@ -75,7 +75,7 @@ def device_checks(kind: DeviceKind, rest: str = "") -> list[Check]:
         return checks
     try:
         units = kind.find_units(rest)
-    except DeviceError as error:
+    except (DeviceError, MissingExtra) as error:
         return [*checks, Check("units", False, error.found, error.hint)]
     if not units:
         return [*checks, Check("units", False, "none connected", "Plug one in.")]

@@ -18,7 +18,13 @@ static int fails(const char *function) { return !strcmp(failing, function) && fa
 
 void fake_wrist(int is_there) { wrist = is_there; }
 const double *fake_torques(void) { return &torques[0][0]; }
-void fake_reset(void) { memset(latest, 0, sizeof latest), wrist = count = reads = opens = opened = enabled = failing_after = 0; faults[0] = failing[0] = log_[0] = 0; serial = present = 1, ready_after = 0; }
+void fake_reset(void)
+{
+    memset(latest, 0, sizeof latest);
+    wrist = count = reads = opens = opened = enabled = failing_after = ready_after = 0;
+    faults[0] = failing[0] = log_[0] = 0;
+    serial = present = 1;
+}
 void fake_unit(int number, int is_present) { serial = number, present = is_present; }
 void fake_lack(int status, int calls) { lacking = status, ready_after = calls; }
 void fake_fail(const char *function, int after)

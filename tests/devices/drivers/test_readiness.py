@@ -28,14 +28,14 @@ from touchfield.devices.drivers.bhaptics import BHaptics
 from touchfield.devices.drivers.forcedimension import ForceDimension
 from touchfield.devices.drivers.haply import Haply
 from touchfield.devices.drivers.openhaptics import OpenHaptics
-from touchfield.devices.drivers.registry import point_device
+from touchfield.devices.drivers.registry import Check, DeviceKind, point_device
 from touchfield.devices.drivers.unit_lock import UnitLock
-from touchfield.errors import DeviceAbsent, DeviceError, InvalidArgument
+from touchfield.errors import DeviceAbsent, DeviceError, InvalidArgument, MissingExtra
 from touchfield.options import duration_s
 from touchfield.render.array_player import ArrayPlayer
 from touchfield.render.player import Player
 from touchfield.render.readiness import Readiness, open_when_ready
-from touchfield.tasks.setup import device_checks
+from touchfield.tasks.setup import connected_units, device_checks
 
 READY = {"calibrated": True, "in_use": False, "power_supply": True, "ready": True, "started": True}
 
@@ -163,6 +163,42 @@ def test_a_folder_that_cannot_be_used_is_an_error_of_one_line(tmp_path: Path, mo
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "missing"))
     with pytest.raises(DeviceError, match=r"lock of the device.* XDG_RUNTIME_DIR"):
         UnitLock("arm", "A7")
+
+
+# -- what `doctor` and `devices --connected` report
+
+
+@pytest.mark.parametrize(
+    ("error", "found", "fix"),
+    [
+        (DeviceError("arm", "silence", hint="Start it."), "silence", "Start it."),
+        (MissingExtra("arm", "armlib", "devices"), "that the library armlib is not installed", "pip install"),
+    ],
+)
+def test_units_that_cannot_be_listed_are_one_line(error: Exception, found: str, fix: str) -> None:
+    def find(rest: str) -> list[Readiness]:
+        raise error
+
+    (check,) = device_checks(kind_of(find))
+    assert (check.what, check.is_there, check.found) == ("units", False, found) and fix in check.mend
+
+
+def kind_of(find: Callable[[str], list[Readiness]], checks: tuple[Check, ...] = ()) -> DeviceKind:
+    return DeviceKind("arm", "arm", "an arm", None, lambda *_: None, lambda: [*checks], find_units=find)
+
+
+def test_units_are_looked_for_at_an_address_or_where_all_requirements_are_met() -> None:
+    searched: list[str] = []
+
+    def find(rest: str) -> list[Readiness]:
+        searched.append(rest)
+        return []
+
+    missing = Check("service", False, "silent")
+    assert device_checks(kind_of(find, (missing,))) == [missing] and searched == []
+    assert device_checks(kind_of(find, (missing,)), "there")[1].found == "none connected"
+    device_checks(kind_of(find))
+    assert searched == ["there", ""]
 
 
 # -- Haply
@@ -415,7 +451,10 @@ def test_two_force_dimension_devices_work_side_by_side_and_each_has_one_user(
 def test_force_dimension_devices_are_listed_without_forces(dhd: FakeDriver) -> None:
     dhd.library.fake_lack(3, 1)
     (unit,) = forcedimension.find_units()
-    assert (unit.unit, unit.text) == ("301", "not calibrated") and dhd.log == "OC" and not len(dhd.forces)
+    assert (unit.unit, unit.text) == ("301", "not calibrated")
+    assert dhd.log == "OC" and not len(dhd.forces)
+    (listed,) = connected_units()["forcedimension"]
+    assert listed.unit == "301" and listed.is_ready
     dhd.fail("dhdOpen", 0)
     (unit,) = forcedimension.find_units()
     assert unit.text == "in use by another program"
