@@ -22,6 +22,8 @@ from tests.render.player_makers import OMNI, numbered_medium
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import ServerConnection, serve
 
+from touchfield import pipeline
+from touchfield.cli.main import _exit_code
 from touchfield.devices import device
 from touchfield.devices.drivers import bhaptics, forcedimension, haply, openhaptics
 from touchfield.devices.drivers.bhaptics import BHaptics
@@ -32,9 +34,11 @@ from touchfield.devices.drivers.registry import Check, DeviceKind, point_device
 from touchfield.devices.drivers.unit_lock import UnitLock
 from touchfield.errors import DeviceAbsent, DeviceError, InvalidArgument, MissingExtra
 from touchfield.options import duration_s
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.render.array_player import ArrayPlayer
 from touchfield.render.player import Player
 from touchfield.render.readiness import Readiness, open_when_ready
+from touchfield.sources.tiny_scenes import tiny_scenes
 from touchfield.tasks.setup import connected_units, device_checks
 
 READY = {"calibrated": True, "in_use": False, "power_supply": True, "ready": True, "started": True}
@@ -382,6 +386,22 @@ def test_a_player_waits_for_its_device_and_a_stop_ends_the_wait() -> None:
         assert not np.any(fake.forces)
 
 
+def test_play_notes_what_it_waits_for_and_ends_with_exit_code_1(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "scene.touch"
+    pipeline.encode(tiny_scenes()[0], path, EncodeSpec(nw=3))
+    with service(lambda n: {**READY, "calibrated": False}) as fake:
+        arguments = ["play", str(path), "--device", f"haply:127.0.0.1:{fake.port}/04BA", "--wait", "300ms"]
+        assert _exit_code(arguments) == 1
+    arm, hint = "Haply Inverse3 04BA", "Calibrate it: see the service's own page."
+    assert capsys.readouterr().err.splitlines() == [
+        f"note: {arm} is not calibrated: waiting for it. {hint}",
+        f"touchfield: {arm}: found a device that is not calibrated; expected a ready one. {hint}",
+    ]
+    assert fake.forces and not np.any(fake.forces)
+
+
 # -- Force Dimension
 
 
@@ -448,13 +468,18 @@ def test_two_force_dimension_devices_work_side_by_side_and_each_has_one_user(
     assert not dhd.forces.any()
 
 
-def test_force_dimension_devices_are_listed_without_forces(dhd: FakeDriver) -> None:
+def test_force_dimension_devices_are_listed_without_forces(
+    dhd: FakeDriver, capsys: pytest.CaptureFixture[str]
+) -> None:
     dhd.library.fake_lack(3, 1)
     (unit,) = forcedimension.find_units()
     assert (unit.unit, unit.text) == ("301", "not calibrated")
     assert dhd.log == "OC" and not len(dhd.forces)
     (listed,) = connected_units()["forcedimension"]
     assert listed.unit == "301" and listed.is_ready
+    assert _exit_code(["devices", "--connected"]) == 0
+    printed = capsys.readouterr().out
+    assert "forcedimension" in printed and "301" in printed and "powered, calibrated, started" in printed
     dhd.fail("dhdOpen", 0)
     (unit,) = forcedimension.find_units()
     assert unit.text == "in use by another program"
