@@ -372,7 +372,7 @@ def test_a_player_waits_for_its_device_and_a_stop_ends_the_wait() -> None:
     notes: list[str] = []
     with service(lambda n: {**READY, "calibrated": False}) as fake:
         opener = point_device(f"haply:127.0.0.1:{fake.port}").opener
-        player = Player(numbered_medium(20), OMNI, opener, wait_s=0.5, on_note=notes.append)
+        player = Player(numbered_medium(20), OMNI, opener, wait_s=1.0, on_note=notes.append)
         with pytest.raises(DeviceError, match="not calibrated; expected a ready one"), player:
             raise AssertionError("entered without a device that is ready")
         assert len(notes) == 1 and not np.any(fake.forces)
@@ -392,7 +392,7 @@ def test_play_notes_what_it_waits_for_and_ends_with_exit_code_1(
     path = tmp_path / "scene.touch"
     pipeline.encode(tiny_scenes()[0], path, EncodeSpec(nw=3))
     with service(lambda n: {**READY, "calibrated": False}) as fake:
-        arguments = ["play", str(path), "--device", f"haply:127.0.0.1:{fake.port}/04BA", "--wait", "300ms"]
+        arguments = ["play", str(path), "--device", f"haply:127.0.0.1:{fake.port}/04BA", "--wait", "1s"]
         assert _exit_code(arguments) == 1
     arm, hint = "Haply Inverse3 04BA", "Calibrate it: see the service's own page."
     assert capsys.readouterr().err.splitlines() == [
@@ -513,9 +513,9 @@ def test_a_touch_that_is_not_calibrated_gets_no_force(hd: FakeDriver) -> None:
 
 
 def test_a_touch_is_calibrated_in_its_inkwell_and_must_then_move(hd: FakeDriver) -> None:
-    """The position is frozen for 400 frames, and the calibration can be updated after 150."""
-    hd.library.fake_calibration(0x5002, 150)
-    hd.library.fake_freeze(400)
+    """The position is frozen for 1,000 frames, and the calibration can be updated after 400."""
+    hd.library.fake_calibration(0x5002, 400)
+    hd.library.fake_freeze(1000)
     notes: list[str] = []
     arm = OpenHaptics()
     assert open_when_ready(arm, 20.0, on_note=notes.append)
@@ -525,7 +525,7 @@ def test_a_touch_is_calibrated_in_its_inkwell_and_must_then_move(hd: FakeDriver)
         True,
         True,
     ]
-    assert len(hd.forces) > 400 and not hd.forces.any()
+    assert len(hd.forces) > 1000 and not hd.forces.any()
     arm.close()
 
 
@@ -559,7 +559,7 @@ def test_an_absent_touch_is_waited_for(hd: FakeDriver) -> None:
     hd.fail("nothing", 0)
     notes: list[str] = []
     with pytest.raises(DeviceAbsent, match="no device"):
-        open_when_ready(OpenHaptics(), 0.1, on_note=notes.append)
+        open_when_ready(OpenHaptics(), 0.5, on_note=notes.append)
     assert len(notes) == 1
 
 
