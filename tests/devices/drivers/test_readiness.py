@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -505,53 +506,54 @@ def hd(hd_path: Path, monkeypatch) -> Iterator[FakeDriver]:
 
 def test_a_touch_that_is_not_calibrated_gets_no_force(hd: FakeDriver) -> None:
     hd.library.fake_calibration(0x5002, 0)
-    arm = OpenHaptics()
-    with pytest.raises(DeviceError, match=r"a device that is not calibrated.*Put the pen into its inkwell"):
-        open_when_ready(arm, 0.4)
-    arm.close()
+    found = r"a device that is not calibrated.*Put the pen into its inkwell"
+    with closing(OpenHaptics()) as arm, pytest.raises(DeviceError, match=found):
+        open_when_ready(arm, 1.0)
     assert len(hd.forces) and not hd.forces.any() and hd.log == "IESRUTD"
 
 
+def wait_for(arm: OpenHaptics, text: str) -> None:
+    """Poll a device until it reports this state."""
+    deadline_s = time.monotonic() + 20
+    while arm.readiness().text != text:
+        assert time.monotonic() < deadline_s, arm.readiness().text
+        time.sleep(0.01)
+
+
 def test_a_touch_is_calibrated_in_its_inkwell_and_must_then_move(hd: FakeDriver) -> None:
-    """The position is frozen for 1,000 frames, and the calibration can be updated after 400."""
-    hd.library.fake_calibration(0x5002, 400)
-    hd.library.fake_freeze(1000)
-    notes: list[str] = []
-    arm = OpenHaptics()
-    assert open_when_ready(arm, 20.0, on_note=notes.append)
-    assert [
-        part in note for part, note in zip(("not calibrated", "still at its first position"), notes[-2:])
-    ] == [
-        True,
-        True,
-    ]
-    assert len(hd.forces) > 1000 and not hd.forces.any()
-    arm.close()
+    hd.library.fake_calibration(0x5002, 0)
+    hd.library.fake_freeze(1 << 30)
+    with closing(OpenHaptics()) as arm:
+        arm.open()
+        wait_for(arm, "not calibrated")
+        hd.library.fake_calibration(0x5002, 1)  # the pen is in the inkwell
+        wait_for(arm, "still at its first position")
+        time.sleep(0.05)
+        assert not arm.readiness().is_ready
+        hd.library.fake_freeze(0)
+        wait_for(arm, "calibrated, started, moved")
+    assert len(hd.forces) > 50 and not hd.forces.any()
 
 
 def test_a_touch_that_stays_at_its_inkwell_is_refused(hd: FakeDriver) -> None:
     hd.library.fake_freeze(1 << 30)
-    arm = OpenHaptics("Left Device")
-    with pytest.raises(
-        DeviceError,
-        match=r"device Left Device: found a device that is still at its first position.*Take the pen",
-    ):
-        open_when_ready(arm, 0.4)
-    arm.close()
+    found = "device Left Device: found a device that is still at its first position.*Take the pen"
+    with closing(OpenHaptics("Left Device")) as arm, pytest.raises(DeviceError, match=found):
+        open_when_ready(arm, 1.0)
     assert len(hd.forces) and not hd.forces.any()
 
 
 def test_a_touch_is_driven_after_it_was_ready(hd: FakeDriver) -> None:
-    arm = OpenHaptics(None, ctypes.cast(hd.library.fake_tick, ctypes.c_void_p).value)
-    assert open_when_ready(arm, 5.0)
-    memory = np.zeros(512, np.int64)
-    arm.drive(memory.ctypes.data, memory.nbytes)
-    deadline_s = time.monotonic() + 10
-    while memory[0] < 30:
-        assert time.monotonic() < deadline_s
-        time.sleep(0.005)
-    memory[1] = 1  # release
-    arm.close()
+    memory = np.zeros(512, np.int64)  # of the renderer of ``fake_hd.c``: ticks, and an order to release
+    tick = ctypes.cast(hd.library.fake_tick, ctypes.c_void_p).value
+    with closing(OpenHaptics(None, tick)) as arm:
+        assert open_when_ready(arm, 20.0)
+        arm.drive(memory.ctypes.data, memory.nbytes)
+        deadline_s = time.monotonic() + 10
+        while memory[0] < 30:
+            assert time.monotonic() < deadline_s
+            time.sleep(0.005)
+        memory[1] = 1
     assert hd.log == "IESRUSTD" and hd.forces.any() and not hd.forces[-1].any()
 
 
