@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,8 @@ settings.register_profile("touchfield", max_examples=60, derandomize=True, **com
 settings.register_profile("thorough", max_examples=600, **common)  # a new search every time
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "touchfield"))
 
+_RUNTIME_FOLDER = tempfile.TemporaryDirectory(prefix="touchfield-tests-")
+os.environ["XDG_RUNTIME_DIR"] = _RUNTIME_FOLDER.name  # locks of devices are those of this process
 os.environ["TOUCHFIELD_HELPERS"] = "0"  # tested commands compile by themselves
 _PROGRAM = sys.modules["__main__"]
 _PROGRAM.__spec__ = _PROGRAM.__file__ = None  # spawned processes need not import pytest again

@@ -4,7 +4,8 @@
     ├── InvalidArgument        exit code 2: the request cannot be met (also a ValueError)
     │   └── MissingExtra       an optional library is not installed
     ├── SourceError            a scene, picture, mesh or stored field cannot be used as it is
-    ├── DeviceError            a device profile is unknown or unusable
+    ├── DeviceError            a device or its profile is unknown or unusable
+    │   └── DeviceAbsent       no such device is connected
     └── FormatError            a ``.touch`` file cannot be read
         ├── ForeignFile        it is not a .touch file
         ├── TruncatedFile      it ends too early
@@ -74,7 +75,11 @@ class SourceError(TouchfieldError):
 
 
 class DeviceError(TouchfieldError):
-    """A device profile is unknown or unusable."""
+    """A device or its profile is unknown or unusable."""
+
+
+class DeviceAbsent(DeviceError):
+    """No such device is connected; it may be later."""
 
 
 class FormatError(TouchfieldError):

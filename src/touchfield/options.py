@@ -1,10 +1,11 @@
 """`option` declares a dataclass field that is also an option of the command line, with its help. `address`
-parses texts such as "HOST:PORT"."""
+parses texts such as "HOST:PORT", and `duration_s` texts such as "30s"."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import field
-from typing import Any
+from typing import Any, Final
 
 from touchfield.errors import InvalidArgument
 
@@ -37,3 +38,17 @@ def address(text: str, where: str, default: Address | None = None) -> Address:
             where, repr(text[:80]), "a host and a port from 1 to 65535, such as 127.0.0.1:9000"
         )
     return host, int(port)
+
+
+_SECONDS: Final = {"ms": 1e-3, "s": 1.0, "min": 60.0}
+
+
+def duration_s(text: str, name: str) -> float:
+    """Parse a duration such as "30s", "500ms" or "2min", seconds; a number without a unit is in seconds.
+
+    Raises InvalidArgument for any other text; the error names `name`.
+    """
+    match = re.fullmatch(r"(\d{1,9}(?:\.\d{1,9})?) ?(ms|s|min)?", text.strip(), re.ASCII)
+    if match is None:
+        raise InvalidArgument(name, repr(text[:80]), "a duration such as 30s, 500ms or 2min")
+    return float(match[1]) * _SECONDS[match[2] or "s"]

@@ -31,11 +31,16 @@ def demo(
     run_demo(folder, as_json)
 
 
-@command("Set up", "devices --verbose")
-def devices(verbose: Annotated[bool, typer.Option(help="With all sources.")] = False) -> Answer:
+@command("Set up", "devices --verbose", "devices --connected")
+def devices(
+    verbose: Annotated[bool, typer.Option(help="With all sources.")] = False,
+    connected: Annotated[bool, typer.Option(help="Only the units that are connected.")] = False,
+) -> Answer:
     """List the device profiles, with their sources, and the drivers that `play --device` takes."""
     from touchfield.devices.drivers.registry import device_kinds
 
+    if connected:
+        return _connected()
     by_name = {d.name: {name: getattr(d, name) for name in _PROFILE_FIELDS} for d in profiles()}
     drivers = {kind.name: kind.summary for kind in device_kinds()}
     forms = [(kind.form, kind.summary) for kind in device_kinds()]
@@ -45,6 +50,30 @@ def devices(verbose: Annotated[bool, typer.Option(help="With all sources.")] = F
         show_table(forms, ("device", ""), "drivers (play --device)")
 
     return Answer({"profiles": by_name, "drivers": drivers}, "", print_text=print_text)
+
+
+def _connected() -> Answer:
+    """Return the units that are connected, for each driver that can tell."""
+    from touchfield.tasks.setup import connected_units
+
+    found = connected_units()
+    rows = [
+        (kind, unit.unit or "-", unit.text, unit.hint if not unit.is_ready else "")
+        for kind, units in found.items()
+        for unit in units
+    ]
+    values = {
+        kind: [{**asdict(unit), "is_ready": unit.is_ready, "text": unit.text} for unit in units]
+        for kind, units in found.items()
+    }
+
+    def print_text() -> None:
+        if rows:
+            show_table(rows, ("driver", "unit", "state", ""), "connected units")
+        for kind in (kind for kind, units in found.items() if not units):
+            literal_console().print(f"{kind}: none found (touchfield doctor --device {kind})")
+
+    return Answer(values, "", print_text=print_text)
 
 
 def _show_profiles(verbose: bool) -> None:

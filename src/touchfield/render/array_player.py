@@ -16,14 +16,16 @@ import atexit
 import math
 import threading
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from contextlib import suppress
 from time import monotonic
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol
 
 import numpy as np
 
 from touchfield.arrays import Float32s
 from touchfield.errors import InvalidArgument, is_finite, require_between
+from touchfield.render.readiness import DEFAULT_WAIT_S, MAX_WAIT_S, Readiness, open_when_ready
 
 if TYPE_CHECKING:
     from touchfield.devices import Device
@@ -190,7 +192,8 @@ class ArrayPlayer:
 
     `frames` are for example `touchfield.pipeline.array_medium.Drives`. `rate_hz` is the number of frames a
     second sent to the device; its default is the profile's rate, at most 100, or 50 if the profile has none.
-    `speed` is seconds of the medium for one second, and `start_s` the time of the medium to start at. Raises
+    `speed` is seconds of the medium for one second, and `start_s` the time of the medium to start at. The
+    device may take `wait_s` seconds to get ready; `on_note` is called with what it lacks. Raises
     `InvalidArgument` if a number is out of range or `start_s` is past the end of the medium.
     """
 
@@ -203,7 +206,11 @@ class ArrayPlayer:
         loop: bool = False,
         speed: float = 1.0,
         start_s: float = 0.0,
+        wait_s: float = DEFAULT_WAIT_S,
+        on_note: Callable[[str], None] = lambda note: None,
     ) -> None:
+        require_between(0, MAX_WAIT_S, wait_s=wait_s)
+        self._wait_s, self._on_note = wait_s, on_note
         default_hz = min(device.profile.rate_hz or DEFAULT_RATE_HZ, MAX_DEFAULT_RATE_HZ)
         rate = default_hz if rate_hz is None else float(rate_hz)
         require_between(0.1, MAX_RATE_HZ, rate_hz=rate)
@@ -227,12 +234,15 @@ class ArrayPlayer:
         self._span_s = 0.0
 
     def start(self) -> None:
-        """Open the device, or raise `DeviceError`, and start playing; can be called once only."""
+        """Open the device, wait until it is ready, and start playing; can be called once only.
+
+        Raises `DeviceError` if it cannot be opened or is not ready in time.
+        """
         if self._is_open or self._stop.is_set():
             raise InvalidArgument("start", "a player that was started before", "a new player")
         self._is_open = True
         try:
-            self._device.open()
+            open_when_ready(self._device, self._wait_s, on_note=self._on_note)
         except BaseException:
             for event in (self._stop, self._started, self._done):
                 event.set()
@@ -261,9 +271,9 @@ class ArrayPlayer:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """A note for the user if the feed stalled."""
+        """Notes for the user: that the feed stalled, and those of the device."""
         note = "Frames are not ready in time: the actuators are off until they are. A lower --speed may help"
-        return (note,) if self._counts["stalled"] else ()
+        return (*((note,) if self._counts["stalled"] else ()), *self._device.notes)
 
     def close(self) -> None:
         """Switch all actuators off and close the device; never raises, and may be called twice."""
@@ -338,12 +348,26 @@ class ArrayPlayer:
 class ArrayDevice(ABC):
     """A fixed array of actuators; its `profile` has columns, rows, panels and levels."""
 
+    title: ClassVar[str] = "device"
+    """Name of the kind of device in messages."""
+
+    notes: tuple[str, ...] = ()
+    """Notes for the user about the device during playback."""
+
     profile: Device
     _line: Any = None  # the connection that `open` made; has `close`
 
     @abstractmethod
     def open(self) -> None:
-        """Find the device and make it ready; `DeviceError` if it is missing or answers wrongly."""
+        """Find the device and connect to it.
+
+        Raises `DeviceAbsent` if it is missing, and `DeviceError` if another program uses it or it answers
+        wrongly.
+        """
+
+    def readiness(self) -> Readiness:
+        """Return the state of the open device; raises `DeviceError` if it is gone."""
+        return Readiness()
 
     @abstractmethod
     def put_drives(self, drives: Float32s, frequencies_hz: Float32s | None, seconds: float) -> None:

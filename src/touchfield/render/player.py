@@ -22,7 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.compute.native import native
-from touchfield.errors import InvalidArgument, is_finite, require_positive, require_up_to
+from touchfield.errors import (
+    InvalidArgument,
+    is_finite,
+    require_between,
+    require_positive,
+    require_up_to,
+)
 from touchfield.render.block import (
     DEFAULT_BYTES,
     LOG_ROWS,
@@ -37,6 +43,7 @@ from touchfield.render.block import (
 )
 from touchfield.render.feeder import FIRST_GENERATION, Feeder, FrameSource, arena_bytes
 from touchfield.render.material import material_bytes, stored_materials, write_materials
+from touchfield.render.readiness import DEFAULT_WAIT_S, MAX_WAIT_S
 from touchfield.render.servo import Opener
 from touchfield.render.servo_process import ServoProcess
 from touchfield.render.spec import RenderSpec, Stability, Wall, stability_of, write_parameters
@@ -56,8 +63,9 @@ _JOIN_S: Final = 5.0
 class Player:
     """Plays a medium on a type 1 device.
 
-    Entering the context opens the device, which has no force until `play`. Leaving it brings the force to
-    zero and closes the device, whatever happened.
+    Entering the context opens the device and waits up to `wait_s` seconds (at most an hour) until it is
+    ready; `on_note` is called with what it waits for. The device has no force until `play`. Leaving the
+    context brings the force to zero and closes the device, whatever happened.
 
     `device_profile` is of type 1. `opener` makes the device in the servo's process and can be pickled.
     `memory_bytes` bounds the frames decoded ahead, `speed` is seconds of the medium for one second (above 0,
@@ -79,11 +87,15 @@ class Player:
         *,
         log_rows: int = 600_000,
         is_realtime: bool = True,
+        wait_s: float = DEFAULT_WAIT_S,
+        on_note: Callable[[str], None] = lambda note: None,
     ) -> None:
         require_positive(memory_bytes=memory_bytes)
+        require_between(0, MAX_WAIT_S, wait_s=wait_s)
         bound = min(int(memory_bytes), int(_FRACTION_OF_FREE * free_bytes()))
         self._session = Session(medium, device_profile, spec or RenderSpec(), bound, loop, speed, start_s)
         self._opener, self._log_rows, self._is_realtime = opener, log_rows, is_realtime
+        self._wait_s, self._on_note = wait_s, on_note
         self._lock = threading.RLock()
         self._block: Block | None = None
         self._servo: ServoProcess | None = None
@@ -98,7 +110,10 @@ class Player:
         self._notes: tuple[str, ...] = ()
 
     def __enter__(self) -> Player:
-        """Open the device, or raise `DeviceError`; the first frames are decoded meanwhile."""
+        """Open the device and wait until it is ready, or raise `DeviceError`.
+
+        The first frames are decoded meanwhile.
+        """
         if self._block is not None or self._is_closing.is_set():
             raise InvalidArgument("player", "one that was entered before", "a new one")
         self._block = Block.create(self._session.layout.size_bytes)
@@ -108,7 +123,9 @@ class Player:
             self._session.set_up(memory)
             self._feeder = self._session.feeder(memory, self._block.reserve)
             self._log = TickLog(memory, max(self._log_rows, 0))
-            self._servo = ServoProcess(self._block, self._opener, self._is_realtime)
+            self._servo = ServoProcess(
+                self._block, self._opener, self._is_realtime, self._wait_s, self._on_note
+            )
             self._feeder.start()
             self._servo.wait_ready()
             memory.receiver["orders"]["heartbeat_ns"] = time.perf_counter_ns()

@@ -14,6 +14,7 @@ from typing import ClassVar, Final
 import numpy as np
 
 from touchfield.arrays import Float64s
+from touchfield.render.readiness import Readiness
 
 Point = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]  # w, x, y, z
@@ -24,6 +25,9 @@ class PointDevice(ABC):
 
     It is used by one thread in the servo's process, and made there by a callable that can be pickled.
     """
+
+    title: ClassVar[str] = "device"
+    """Name of the kind of device in messages."""
 
     is_paced: ClassVar[bool] = False
     """Whether `position_m` waits for the device, and so sets the rate of the loop."""
@@ -48,8 +52,16 @@ class PointDevice(ABC):
     def open(self) -> None:
         """Find the device and make it ready, without force.
 
-        Raises `DeviceError` if it is missing, its driver is not installed, or it answers wrongly.
+        Raises `DeviceAbsent` if it is missing, and `DeviceError` if its driver is not installed, another
+        program uses it, or it answers wrongly.
         """
+
+    def readiness(self) -> Readiness:
+        """Return the state of the open device, without applying a force.
+
+        The player polls this method before it renders. Raises `DeviceError` if the device is gone.
+        """
+        return Readiness()
 
     @abstractmethod
     def position_m(self) -> Point:

@@ -26,6 +26,7 @@ from touchfield.compute.native import native
 from touchfield.errors import DeviceError, TouchfieldError
 from touchfield.render.block import Block, Memory, layout
 from touchfield.render.point_device import Point, PointDevice
+from touchfield.render.readiness import open_when_ready
 
 Opener = Callable[[], PointDevice]
 """Callable that makes the device, not yet open; can be pickled."""
@@ -99,10 +100,22 @@ class DeviceLink:
             self._device.put_force_n(*force_n)
 
 
-def serve(memory: Memory, device: PointDevice, clock: Clock, must_stop: Callable[[], bool]) -> None:
+def _open(device: PointDevice) -> bool:
+    device.open()
+    return True
+
+
+def serve(
+    memory: Memory,
+    device: PointDevice,
+    clock: Clock,
+    must_stop: Callable[[], bool],
+    open_device: Callable[[PointDevice], bool] = _open,
+) -> None:
     """Serve a device until a stop has brought the force to zero; it is always closed.
 
-    `must_stop` is called before each tick. An error of the device is raised once the force is zero.
+    `open_device` opens it; if that returns False, there is nothing to serve. `must_stop` is called before
+    each tick. An error of the device is raised once the force is zero.
     """
     receiver = memory.receiver
     clock_state, orders, dt_s = receiver["clock"], receiver["orders"], 1.0 / receiver["settings"]["rate_hz"]
@@ -110,7 +123,8 @@ def serve(memory: Memory, device: PointDevice, clock: Clock, must_stop: Callable
     receiver["layout"]["is_simulated"] = type(device).advance is not PointDevice.advance
     receiver["layout"]["is_paced"] = is_paced or device.is_driven
     try:
-        device.open()
+        if not open_device(device):
+            return
         if device.is_driven:
             _supervise(memory, device, must_stop)
             return
@@ -219,10 +233,11 @@ CLOSED: Final = b"closed"
 """Last message of the servo to its standby: it has closed the device itself."""
 
 
-def run_servo(path: str, is_realtime: bool, pipe: Connection, lifeline: Connection) -> None:
+def run_servo(path: str, is_realtime: bool, wait_s: float, pipe: Connection, lifeline: Connection) -> None:
     """Main function of the servo's process.
 
-    Attaches to the block, receives the device, warms up, serves, and reports. `lifeline` is the writing end
+    Attaches to the block, receives the device, warms up, waits up to `wait_s` seconds until the device is
+    ready, serves, and reports. `lifeline` is the writing end
     of a pipe that the standby reads; it is closed at the latest when this process ends.
     """
     parent = os.getppid()
@@ -240,16 +255,21 @@ def run_servo(path: str, is_realtime: bool, pipe: Connection, lifeline: Connecti
         warm_up(memory)
         report = make_realtime(is_realtime)
         device = opener()
-        is_ready = False
+        clock, orders = memory.receiver["clock"], memory.receiver["orders"]
 
-        def must_stop() -> bool:
-            nonlocal is_ready
-            if not is_ready:  # the first call: the device is open
-                is_ready = True
-                pipe.send(("ready", report))
+        def is_orphan() -> bool:
             return os.getppid() != parent
 
-        serve(memory, device, WallClock(), must_stop)
+        def open_device(device: PointDevice) -> bool:
+            def must_stop() -> bool:
+                return bool(clock["is_stopping"] or orders["is_stopping"]) or is_orphan()
+
+            is_ready = open_when_ready(device, wait_s, must_stop, lambda note: pipe.send(("note", note)))
+            if is_ready:
+                pipe.send(("ready", report))
+            return is_ready
+
+        serve(memory, device, WallClock(), is_orphan, open_device)
         pipe.send(("done", None))
     except BaseException as error:
         reported = error

@@ -6,6 +6,7 @@ import contextlib
 import multiprocessing
 import os
 import time
+from collections.abc import Callable
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from pickle import PickleError
@@ -13,6 +14,7 @@ from typing import Final
 
 from touchfield.errors import DeviceError, InvalidArgument, TouchfieldError
 from touchfield.render.block import Block
+from touchfield.render.readiness import DEFAULT_WAIT_S
 from touchfield.render.servo import Opener, run_servo
 from touchfield.render.standby import (
     StandbyProcess,
@@ -54,14 +56,23 @@ class ServoProcess:
 
     The block must be laid out, with the first order in it. `report` is that of `make_realtime`, once the
     process is ready; `error` is the error that ended it. `is_done` is True if it ended as ordered, and
-    `is_unreleased` if it ended without bringing the force to zero. The standby starts once the servo has
-    loaded its code, so that it does not delay the servo; if it is lost, another one starts.
+    `is_unreleased` if it ended without bringing the force to zero. The device may take `wait_s` seconds to
+    get ready; `on_note` is called with what it lacks. The standby starts once the servo has loaded its code,
+    so that it does not delay the servo; if it is lost, another one starts.
     """
 
-    def __init__(self, block: Block, opener: Opener, is_realtime: bool) -> None:
+    def __init__(
+        self,
+        block: Block,
+        opener: Opener,
+        is_realtime: bool,
+        wait_s: float = DEFAULT_WAIT_S,
+        on_note: Callable[[str], None] = lambda note: None,
+    ) -> None:
         context = multiprocessing.get_context("spawn")
         self._pipe, child_pipe = context.Pipe()
         self._block, self._opener, self._is_realtime = block, opener, is_realtime
+        self._wait_s, self._on_note = wait_s, on_note
         try:
             self._pickled_opener = ForkingPickler.dumps(opener)
         except (AttributeError, TypeError, ImportError, PickleError) as error:  # e.g. of a local function
@@ -79,7 +90,7 @@ class ServoProcess:
         self._lifeline, child_lifeline = context.Pipe(duplex=False)
         self._process = context.Process(
             target=run_servo,
-            args=(str(block.path), is_realtime, child_pipe, child_lifeline),
+            args=(str(block.path), is_realtime, wait_s, child_pipe, child_lifeline),
             name="touchfield-servo",
             daemon=True,
         )
@@ -143,6 +154,8 @@ class ServoProcess:
                     self._start_standby()
                 elif kind == "ready":
                     self.is_ready, self.report = True, content
+                elif kind == "note":
+                    self._on_note(content)
                 elif kind == "done":
                     self.is_done = True
                 else:
@@ -191,8 +204,9 @@ class ServoProcess:
         return zero_by_reconnecting(self._opener) if error is None else zero_report(error)
 
     def wait_ready(self) -> None:
-        """Wait until the device is open; raises the error if it cannot be opened."""
-        deadline = time.monotonic() + _START_S
+        """Wait until the device is open and ready; raises the error if it cannot be opened."""
+        limit_s = _START_S + self._wait_s
+        deadline = time.monotonic() + limit_s
         while not self.is_ready:
             self.receive()
             if self.error is not None:
@@ -200,7 +214,7 @@ class ServoProcess:
             if self.is_done:
                 return
             if time.monotonic() > deadline:
-                raise DeviceError("servo process", f"no sign for {_START_S:g} s", "an open device")
+                raise DeviceError("servo process", f"no sign for {limit_s:g} s", "an open device")
             time.sleep(0.002)
 
     def join(self, ramp_s: float) -> None:

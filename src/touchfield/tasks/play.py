@@ -25,12 +25,18 @@ from touchfield.devices import Device, device
 from touchfield.devices.drivers.registry import array_device, is_array_device, point_device
 from touchfield.devices.drivers.simulated import STIFFNESS_N_PER_M
 from touchfield.devices.drivers.touch_down import touch_down
-from touchfield.errors import InvalidArgument, require_kinds, require_not_negative, require_up_to
+from touchfield.errors import (
+    InvalidArgument,
+    require_between,
+    require_kinds,
+    require_not_negative,
+    require_up_to,
+)
 from touchfield.medium import HapticMedium, HapticScene
 from touchfield.medium.trace import Trace, read_trace
 from touchfield.network.live_medium import LiveEnd, LiveStream
 from touchfield.network.opening import open_stream
-from touchfield.options import option
+from touchfield.options import duration_s, option
 from touchfield.pipeline.array_medium import array_drives
 from touchfield.pipeline.stream import OpenStream, stream_device
 from touchfield.render.array_player import ArrayPlayer
@@ -38,6 +44,7 @@ from touchfield.render.block import FLAGS
 from touchfield.render.feeder import FrameSource
 from touchfield.render.offline import run_offline
 from touchfield.render.player import MAX_SPEED, Player
+from touchfield.render.readiness import MAX_WAIT_S
 from touchfield.render.spec import RenderSpec
 from touchfield.viewer.interaction import InteractionView, draw_interaction
 
@@ -67,13 +74,15 @@ class PlaySpec:
     `device` is one of `touchfield.devices.drivers`; the default `profile` of "sim" is that of the stream.
     `trajectory` and `trace` move the simulated hand, which by default approaches, presses, slides and leaves.
     `seconds` count from the first frame; None is the length of the trajectory, or of the medium (a single
-    frame, or a loop: until interrupted). `is_logged` keeps all rows of the log instead of the latest minute;
-    `is_drawn` keeps a frame as the background of the picture.
+    frame, or a loop: until interrupted). `wait` is a duration, at most an hour, until the device must be
+    ready. `is_logged` keeps all rows of the log instead of the latest minute; `is_drawn` keeps a frame as
+    the background of the picture.
     """
 
     device: str = option(
         "sim", "sim, sim:spring, haply, openhaptics, forcedimension, bhaptics, osc:HOST:PORT, pins:PORT"
     )
+    wait: str = option("30s", "How long to wait until the device is ready, such as 30s or 2min.")
     profile: str | None = option(None, "Profile whose limits and actuators hold; default: the device's own.")
     trajectory: Path | None = option(None, "Where the probe goes: CSV of t_s,x_m,y_m,z_m.")
     seconds: float | None = option(None, "How long; default: the trajectory, or the medium.")
@@ -97,6 +106,7 @@ class PlaySpec:
         if self.seconds is not None:
             require_up_to(_MAX_S, seconds=self.seconds)
         require_not_negative(start_s=self.start_s)
+        require_between(0, MAX_WAIT_S, wait=duration_s(self.wait, "wait"))
         require_up_to(MAX_SPEED, speed=self.speed)
 
 
@@ -228,7 +238,10 @@ def _play_point(
         run = _Run(statistics, offline.log, offline.notes, offline.error)
     else:
         log_rows = _MAX_ROWS if spec.is_logged else _DEFAULT_ROWS
-        player = Player(medium_or_scene, profile, choice.opener, spec.render, log_rows=log_rows, **times)
+        player = Player(
+            medium_or_scene, profile, choice.opener, spec.render,
+            log_rows=log_rows, wait_s=duration_s(spec.wait, "wait"), on_note=on_note, **times,
+        )  # fmt: skip
         on_player(player)
         run = _run_player(player, seconds, report, on_note, stream)
     friction = spec.render.friction if spec.render.friction is not None else medium_or_scene.friction
@@ -365,7 +378,9 @@ def _play_array(stream: OpenStream, spec: PlaySpec, report: Progress, on_note: O
         change = f"for {declared.name}, and is shown on {driver.profile.name}"
         on_note(f"The stream was made {change}; --profile takes another.")
     drives = array_drives(stream, driver.profile, spec.panel)
-    with ArrayPlayer(drives, driver, loop=spec.loop, speed=spec.speed, start_s=spec.start_s) as player:
+    times: dict[str, Any] = {"loop": spec.loop, "speed": spec.speed, "start_s": spec.start_s}
+    wait_s = duration_s(spec.wait, "wait")
+    with ArrayPlayer(drives, driver, **times, wait_s=wait_s, on_note=on_note) as player:
         try:
             while not player.wait_started(_POLL_S):  # preparation does not count as playing time
                 pass

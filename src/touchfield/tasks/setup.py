@@ -16,8 +16,8 @@ import numpy as np
 
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.compute.threads import Progress, silent, worker_count
-from touchfield.devices.drivers.registry import Check, array_kinds, library_check, point_kinds
-from touchfield.errors import InvalidArgument, MissingExtra
+from touchfield.devices.drivers.registry import Check, DeviceKind, array_kinds, library_check, point_kinds
+from touchfield.errors import DeviceError, InvalidArgument, MissingExtra
 from touchfield.filters.limit import limit_forces
 from touchfield.filters.registry import field_filters
 from touchfield.filters.resample import resample
@@ -25,6 +25,7 @@ from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.pipeline.comparison import compare
 from touchfield.pipeline.encoding import encode
 from touchfield.pipeline.spec import EncodeSpec
+from touchfield.render.readiness import Readiness
 from touchfield.sources.laws import ForceProfile
 from touchfield.tasks.measure import MeasureSpec, measure_medium
 
@@ -47,18 +48,53 @@ LIBRARIES: Final = (
 def examine(name: str | None = None) -> dict[str, list[Check]]:
     """Check the libraries, the machine, and each device; or only the device `name`.
 
-    Raises InvalidArgument if there is no such device.
+    `name` may name a unit, such as "haply:HOST:PORT/ID". Raises InvalidArgument if there is no such device.
     """
-    kinds = {kind.name: kind.checks for kind in point_kinds()} | {
-        kind.name: kind.checks for kind in array_kinds()
-    }
+    kinds = {kind.name: kind for kind in (*point_kinds(), *array_kinds())}
     if name is None:
-        devices = {known: checks() for known, checks in kinds.items()}
+        devices = {known: device_checks(kind) for known, kind in kinds.items()}
         return {"libraries": library_checks(), "machine": host_checks(), **devices}
-    kind_name = name.strip().partition(":")[0].lower()
-    if kind_name not in kinds:
+    kind_name, _, rest = name.strip().partition(":")
+    kind = kinds.get(kind_name.lower())
+    if kind is None:
         raise InvalidArgument("device", repr(name[:80]), f"one of {', '.join(kinds)}")
-    return {kind_name: kinds[kind_name]()}
+    return {kind.name: device_checks(kind, rest)}
+
+
+def device_checks(kind: DeviceKind, rest: str = "") -> list[Check]:
+    """Check the requirements of a kind of device and the state of its units.
+
+    Units are looked for at `rest`, or at the default address if all requirements are met.
+    """
+    checks = kind.checks()
+    if kind.find_units is None or not (rest or all(check.is_there for check in checks)):
+        return checks
+    try:
+        units = kind.find_units(rest)
+    except (DeviceError, MissingExtra) as error:
+        return [*checks, Check("units", False, error.found, error.hint)]
+    if not units:
+        return [*checks, Check("units", False, "none connected", "Plug one in.")]
+    return [
+        *checks,
+        *(Check(f"unit {unit.unit}".strip(), unit.is_ready, unit.text, unit.hint) for unit in units),
+    ]
+
+
+def connected_units() -> dict[str, list[Readiness]]:
+    """Return the state of the units that are connected, by the name of their kind of device.
+
+    A kind whose library or service is not there has none.
+    """
+    found: dict[str, list[Readiness]] = {}
+    for kind in (*point_kinds(), *array_kinds()):
+        if kind.find_units is None:
+            continue
+        try:
+            found[kind.name] = kind.find_units("")
+        except (DeviceError, MissingExtra):
+            found[kind.name] = []
+    return found
 
 
 def library_checks() -> list[Check]:

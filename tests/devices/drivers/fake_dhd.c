@@ -9,6 +9,7 @@ enum { MOST = 10000 };
 static double forces[MOST][3], torques[MOST][3], latest[3]; /* a torque acts until another is put */
 static int count, reads, opens, opened, enabled, failing_after;
 static int wrist; /* with motors, a gripper and buttons */
+static int serial, ready_after, lacking, present; /* the status at `lacking` is wrong for `ready_after` calls */
 static char faults[400], failing[40], log_[64];
 
 static void need(int truth, const char *words) { if (!truth && !faults[0]) snprintf(faults, sizeof faults, "%s", words); }
@@ -17,7 +18,15 @@ static int fails(const char *function) { return !strcmp(failing, function) && fa
 
 void fake_wrist(int is_there) { wrist = is_there; }
 const double *fake_torques(void) { return &torques[0][0]; }
-void fake_reset(void) { memset(latest, 0, sizeof latest), wrist = count = reads = opens = opened = enabled = failing_after = 0; faults[0] = failing[0] = log_[0] = 0; }
+void fake_reset(void)
+{
+    memset(latest, 0, sizeof latest);
+    wrist = count = reads = opens = opened = enabled = failing_after = ready_after = 0;
+    faults[0] = failing[0] = log_[0] = 0;
+    serial = present = 1;
+}
+void fake_unit(int number, int is_present) { serial = number, present = is_present; }
+void fake_lack(int status, int calls) { lacking = status, ready_after = calls; }
 void fake_fail(const char *function, int after)
 {
     snprintf(failing, sizeof failing, "%s", function);
@@ -31,10 +40,28 @@ const double *fake_forces(void) { return &forces[0][0]; }
 int dhdOpen(void)
 {
     note('O');
-    if (fails("dhdOpen")) return -1;
+    if (fails("dhdOpen") || !present) return -1;
     need(!opened, "dhdOpen twice");
     opened = 1, opens++;
     return DEVICE;
+}
+int dhdOpenSerial(int number) { return number == serial ? dhdOpen() : -1; }
+int dhdGetDeviceCount(void) { return present; }
+int dhdOpenID(char number) { need(number < present, "dhdOpenID"); return dhdOpen(); }
+int dhdGetSerialNumber(unsigned short *number, char device)
+{
+    need(opened && device == DEVICE, "dhdGetSerialNumber");
+    *number = (unsigned short)serial;
+    return 0;
+}
+int dhdGetStatus(int status[16], char device)
+{
+    int is_ready = ready_after <= 0;
+    need(opened && device == DEVICE, "dhdGetStatus");
+    status[0] = status[1] = status[2] = 1; /* power, connected, started */
+    status[3] = 0;                         /* RESET mode: not calibrated */
+    if (!is_ready) status[lacking] = !status[lacking], ready_after--;
+    return 0;
 }
 int dhdEnableForce(unsigned char on, char device)
 {

@@ -26,6 +26,8 @@ class FakeHaply:
         self.answer = answer or (lambda n, _: self.state(n))
         self.forces: list[tuple[float, float, float]] = []
         self.faults: list[str] = []
+        self.ids: tuple[str, ...] = ("04BA",)
+        self.commanded: list[str] = []
         self.port = 0
         self.disconnected = threading.Event()
 
@@ -64,7 +66,7 @@ class FakeHaply:
             assert isinstance(text, str), "not text"
             (device,) = json.loads(text).pop("inverse3")
             assert set(json.loads(text)) == {"inverse3"} and set(device) == {"device_id", "commands"}, "keys"
-            assert device["device_id"] == "04BA" and set(device["commands"]) == {"set_cursor_force"}, (
+            assert device["device_id"] in self.ids and set(device["commands"]) == {"set_cursor_force"}, (
                 "command"
             )
             (values,) = device["commands"]["set_cursor_force"].values()
@@ -72,6 +74,7 @@ class FakeHaply:
                 "values"
             )
             assert all(isinstance(v, float) and math.isfinite(v) for v in values.values()), "numbers"
+            self.commanded.append(device["device_id"])
             self.forces.append((values["x"], values["y"], values["z"]))
         except Exception as error:
             self.faults.append(f"{error!r} in {text!r}")

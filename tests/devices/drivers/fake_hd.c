@@ -20,6 +20,12 @@ static Callback callback;
 static void *user;
 static pthread_t thread;
 
+/* calibration: its code, the call from which on the device accepts an update, and that until which the position is frozen */
+enum { CALIBRATED = 0x5000, INKWELL = 4 };
+static unsigned calibration;
+static unsigned long update_from, frozen_until;
+static char serial[20];
+
 static void fault(const char *words) { if (!faults[0]) snprintf(faults, sizeof faults, "%s", words); }
 static void need(int truth, const char *words) { if (!truth) fault(words); }
 static void note(char event) { size_t n = strlen(log_); if (n + 1 < sizeof log_) { log_[n] = event; log_[n + 1] = 0; } }
@@ -37,7 +43,13 @@ void fake_reset(void)
     count = calls = error_count = with_device = enabled = in_frame = started = scheduled = running = 0;
     faults[0] = failing[0] = configuration[0] = log_[0] = 0;
     callback = NULL;
+    calibration = CALIBRATED;
+    update_from = frozen_until = 0;
+    snprintf(serial, sizeof serial, "1");
 }
+void fake_calibration(unsigned code, unsigned long accepts_from) { calibration = code, update_from = accepts_from; }
+void fake_freeze(unsigned long until) { frozen_until = until; }
+void fake_serial(const char *text) { snprintf(serial, sizeof serial, "%s", text); }
 void fake_fail(const char *function, unsigned code) { snprintf(failing, sizeof failing, "%s", function); failing_code = code; }
 const char *fake_faults(void) { return faults; }
 const char *fake_log(void) { return log_; }
@@ -93,6 +105,27 @@ void hdGetDoublev(unsigned what, double *values)
     values[0] = 0.5 * (double)(calls % 200);
     values[1] = -20;
     values[2] = 30;
+    if (calls < frozen_until) values[0] = 0, values[1] = -110, values[2] = -35;
+}
+unsigned hdCheckCalibration(void)
+{
+    need(in_frame, "hdCheckCalibration outside a frame");
+    return calibration != CALIBRATED && update_from && calls >= update_from ? 0x5001 : calibration;
+}
+void hdUpdateCalibration(unsigned style)
+{
+    need(!in_frame && style == INKWELL, "hdUpdateCalibration within a frame, or of another style");
+    calibration = CALIBRATED;
+}
+void hdGetIntegerv(unsigned what, int *values)
+{
+    need(with_device && what == 0x2650, "hdGetIntegerv of something else");
+    *values = 1 | INKWELL;
+}
+const char *hdGetString(unsigned what)
+{
+    need(with_device && what == 0x2504, "hdGetString of something else");
+    return serial;
 }
 void hdSetDoublev(unsigned what, const double *values)
 {

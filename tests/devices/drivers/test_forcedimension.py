@@ -78,6 +78,7 @@ def test_new_connection_ends_the_torque_of_a_killed_process(fake) -> None:
     killed.put_wrench(1.0, 0.0, 0.0, 0.0, 0.0, 0.05)
     fake.library.dhdEnableForce(0, 0)
     fake.library.dhdClose(0)  # as the system does; the torque remains
+    killed._lock.release()
     answers: list[str] = []
     _write_zero(ForceDimension, SimpleNamespace(send=answers.append))
     assert answers == [""] and not fake.faults
@@ -218,6 +219,7 @@ def test_check_finds_the_library(fake) -> None:
     assert check.is_there and check.found == str(fake.path)
 
 
-def test_name_takes_no_argument() -> None:
-    with pytest.raises(InvalidArgument, match="without a colon"):
-        point_device("forcedimension:1")
+@pytest.mark.parametrize("serial", ["a", "-1", "65536", "1.5", "\u0661", "000001"])
+def test_a_name_that_is_no_serial_number_is_refused(serial) -> None:
+    with pytest.raises(InvalidArgument, match="forcedimension:SERIAL, a serial number"):
+        point_device(f"forcedimension:{serial}")

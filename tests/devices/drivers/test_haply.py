@@ -299,7 +299,8 @@ def test_address_is_parsed_from_the_text(text, host, port) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["haply:9000", "haply:a:0", "haply:a:65536", "haply:a b", "haply:a:b", "haply:a/b"]
+    "text",
+    ["haply:9000", "haply:a:0", "haply:a:65536", "haply:a b", "haply:a:b", "haply:a/", "haply:a/b\x07"],
 )
 def test_invalid_addresses_are_refused(text) -> None:
     with pytest.raises(InvalidArgument, match="haply:HOST:PORT"):

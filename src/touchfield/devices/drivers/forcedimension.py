@@ -5,19 +5,26 @@ The library is dhd, and is called at each tick. Metres and newtons are in the de
 user, y right, z up. The library adds the weight of the handle to the force, so `gravity_n` stays zero. A
 device without a wrist reports no rotation, one without a gripper reports it closed. Torque is sent only from
 the first nonzero torque on, so that a device without motors for it never receives one.
+
+A unit is named by its serial number. Its state is that of `dhdGetStatus`: in RESET mode the device is not
+calibrated, and the user is expected to put its handle to the rest position. Names, indices and signatures are
+those of the maker's header ``dhdc.h`` 3.7.
 """
 
 from __future__ import annotations
 
 import math
 from contextlib import suppress
-from ctypes import POINTER, byref, c_bool, c_byte, c_char_p, c_double, c_int, c_ubyte, c_uint
-from typing import TYPE_CHECKING, Any, Final
+from ctypes import POINTER, byref, c_bool, c_byte, c_char_p, c_double, c_int, c_ubyte, c_uint, c_ushort
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from touchfield.devices.drivers.links import DriverLibrary
 from touchfield.devices.drivers.registry import DeviceKind, Opener
-from touchfield.errors import DeviceError, InvalidArgument
+from touchfield.devices.drivers.unit_lock import UnitLock
+from touchfield.errors import DeviceAbsent, DeviceError, InvalidArgument
 from touchfield.render.point_device import PointDevice, Quaternion
+from touchfield.render.readiness import Readiness
 
 if TYPE_CHECKING:
     from touchfield.medium.trace import Trace
@@ -47,13 +54,33 @@ _FUNCTIONS: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
     "dhdClose": (c_int, (c_byte,)),
     "dhdErrorGetLastStr": (c_char_p, ()),
 }
+_OPTIONAL: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
+    "dhdGetDeviceCount": (c_int, ()),
+    "dhdOpenID": (c_int, (c_byte,)),
+    "dhdOpenSerial": (c_int, (c_int,)),
+    "dhdGetSerialNumber": (c_int, (POINTER(c_ushort), c_byte)),
+    "dhdGetStatus": (c_int, (POINTER(c_int), c_byte)),
+}
+_POWER, _CONNECTED, _STARTED, _RESET = range(4)
+"""Indices of DHD_STATUS_... in the status."""
+
+_STATUS_SIZE: Final = 64
+"""Capacity for the status; DHD_MAX_STATUS is 16 in release 3.7, and may be more in a later one."""
+
+_MAX_SERIAL: Final = 0xFFFF
 _WHERE: Final = "Force Dimension device"
+_OPEN_HINT: Final = "Is it plugged in, switched on, and free?"
+_NAME_HINT: Final = "Name another unit: --device forcedimension:SERIAL (touchfield devices --connected)"
 
 
 class ForceDimension(PointDevice):
-    """The first device that the library finds."""
+    """A device, by its serial number; None is the first device that the library finds free."""
 
-    def __init__(self) -> None:
+    title: ClassVar[str] = _WHERE
+
+    def __init__(self, serial: int | None = None) -> None:
+        self._serial, self._unit = serial, ""
+        self._lock: UnitLock | None = None
         self._library: Any = None
         self._device: int | None = None
         self._position = (c_double(), c_double(), c_double())
@@ -63,24 +90,44 @@ class ForceDimension(PointDevice):
 
     def load(self) -> None:
         """See `PointDevice.load`."""
-        DRIVER.load(_FUNCTIONS)
+        DRIVER.load(_FUNCTIONS, _OPTIONAL)
 
     def open(self) -> None:
         """Open the device, put a force of zero, and switch forces on."""
         self.close()
-        self._library = DRIVER.load(_FUNCTIONS)
-        device = self._library.dhdOpen()
+        library = self._library = DRIVER.load(_FUNCTIONS, _OPTIONAL)
+        if self._serial is None:
+            device = library.dhdOpen()
+        elif hasattr(library, "dhdOpenSerial"):
+            device = library.dhdOpenSerial(self._serial)
+        else:
+            raise DeviceError(_WHERE, "a library that opens no device by its serial number", "a newer SDK")
         if device < 0:
-            raise self._error("open", "Is it plugged in, switched on, and free?")
+            raise DeviceAbsent(_WHERE, self._failure("open"), hint=_OPEN_HINT)
+        try:
+            self._unit = serial_number(library, device)
+            if self._unit:
+                self._lock = UnitLock(_WHERE, self._unit, _NAME_HINT)
+        except DeviceError:
+            library.dhdClose(device)  # no force was switched on
+            raise
         self._device, self._has_torque = device, False
-        self._has_wrist = bool(self._library.dhdHasWrist(device))
-        self._has_gripper = bool(self._library.dhdHasGripper(device))
+        self._has_wrist = bool(library.dhdHasWrist(device))
+        self._has_gripper = bool(library.dhdHasGripper(device))
         try:
             self._call("dhdEnableForce", "switch forces on", 1)
             self.put_force_n(0.0, 0.0, 0.0)
         except DeviceError:
             self.close()
             raise
+
+    def readiness(self) -> Readiness:
+        """See `PointDevice.readiness`."""
+        if not hasattr(self._library, "dhdGetStatus"):
+            return Readiness(self._unit)
+        status = (c_int * _STATUS_SIZE)()
+        self._call("dhdGetStatus", "get status", status)
+        return readiness_of(self._unit, status)
 
     def position_m(self) -> tuple[float, float, float]:
         """Position as the device reports it."""
@@ -144,6 +191,9 @@ class ForceDimension(PointDevice):
                     self._library.dhdSetForce(0.0, 0.0, 0.0, device)
                 self._library.dhdEnableForce(0, device)
                 self._library.dhdClose(device)
+        lock, self._lock = self._lock, None
+        if lock is not None:
+            lock.release()
 
     def _call(self, function: str, action: str, *arguments: Any) -> int:
         """Call a function whose last argument is the device; `DeviceError` if it fails."""
@@ -154,10 +204,54 @@ class ForceDimension(PointDevice):
             raise self._error(action)
         return result
 
-    def _error(self, action: str, hint: str = "") -> DeviceError:
+    def _error(self, action: str) -> DeviceError:
+        return DeviceError(_WHERE, self._failure(action))
+
+    def _failure(self, action: str) -> str:
         text = self._library.dhdErrorGetLastStr() or b"no reason given"
-        found = f"that it could not {action} ({text[:120].decode('ascii', 'replace')})"
-        return DeviceError(_WHERE, found, hint=hint)
+        return f"that it could not {action} ({text[:120].decode('ascii', 'replace')})"
+
+
+def serial_number(library: Any, device: int) -> str:
+    """Return the serial number of an open device; "" if the library does not report it."""
+    serial = c_ushort()
+    if not hasattr(library, "dhdGetSerialNumber") or library.dhdGetSerialNumber(byref(serial), device) < 0:
+        return ""
+    return str(serial.value)
+
+
+def readiness_of(unit: str, status: Any) -> Readiness:
+    """Return the state of a unit from the integers of `dhdGetStatus`."""
+    is_calibrated, is_powered = not status[_RESET], bool(status[_POWER])
+    hint = ""
+    if not is_calibrated:
+        hint = "Move the handle to its rest position until the light stops blinking."
+    if not is_powered:
+        hint = "Switch it on."
+    return Readiness(
+        unit, bool(status[_CONNECTED]), is_powered, is_calibrated, bool(status[_STARTED]), hint=hint
+    )
+
+
+def find_units(rest: str = "") -> list[Readiness]:
+    """Return the state of each unit; one that cannot be opened is in use, and has no id.
+
+    Each unit is opened and closed, without forces. Raises `DeviceError` if the library cannot be loaded.
+    """
+    library = DRIVER.load(_FUNCTIONS, _OPTIONAL)
+    if not (hasattr(library, "dhdGetDeviceCount") and hasattr(library, "dhdOpenID")):
+        raise DeviceError(_WHERE, "a library that lists no devices", "a newer SDK")
+    found = []
+    for number in range(max(library.dhdGetDeviceCount(), 0)):
+        device = library.dhdOpenID(number)
+        if device < 0:
+            found.append(Readiness(is_free=False))
+            continue
+        unit, status = serial_number(library, device), (c_int * _STATUS_SIZE)()
+        has_status = hasattr(library, "dhdGetStatus") and library.dhdGetStatus(status, device) >= 0
+        library.dhdClose(device)
+        found.append(readiness_of(unit, status) if has_status else Readiness(unit))
+    return found
 
 
 def quaternion_of_rows(
@@ -181,11 +275,15 @@ def quaternion_of_rows(
 
 
 def _opener(rest: str, trajectory: Trace | None) -> Opener:
-    if rest:
-        raise InvalidArgument("device", f"'forcedimension:{rest[:40]}'", "forcedimension, without a colon")
-    return ForceDimension
+    if not rest:
+        return ForceDimension
+    if not (rest.isascii() and rest.isdigit() and len(rest) <= 5 and int(rest) <= _MAX_SERIAL):
+        found = f"'forcedimension:{rest[:40]}'"
+        raise InvalidArgument("device", found, "forcedimension or forcedimension:SERIAL, a serial number")
+    return partial(ForceDimension, int(rest))
 
 
 KIND = DeviceKind(
-    "forcedimension", "forcedimension", "Force Dimension, by dhd", "omega.3", _opener, DRIVER.checks
-)
+    "forcedimension", "forcedimension[:SERIAL]", "Force Dimension, by dhd", "omega.3",
+    _opener, DRIVER.checks, find_units=find_units,
+)  # fmt: skip

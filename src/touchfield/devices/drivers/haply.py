@@ -9,6 +9,10 @@ A VerseGrip, with or without a cable, reports its orientation and its buttons; i
 is ignored. That its quaternion is in the axes of the Inverse3 is unverified. If a grip stops reporting
 (battery, radio), its orientation is NaN, and the renderer releases the force.
 
+A unit is named by its ``device_id``. Its state is the object ``status`` that the maker's documentation shows
+in the first message (calibrated, power_supply, ready, started, in_use) and that comes with every state. That
+``in_use`` concerns the sessions of other programs is unverified: it is read before the first command only.
+
 Metres and newtons are in the device's own axes. Messages of the service are untrusted: their size is bounded,
 and a message that is late, not JSON, incomplete or implausible raises `DeviceError`.
 """
@@ -19,14 +23,17 @@ import json
 import math
 import time
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from touchfield.devices.drivers.links import service_check, web_socket
 from touchfield.devices.drivers.registry import Check, DeviceKind, Opener, library_check
-from touchfield.errors import DeviceError, import_extra, reason
+from touchfield.devices.drivers.unit_lock import UnitLock
+from touchfield.errors import DeviceAbsent, DeviceError, InvalidArgument, import_extra, reason
 from touchfield.options import Address, address
 from touchfield.render.point_device import PointDevice, Quaternion
+from touchfield.render.readiness import Readiness
 
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
@@ -46,11 +53,13 @@ _MAX_DISTANCE_M: Final = 2.0
 _IDENTITY: Final = (1.0, 0.0, 0.0, 0.0)
 _NO_ORIENTATION: Final = (math.nan,) * 4
 
+_TITLE: Final = "Haply Inverse3"
+_MAX_ID: Final = 64
 _START_HINT: Final = "Start the Haply Inverse Service, or give its address: --device haply:HOST:PORT"
 
 
 class Haply(PointDevice):
-    """An Inverse3, the first that the service lists.
+    """An Inverse3.
 
     Parameters
     ----------
@@ -58,12 +67,18 @@ class Haply(PointDevice):
         Host and port.
     answer_s : float
         Time limit for a state, seconds; after it the device counts as gone.
+    unit : str or None
+        Its ``device_id``; None is the first that the service lists.
     """
 
+    title: ClassVar[str] = _TITLE
     is_paced: ClassVar[bool] = True
 
-    def __init__(self, service: Address = SERVICE, answer_s: float = 0.25) -> None:
-        self._service, self._answer_s = service, answer_s
+    def __init__(self, service: Address = SERVICE, answer_s: float = 0.25, unit: str | None = None) -> None:
+        self._service, self._answer_s, self._unit = service, answer_s, unit
+        self._lock: UnitLock | None = None
+        self._state = Readiness()
+        self._has_commanded = False
         self._where = f"Haply Inverse Service at {service[0]}:{service[1]}"
         self._socket: ClientConnection | None = None
         self._id: str | int = ""
@@ -77,29 +92,43 @@ class Haply(PointDevice):
         import_extra("websockets.sync.client", self._where, "websockets", "devices")
 
     def open(self) -> None:
-        """Connect, read the device's id, and send a force of zero to get the first state."""
+        """Connect, read the device's id, and send a force of zero to get the first state.
+
+        A device that another program uses gets no command.
+        """
         self.close()
         self._socket = web_socket(
             self._service, "", self._where, _START_HINT, _OPEN_S, self._answer_s,
             close_timeout=_CLOSE_S, ping_interval=None, max_queue=_QUEUE,
         )  # fmt: skip
         try:
-            self._id = self._device_id(self._message(_OPEN_S))
-            self._pending_states, self._has_grip = 0, False
+            entry = self._selected(self._message(_OPEN_S))
+            self._id = entry["device_id"]
+            host, port, *_ = self._socket.remote_address
+            self._lock = UnitLock(_TITLE, f"{host}:{port}/{self._id}", self._lock_hint)
+            self._state = readiness_of(entry)
+            self._pending_states, self._has_grip, self._has_commanded = 0, False, False
             command = {"device_id": self._id, "commands": {"set_cursor_force": {"values": "@"}}}
             self._command = json.dumps({"inverse3": [command]}).replace('"@"', '{"x":%r,"y":%r,"z":%r}')
-            self.put_force_n(0.0, 0.0, 0.0)
+            if self._state.is_free is not False:
+                self.put_force_n(0.0, 0.0, 0.0)
         except BaseException:
             self._command = ""
             self.close()
             raise
 
+    def readiness(self) -> Readiness:
+        """See `PointDevice.readiness`; a force of zero is sent to get a state."""
+        if self._state.is_free is False:  # a command might take the device from the other program
+            self.open()
+            return self._state
+        self._state = replace(readiness_of(self._device(self._latest_message())), is_free=self._state.is_free)
+        self.put_force_n(0.0, 0.0, 0.0)
+        return self._state
+
     def position_m(self) -> tuple[float, float, float]:
         """Position of the latest state; waits for a state."""
-        message = self._message(self._answer_s)
-        with suppress(TimeoutError):
-            for _ in range(_QUEUE):
-                message = self._receive(0.0)
+        message = self._latest_message()
         state = self._device(message).get("state")
         cursor = state.get("cursor_position") if isinstance(state, dict) else None
         if not isinstance(cursor, dict):
@@ -136,10 +165,11 @@ class Haply(PointDevice):
         except Exception as error:  # closed, broken, or nobody reads what is sent
             raise self._connection_error(error) from error
         self._pending_states += 1
+        self._has_commanded = True
 
     def close(self) -> None:
         """Send a force of zero, wait for its answer as confirmation, and disconnect."""
-        if self._command:
+        if self._command and self._has_commanded:
             deadline = time.monotonic() + self._answer_s
             with suppress(Exception):
                 self.put_force_n(0.0, 0.0, 0.0)
@@ -149,6 +179,22 @@ class Haply(PointDevice):
         if socket is not None:
             with suppress(Exception):
                 socket.close()
+        lock, self._lock = self._lock, None
+        if lock is not None:
+            lock.release()
+
+    @property
+    def _lock_hint(self) -> str:
+        host, port = self._service
+        return f"Name another unit: --device haply:{host}:{port}/ID (touchfield devices --connected)"
+
+    def _latest_message(self) -> Any:
+        """Wait for a message, and return the latest of those that have arrived."""
+        message = self._message(self._answer_s)
+        with suppress(TimeoutError):
+            for _ in range(_QUEUE):
+                message = self._receive(0.0)
+        return message
 
     def _message(self, seconds: float) -> Any:
         try:
@@ -197,25 +243,16 @@ class Haply(PointDevice):
         names = pressed if isinstance(pressed, dict) else {"a": state.get("button")}
         self._pressed = sum(1 << n for n, name in enumerate("abc") if names.get(name) is True)
 
-    def _device_id(self, message: Any) -> str | int:
-        """Return the id of the first device, from the first message."""
-        devices = message.get("inverse3") if isinstance(message, dict) else None
-        if not isinstance(devices, list) or not all(isinstance(entry, dict) for entry in devices):
-            raise DeviceError(
-                self._where, "a first message without inverse3", "a list of devices", _START_HINT
-            )
-        if not devices:
-            hint = "Plug it in, and check the service's own page."
-            raise DeviceError(self._where, "no Inverse3", "one", hint)
-        name = devices[0].get("device_id")
-        if (
-            isinstance(name, bool)
-            or not isinstance(name, (str, int))
-            or len(str(name)) > 64
-            or "%" in str(name)
-        ):
-            raise DeviceError(self._where, f"device_id {repr(name)[:40]}", "a short name")
-        return name
+    def _selected(self, message: Any) -> dict[str, Any]:
+        """Return the entry of the named device in the first message, or of the first device."""
+        entries = entries_of(message, self._where)
+        for entry in entries:
+            if self._unit in (None, str(entry["device_id"])):
+                return entry
+        names = ", ".join(str(entry["device_id"]) for entry in entries)
+        if self._unit is not None and entries:
+            raise DeviceAbsent(self._where, f"the devices {names[:200]}", f"one with the id {self._unit}")
+        raise DeviceAbsent(self._where, "no Inverse3", "one", "Plug it in, and check the service's own page.")
 
     def _device(self, message: Any) -> dict[str, Any]:
         devices = message.get("inverse3") if isinstance(message, dict) else None
@@ -232,15 +269,80 @@ class Haply(PointDevice):
         )
 
 
+def entries_of(message: Any, where: str) -> list[dict[str, Any]]:
+    """Return the entries of all devices in the first message; raises `DeviceError` if one has no valid id."""
+    entries = message.get("inverse3") if isinstance(message, dict) else None
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+        raise DeviceError(where, "a first message without inverse3", "a list of devices", _START_HINT)
+    for entry in entries:
+        name = entry.get("device_id")
+        is_name = isinstance(name, (str, int)) and not isinstance(name, bool)
+        if not is_name or len(str(name)) > _MAX_ID or "%" in str(name):
+            raise DeviceError(where, f"device_id {repr(name)[:40]}", "a short name")
+    return entries
+
+
+def readiness_of(entry: dict[str, Any]) -> Readiness:
+    """Return the state of a device from its entry in a message; what it does not report is None."""
+    status = entry.get("status")
+    status = status if isinstance(status, dict) else {}
+    is_powered, is_calibrated, is_ready, is_started, is_in_use = (
+        status.get(name) if isinstance(status.get(name), bool) else None
+        for name in ("power_supply", "calibrated", "ready", "started", "in_use")
+    )
+    is_running = False if False in (is_ready, is_started) else is_started
+    hint = ""
+    if is_running is False:
+        hint = "Wait for the service, or restart it."
+    if is_in_use:
+        hint = "End the other program."
+    if is_calibrated is False:
+        hint = "Calibrate it: see the service's own page."
+    if is_powered is False:
+        hint = "Plug in its power supply."
+    is_free = None if is_in_use is None else not is_in_use
+    return Readiness(str(entry["device_id"]), True, is_powered, is_calibrated, is_running, is_free, hint=hint)
+
+
 def checks() -> list[Check]:
     """Check the library, and whether the service listens at its default address."""
     return [library_check("websockets", "devices"), service_check("Inverse Service", SERVICE, _START_HINT)]
 
 
+def _parts_of(rest: str) -> tuple[Address, str | None]:
+    """Return the address of the service and the id of the unit, None if there is none, from HOST:PORT/ID."""
+    text, slash, unit = rest.partition("/")
+    form = "haply:HOST:PORT/ID"
+    if slash and not (unit and unit.isprintable() and len(unit) <= _MAX_ID):
+        raise InvalidArgument("device", f"'haply:{rest[:80]}'", form)
+    return address(text, form, SERVICE), unit or None
+
+
+def find_units(rest: str = "") -> list[Readiness]:
+    """Return the state of each unit that the service lists, without a command.
+
+    Raises `DeviceError` if the service does not answer, `MissingExtra` without the library.
+    """
+    service, unit = _parts_of(rest)
+    where = f"Haply Inverse Service at {service[0]}:{service[1]}"
+    line = web_socket(service, "", where, _START_HINT, _OPEN_S, _OPEN_S, close_timeout=_CLOSE_S)
+    try:
+        message = json.loads(line.recv(timeout=_OPEN_S))
+    except Exception as error:  # closed, silent, or no JSON
+        raise DeviceError(where, f"no first message ({reason(error)})", hint=_START_HINT) from error
+    finally:
+        line.close()
+    return [
+        readiness_of(entry) for entry in entries_of(message, where) if unit in (None, str(entry["device_id"]))
+    ]
+
+
 def _opener(rest: str, trajectory: Trace | None) -> Opener:
-    return partial(Haply, address(rest, "haply:HOST:PORT", SERVICE))
+    service, unit = _parts_of(rest)
+    return partial(Haply, service, unit=unit)
 
 
 KIND = DeviceKind(
-    "haply", "haply[:HOST:PORT]", "Haply Inverse3, by its service", "haply-inverse3", _opener, checks
-)
+    "haply", "haply[:HOST:PORT][/ID]", "Haply Inverse3, by its service", "haply-inverse3",
+    _opener, checks, find_units=find_units,
+)  # fmt: skip

@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 MAX_MESSAGE_BYTES = 1 << 16
 
+Functions = Mapping[str, tuple[Any, tuple[Any, ...]]]
+"""Result and arguments of functions in a library, by name."""
+
 
 def connect(
     to: Address, where: str, timeout_s: float, hint: str, send_s: float | None = None
@@ -178,14 +181,18 @@ class DriverLibrary:
     mac: tuple[str, ...]
     hint: str
 
-    def load(self, functions: Mapping[str, tuple[Any, tuple[Any, ...]]]) -> Any:
+    def load(self, functions: Functions, optional: Functions | None = None) -> Any:
         """Load the library and declare its functions: ``{name: (result, arguments)}``.
 
-        Raises DeviceError if no file can be loaded, or a function is missing.
+        An older library may lack those of `optional`. Raises DeviceError if no file can be loaded, or another
+        function is missing.
         """
         library, name = self._load_first()
-        for function, (result, arguments) in functions.items():
+        optional = optional or {}
+        for function, (result, arguments) in {**functions, **optional}.items():
             entry = getattr(library, function, None)
+            if entry is None and function in optional:
+                continue
             if entry is None:
                 raise DeviceError(name, f"no function {function}", f"the library of {self.title}", self._hint)
             entry.restype, entry.argtypes = result, arguments

@@ -1,7 +1,7 @@
 """Finds and opens the driver for what a user gives to `play --device` (such as `haply:HOST:PORT`), and
 reports which libraries each driver needs.
 
-    sim   sim:spring   haply:HOST:PORT   openhaptics:NAME   forcedimension     a point (type 1)
+    sim   haply:HOST:PORT/ID   openhaptics:NAME   forcedimension:SERIAL        a point (type 1)
     bhaptics:HOST:PORT   osc:HOST:PORT   pins:/dev/ttyUSB0   pins:HOST:PORT    an array of actuators (type 2)
 
 A new device is a `DeviceKind`: ``KIND`` of a module in `MODULES` in this package, or an entry point of the
@@ -24,6 +24,7 @@ from touchfield.arrays import Float32s, Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.plugins import plugins
 from touchfield.render.point_device import PointDevice
+from touchfield.render.readiness import Readiness
 
 if TYPE_CHECKING:
     from touchfield.devices import Device
@@ -98,6 +99,9 @@ class DeviceKind:
     takes_any: bool = False
     is_simulated: bool = False  # a point that takes a trajectory, in the axes and metres of the field
     is_array: bool = False  # type 2
+    # finds the units that are connected and reads their state, without a force; `rest` as for `make`. Raises
+    # `TouchfieldError`. None for a device without identity
+    find_units: Callable[[str], list[Readiness]] | None = None
 
 
 class PointChoice(NamedTuple):
