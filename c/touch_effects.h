@@ -160,44 +160,6 @@ static inline void touch_smooth_settings(touch_receiver *receiver) {
 
 /* -- friction and damping --------------------------------------------------------------------------------------------- */
 
-#define TOUCH_IN_CONE (1.0 - 1.0 / 562949953421312.0) /* 1 - 2^-49: so that rounding never lifts friction out of its cone */
-#define TOUCH_MIN_FRICTION_N 1e-290                   /* near the smallest double its direction would be lost to rounding */
-#define TOUCH_MIN_SLIP (1.0 / 140737488355328.0)      /* 2^-47 of the largest component of v: 32 units of rounding */
-
-static inline double touch_largest_component(touch_vector v) {
-    return touch_fmax(touch_fmax(fabs(v.x), fabs(v.y)), fabs(v.z));
-}
-
-static inline touch_vector touch_scale_by_power(touch_vector v, int exponent) {
-    return touch_vector_of(ldexp(v.x, exponent), ldexp(v.y, exponent), ldexp(v.z, exponent));
-}
-
-/* F_t = -mu |F| v_t / max(|v_t|, v_s), N. Force and velocity are first scaled by powers of two, which is exact, so that no
-   square over- or underflows. A slip so small relative to v that its direction is rounding alone could drive the hand, and
-   counts as zero. So F_t . v <= 0 holds for the returned numbers themselves, summed without rounding. */
-static inline touch_vector touch_friction(touch_vector force_n, touch_vector velocity_m_s, double mu, double slip_speed_m_s) {
-    double f_max = touch_largest_component(force_n), v_max = touch_largest_component(velocity_m_s);
-    if (f_max == 0.0 || v_max == 0.0 || mu == 0.0) return touch_zero();
-    int f_exponent, v_exponent, mu_exponent;
-    (void)frexp(f_max, &f_exponent);
-    (void)frexp(v_max, &v_exponent);
-    touch_vector n = touch_scale_by_power(force_n, -f_exponent);
-    double length = sqrt(touch_dot(n, n));
-    n = touch_vector_of(n.x / length, n.y / length, n.z / length);
-    touch_vector t = touch_scale_by_power(velocity_m_s, -v_exponent);
-    for (int pass = 0; pass < 2; pass++) /* the second removes what rounding left along n */
-        t = touch_subtract(t, touch_scale(touch_dot(t, n), n));
-    double slip = sqrt(touch_dot(t, t));
-    if (slip <= TOUCH_MIN_SLIP) return touch_zero();
-    double mantissa = frexp(mu, &mu_exponent);
-    double size = ldexp(mantissa * length * TOUCH_IN_CONE, f_exponent + mu_exponent);
-    double slip_speed = ldexp(slip_speed_m_s, -v_exponent); /* infinite where v is all but nothing */
-    /* one factor, so that what it loses near the smallest double turns no direction */
-    if (slip_speed > slip) size *= slip / slip_speed;
-    if (size < TOUCH_MIN_FRICTION_N) return touch_zero();
-    return touch_vector_of(-t.x / slip * size, -t.y / slip * size, -t.z / slip * size);
-}
-
 /* A force of the field with the damper in contact: along it alone, and never more than it. */
 static inline touch_vector touch_damped(const touch_tick_state *state, touch_vector force_n, touch_vector velocity_m_s) {
     double size = touch_norm(force_n);

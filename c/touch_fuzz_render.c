@@ -200,7 +200,8 @@ static void any_settings(touch_receiver *receiver) {
     any_quaternion(q);
     settings->rate_hz = any(4) ? 1000.0 : any_size(1, 4);
     settings->friction = any(2) ? uniform(0.0, 2.0) : 0.0, settings->damping_n_s_per_m = any(2) ? any_size(-3, 1) : 0.0;
-    settings->slip_speed_m_s = any_size(-4, -1), settings->brake_n_s_per_m = any(2) ? any_size(-2, 2) : 0.0;
+    settings->stick_n_per_m = any(4) ? any_size(0, 5) : 0.0, settings->stick_n_s_per_m = any(2) ? any_size(-2, 2) : 0.0;
+    settings->brake_n_s_per_m = any(2) ? any_size(-2, 2) : 0.0;
     settings->is_passive = any(2);
     settings->scale = any_size(-1, 1), settings->force_scale = any_size(-1, 1), settings->clutch_m = any_vector(0.02);
     if (any(2)) settings->gravity_n = any_vector(0.5);

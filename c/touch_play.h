@@ -482,6 +482,7 @@ static inline int touch_play_add_wall(touch_play *play, const touch_play_field *
     if (before > 0.0) finest = touch_fmin(finest, before);
     int is_first = !(play->wall.stiffness_n_per_m > 0.0);
     play->wall.level_n = is_first ? wall.level_n : touch_fmin(wall.level_n, play->wall.level_n);
+    play->wall.large_n = touch_fmax(play->wall.large_n, wall.large_n);
     play->wall.stiffness_n_per_m = touch_fmax(play->wall.stiffness_n_per_m, wall.stiffness_n_per_m);
     settings->wall_spacing_m = touch_vector_of(finest, finest, finest); /* bodies rotate */
     if (touch_play_parts(play) == 1) settings->wall_spacing_m = touch_vector_of(h[0], h[1], h[2]);
@@ -526,6 +527,7 @@ static inline int touch_play_choose_walls(touch_play *play) {
     if (stated_n_per_m > 0.0) play->wall.stiffness_n_per_m = stated_n_per_m;
     if (render->wall_n_per_m > 0.0) play->wall.stiffness_n_per_m = render->wall_n_per_m;
     settings->wall_n_per_m = play->wall.stiffness_n_per_m, settings->wall_level_n = play->wall.level_n;
+    settings->wall_force_n = play->wall.large_n;
     touch_play_adapt(play, play->wall.stiffness_n_per_m);
     return TOUCH_OK;
 }
@@ -623,7 +625,7 @@ static inline int touch_play_check(const touch_play *play) {
     return o->max_ahead >= 4 && !(o->max_ahead & (o->max_ahead - 1)) && o->max_ahead <= 1 << 14 && o->log_rows >= 0 &&
            o->speed > 0.0 && o->speed <= 100.0 && render->rate_hz >= 10.0 && render->rate_hz <= 20000.0 &&
            render->scale > 0.0 && render->force_scale >= 0.0 && render->thermal_s > 0.0 && render->ramp_s > 0.0 &&
-           render->slip_speed_m_s > 0.0 && render->velocity_cutoff_hz > 0.0;
+           render->velocity_cutoff_hz > 0.0;
 }
 
 /* Lay out the receiver in memory of touch_play_room bytes, decode the first frame, and choose the settings for the device.

@@ -13,13 +13,12 @@
            touch_find_surface              a step that ends within a surface is brought back onto it
            touch_add_constraint            its tangent plane constrains the next step
        touch_ramp_depth                how far the proxy lies below the surface of what was coded, x
-       touch_apply_friction_cone       back towards where it was, as far as the friction cone allows
        touch_store_proxy               for the next tick
+       touch_field_share               how far the stored force is that of this wall
 
    The force is that of a spring, F = K (proxy - hand + x), along proxy - hand. The low-pass of a field makes a ramp of each
-   wall, and x extrapolates that ramp: what is thick is rendered as the field has it, what is thin still stops the hand.
-   Friction lets the proxy stay as long as its spring pulls along the surface by less than mu times the pressure (Harwin and
-   Melder 2002). Steps get shorter where those of the tick before went to and fro, so that the proxy comes to rest. */
+   wall, and x extrapolates that ramp. Where the stored force at the hand agrees with that spring, it is rendered itself; where a
+   wall is thin, or has an edge, the spring still stops the hand. Friction acts at the proxy (touch_friction.h). Steps get shorter where those of the tick before went to and fro, so that the proxy comes to rest. */
 #ifndef TOUCH_PROXY_H
 #define TOUCH_PROXY_H
 
@@ -38,12 +37,17 @@
 #define TOUCH_PROXY_ROUNDS 4            /* of a search for the surface */
 #define TOUCH_PROXY_RAMP_SAMPLES 2.0    /* behind the surface, from where on the low-pass leaves a ramp as it is */
 #define TOUCH_PROXY_RAMP_DOUBT 0.05     /* samples: by so much a ramp within the low-pass overestimates */
+#define TOUCH_PROXY_THIN_RATIO 0.3      /* of the stored force to that of the spring: up to this a wall is thin, */
+#define TOUCH_PROXY_THIN_WIDTH 0.3      /* and from so much more on it is thick */
+#define TOUCH_PROXY_EDGE_COSINE 0.8     /* between the stored force and that of the spring: up to this it is an edge, */
+#define TOUCH_PROXY_EDGE_WIDTH 0.15     /* and from so much more on a surface */
 
 typedef struct { /* the field at this time, and what defines its surface */
     touch_receiver *receiver;
     const touch_instant *instant;
     double stiffness_n_per_m; /* K of the spring; the field's |F| grows by about as much inwards */
     double level_n;           /* the surface is where |F| is this */
+    double large_n;           /* a large force of the field */
     double max_step_m;        /* of the proxy: half a sample */
     touch_vector spacing_m;   /* of the samples */
 } touch_isosurface;
@@ -303,20 +307,6 @@ static inline void touch_store_proxy(const touch_isosurface *s, touch_vector pos
 
 /* -- the force -------------------------------------------------------------------------------------------------------- */
 
-/* Where friction lets the proxy stay: where it was, or at most `max_m` from where it would be without friction. */
-static inline touch_vector touch_apply_friction_cone(const touch_isosurface *s, touch_vector before_m,
-                                                     touch_vector frictionless_m, double max_m) {
-    touch_vector back = touch_subtract(before_m, frictionless_m);
-    double length = touch_magnitude(back);
-    if (length <= max_m) return before_m;
-    touch_vector position = touch_add_scaled(frictionless_m, max_m / length, back);
-    if (max_m > 0.0) {
-        touch_field_point at = touch_probe(s, position);
-        if (at.force_n > TOUCH_PROXY_FREE_LEVELS * s->level_n) position = touch_move_onto_surface(s, at).position_m;
-    }
-    return position;
-}
-
 /* Depth of a proxy below the surface that the ramp of forces behind it extrapolates to, metres; negative above. Two samples
    behind the surface the low-pass of the field is over. Where the force has its maximum before that, or the wall ends, the
    force half as far behind is taken, with a margin. */
@@ -331,37 +321,37 @@ static inline double touch_ramp_depth(const touch_isosurface *s, touch_vector po
     return touch_fmin(touch_fmin(depth, sample), 0.5 * depth_m);
 }
 
-/* The force of the proxy on the hand, N, without friction; `*friction_n` is what friction adds. One tick of the proxy. */
-static inline touch_vector touch_contact_force(touch_receiver *receiver, const touch_instant *t, touch_vector hand_m,
-                                               touch_vector *friction_n) {
+/* How far the field itself is the force of this wall, 0 to 1. In a wall that fills its neighbourhood the stored force at the hand
+   is what the proxy's spring approximates, but it changes with time as smoothly as the field does, and not as a surface that
+   is searched for; so it is rendered. Where the wall is thin or has an edge the stored force is smaller or turned. */
+static inline double touch_field_share(const touch_isosurface *s, touch_vector stored_n, touch_vector outwards, double force_n) {
+    double stored = touch_magnitude(stored_n), expected = touch_fmin(force_n, s->large_n);
+    if (!(stored > 0.0 && expected > 0.0)) return 0.0;
+    double along = touch_dot(stored_n, outwards);
+    double by_size = touch_smooth_step((along / expected - TOUCH_PROXY_THIN_RATIO) / TOUCH_PROXY_THIN_WIDTH);
+    return by_size * touch_smooth_step((along / stored - TOUCH_PROXY_EDGE_COSINE) / TOUCH_PROXY_EDGE_WIDTH);
+}
+
+/* The force on the hand, N, without friction. One tick of the proxy. Friction acts at the proxy, state.proxy.position_m. */
+static inline touch_vector touch_contact_force(touch_receiver *receiver, const touch_instant *t, touch_vector hand_m) {
     const touch_settings *settings = &receiver->settings;
     const touch_tick_state *state = &receiver->state;
-    touch_isosurface s = {receiver, t, settings->wall_n_per_m, settings->wall_level_n, 0.0, settings->wall_spacing_m};
+    touch_isosurface s = {receiver, t, settings->wall_n_per_m, settings->wall_level_n, settings->wall_force_n, 0.0,
+                          settings->wall_spacing_m};
     s.max_step_m = 0.5 * touch_fmin(touch_fmin(s.spacing_m.x, s.spacing_m.y), s.spacing_m.z);
-    int was_in_contact = state->proxy.is_active && state->proxy.is_in_contact;
-    touch_vector before = state->proxy.is_active ? touch_carried_position(&s) : hand_m;
-    touch_vector frictionless = before;
-    *friction_n = touch_zero();
-    if (!touch_move_proxy(&s, hand_m, &frictionless)) {
-        touch_store_proxy(&s, frictionless, 0);
-        return touch_zero();
-    }
-    touch_vector pull = touch_subtract(frictionless, hand_m);
+    touch_vector position = state->proxy.is_active ? touch_carried_position(&s) : hand_m;
+    int is_in_contact = touch_move_proxy(&s, hand_m, &position);
+    touch_store_proxy(&s, position, is_in_contact);
+    touch_vector stored = touch_force_at(t, hand_m);
+    if (!is_in_contact) return stored;
+    touch_vector pull = touch_subtract(position, hand_m);
     double k = 1.0 / (1.0 / s.stiffness_n_per_m + state->compliance_m_per_n); /* softer where the loop would be unstable */
     double depth = touch_magnitude(pull);
     touch_vector outwards = touch_scale(1.0 / depth, pull);
-    double ramp_depth = touch_ramp_depth(&s, frictionless, touch_scale(-1.0, outwards), depth);
+    double ramp_depth = touch_ramp_depth(&s, position, touch_scale(-1.0, outwards), depth);
     double force = touch_fmax(0.0, k * (depth + ramp_depth));
-
-    double mu = state->friction;
-    touch_vector position = frictionless;
-    if (was_in_contact) position = touch_apply_friction_cone(&s, before, frictionless, mu * force / k);
-    touch_store_proxy(&s, position, 1);
-    touch_vector back = touch_subtract(position, frictionless);
-    /* moved onto the surface the proxy may be a little farther off than friction allows */
-    double max_fraction = mu * force / touch_fmax(k * touch_magnitude(back), 1e-12);
-    *friction_n = touch_scale(k * touch_fmin(1.0, max_fraction), back);
-    return touch_scale(force, outwards);
+    double share = touch_field_share(&s, stored, outwards, force);
+    return touch_add(touch_scale(share, stored), touch_scale((1.0 - share) * force, outwards));
 }
 
 #endif

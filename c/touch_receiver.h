@@ -13,7 +13,7 @@
 
 #include <stdint.h>
 
-enum { TOUCH_RECEIVER_VERSION = 1 };
+enum { TOUCH_RECEIVER_VERSION = 2 };
 
 /* A program that plays files alone may define it as 0: files have no deformations, materials or tools, whose code is left
    out then. */
@@ -100,7 +100,8 @@ typedef struct { /* what the user and the device want; units in the names */
     double rate_hz;
     double friction;             /* mu of the medium */
     double damping_n_s_per_m;
-    double slip_speed_m_s;       /* below it friction falls with the speed */
+    double stick_n_per_m;        /* spring of friction's anchor, and its damper */
+    double stick_n_s_per_m;
     double coupling_n_per_m;     /* K of the virtual coupling; 0: none */
     double brake_n_s_per_m;      /* of the damper in contact, along the force of the field */
     int64_t is_passive;          /* the passivity controller is on */
@@ -115,6 +116,7 @@ typedef struct { /* what the user and the device want; units in the names */
     double delay_ticks;          /* from a force to its effect on the hand, perhaps a fraction; at most TOUCH_MAX_DELAY */
     double wall_n_per_m;         /* stiffness of the proxy's walls; 0: the field is rendered as it is */
     double wall_level_n;         /* force that defines the surface */
+    double wall_force_n;         /* a large force of the field: near its limit */
     touch_vector wall_spacing_m; /* of the samples */
     touch_limits force_limits;   /* N, N/s */
     touch_limits torque_limits;  /* N m, N m/s; 0: the device shows no torque */
@@ -183,6 +185,13 @@ typedef struct { /* the proxy, or the other end of the virtual coupling */
     touch_vector coupling_step_m, coupling_pull_n, hand_m; double added_n_per_m; /* of the coupling's latest step */
 } touch_proxy;
 
+typedef struct { /* of friction: the point of the surface that the hand stuck to last */
+    int64_t is_set;
+    touch_vector position_m;
+    int64_t body;                /* that carries it; -1: none */
+    touch_vector body_position_m; /* in the axes of that body */
+} touch_stick_anchor;
+
 typedef struct { /* what one tick leaves for the next */
     int64_t is_started;
     double since_s;              /* the latest position */
@@ -196,6 +205,7 @@ typedef struct { /* what one tick leaves for the next */
     touch_vector past_forces_n[TOUCH_PAST_FORCES]; /* the latest first, without gravity */
     double vibration_phase;      /* rad */
     touch_proxy proxy;
+    touch_stick_anchor anchor;
     double brake_n_s_per_m;      /* on its way to that of the settings */
     double compliance_m_per_n;   /* 1 / K of the virtual coupling, on its way to that of the settings */
     double friction;             /* mu at this point */

@@ -43,6 +43,7 @@
 #define TOUCH_RENDER_H
 
 #include "touch_effects.h"
+#include "touch_friction.h"
 #include "touch_proxy.h"
 #include "touch_shared.h"
 #include "touch_tool.h"
@@ -379,8 +380,9 @@ static inline touch_vector touch_field_force(touch_receiver *receiver, const tou
     const touch_settings *settings = &receiver->settings;
     touch_tick_state *state = &receiver->state;
     touch_vector force;
-    if (settings->wall_n_per_m > 0.0) return touch_contact_force(receiver, t, *point_m, friction_n);
-    if (TOUCH_HAS_EXTRAS && settings->tool_point_count > 0) {
+    if (settings->wall_n_per_m > 0.0) {
+        force = touch_contact_force(receiver, t, *point_m);
+    } else if (TOUCH_HAS_EXTRAS && settings->tool_point_count > 0) {
         force = touch_tool_force(receiver, t, *point_m, &state->field_torque_nm);
         touch_desired_torque(receiver);
     } else if (state->compliance_m_per_n > TOUCH_MIN_COMPLIANCE_M_PER_N) {
@@ -389,8 +391,9 @@ static inline touch_vector touch_field_force(touch_receiver *receiver, const tou
         force = touch_force_at(t, *point_m);
     }
     if (!touch_is_finite(force)) force = touch_zero();
-    touch_yield(receiver, t, *point_m, force, dt_s);
-    *friction_n = touch_friction(force, state->velocity_m_s, state->friction, settings->slip_speed_m_s);
+    if (!(settings->wall_n_per_m > 0.0)) touch_yield(receiver, t, *point_m, force, dt_s);
+    touch_vector stuck = settings->wall_n_per_m > 0.0 ? state->proxy.position_m : *point_m;
+    *friction_n = touch_friction_force(receiver, t, stuck, force, dt_s);
     return force;
 }
 
@@ -427,7 +430,7 @@ static inline touch_vector touch_desired_force(touch_receiver *receiver, const t
 
 /* The hand leaves the field: no force and no friction act. */
 static inline void touch_leave_field(touch_tick_state *state) {
-    state->proxy.is_active = 0;
+    state->proxy.is_active = state->anchor.is_set = 0;
     state->field_force_n = state->friction_n = state->field_torque_nm = touch_zero();
 }
 

@@ -26,7 +26,6 @@ typedef struct { /* options of the renderer; touch_render_defaults has values th
     double rate_hz;           /* of the ticks */
     double friction;          /* mu, or TOUCH_OF_MEDIUM */
     double damping_n_s_per_m; /* everywhere, or TOUCH_OF_MEDIUM: the medium's, and in contact the stable value */
-    double slip_speed_m_s;
     double coupling_n_per_m;  /* 0: none; or TOUCH_STABLE */
     int64_t is_passive;
     double scale;             /* metres of the field for a metre of the device */
@@ -47,7 +46,6 @@ static inline touch_render_options touch_render_defaults(void) {
     memset(&o, 0, sizeof o);
     o.rate_hz = 1000.0;
     o.friction = o.damping_n_s_per_m = TOUCH_OF_MEDIUM, o.coupling_n_per_m = TOUCH_STABLE;
-    o.slip_speed_m_s = 0.001;
     o.scale = o.force_scale = 1.0;
     o.axes.row[0].x = o.axes.row[1].y = o.axes.row[2].z = 1.0;
     o.thermal_s = 1.0, o.ramp_s = 0.02, o.velocity_cutoff_hz = 100.0;
@@ -90,39 +88,7 @@ static inline double touch_determinant(const touch_matrix *m) {
     return touch_dot(m->row[0], touch_cross(m->row[1], m->row[2]));
 }
 
-/* Write all settings but those of walls and of the stable damper and coupling, and the state before the first tick. Friction
-   and damping are those of the medium. */
-static inline void touch_choose_settings(touch_receiver *receiver, const touch_render_options *options,
-                                         const touch_device *device, double friction, double damping_n_s_per_m) {
-    touch_settings *settings = &receiver->settings;
-    memset(settings, 0, sizeof *settings), memset(&receiver->state, 0, sizeof receiver->state);
-    memset(&receiver->grip, 0, sizeof receiver->grip);
-    settings->rate_hz = options->rate_hz;
-    settings->friction = options->friction >= 0.0 ? options->friction : friction;
-    settings->damping_n_s_per_m = options->damping_n_s_per_m >= 0.0 ? options->damping_n_s_per_m : damping_n_s_per_m;
-    settings->slip_speed_m_s = options->slip_speed_m_s;
-    settings->coupling_n_per_m = touch_fmax(options->coupling_n_per_m, 0.0);
-    settings->is_passive = options->is_passive;
-    settings->scale = options->scale, settings->clutch_m = options->clutch_m, settings->axes = options->axes;
-    settings->handedness = touch_determinant(&options->axes) < 0.0 ? -1.0 : 1.0;
-    settings->force_scale = options->force_scale, settings->gravity_n = options->gravity_n;
-    settings->thermal_s = options->thermal_s, settings->ramp_s = options->ramp_s;
-    settings->velocity_cutoff_rad_s = 2.0 * TOUCH_PI * options->velocity_cutoff_hz;
-    settings->delay_ticks = touch_fmin(touch_delay_s(device) * options->rate_hz, (double)TOUCH_MAX_DELAY);
-    settings->force_limits = touch_limits_of(&options->force_limits, device->force_max_n, device->force_continuous_n);
-    if (device->torque_max_nm > 0.0)
-        settings->torque_limits =
-            touch_limits_of(&options->torque_limits, device->torque_max_nm, device->torque_continuous_nm);
-    receiver->state.force.limit = settings->force_limits.peak;
-    receiver->state.torque.limit = settings->torque_limits.peak;
-    receiver->state.friction = settings->friction;
-    receiver->grip.orientation[0] = 1.0;
-    double ramp_s = touch_fmax(touch_ramp_limit_s(&settings->force_limits, options->ramp_s),
-                               touch_ramp_limit_s(&settings->torque_limits, options->ramp_s));
-    receiver->layout.ramp_limit_ns = (int64_t)(1e9 * ramp_s + 0.5);
-}
-
-/* -- damper in contact and coupling ----------------------------------------------------------------------------------- */
+/* -- stable stiffness ------------------------------------------------------------------------------------------------- */
 
 /* For slow movements, a force that is sampled, held and delayed by d equals -K x(t - T/2 - d): a spring with a negative
    damper of K (T/2 + d), which the device must compensate (Colgate and Schenkel 1997). In contact the renderer brakes with
@@ -153,6 +119,54 @@ static inline double touch_max_stiffness(const touch_device *device, const touch
     }
     return touch_fmax(max_k, k * lag_s < b ? TOUCH_MIN_STIFFNESS_FRACTION * k : 0.0);
 }
+
+#define TOUCH_STICK_N_PER_M 1000.0 /* of the device: about that of a fingertip along a surface (Nakazawa 2000) */
+
+/* The spring of friction's anchor, as stiff as a hand sticks or as the loop renders stably, and the damper that it needs. The
+   damping of the medium is in the settings. */
+static inline void touch_choose_stick(touch_settings *settings, const touch_render_options *options,
+                                      const touch_device *device) {
+    double lag_s = 0.5 / options->rate_hz + touch_delay_s(device), scale = options->scale * options->force_scale;
+    double k = touch_fmin(TOUCH_STICK_N_PER_M, touch_max_stiffness(device, options, TOUCH_STICK_N_PER_M, lag_s));
+    double c = TOUCH_SAFETY_FACTOR * k * lag_s - device->damping_n_s_per_m - scale * settings->damping_n_s_per_m;
+    if (!(scale > 0.0)) return;
+    settings->stick_n_per_m = k / scale;
+    settings->stick_n_s_per_m = touch_fmax(c, 0.0) / scale;
+}
+
+/* Write all settings but those of walls and of the stable damper and coupling, and the state before the first tick. Friction
+   and damping are those of the medium. */
+static inline void touch_choose_settings(touch_receiver *receiver, const touch_render_options *options,
+                                         const touch_device *device, double friction, double damping_n_s_per_m) {
+    touch_settings *settings = &receiver->settings;
+    memset(settings, 0, sizeof *settings), memset(&receiver->state, 0, sizeof receiver->state);
+    memset(&receiver->grip, 0, sizeof receiver->grip);
+    settings->rate_hz = options->rate_hz;
+    settings->friction = options->friction >= 0.0 ? options->friction : friction;
+    settings->damping_n_s_per_m = options->damping_n_s_per_m >= 0.0 ? options->damping_n_s_per_m : damping_n_s_per_m;
+    touch_choose_stick(settings, options, device);
+    settings->coupling_n_per_m = touch_fmax(options->coupling_n_per_m, 0.0);
+    settings->is_passive = options->is_passive;
+    settings->scale = options->scale, settings->clutch_m = options->clutch_m, settings->axes = options->axes;
+    settings->handedness = touch_determinant(&options->axes) < 0.0 ? -1.0 : 1.0;
+    settings->force_scale = options->force_scale, settings->gravity_n = options->gravity_n;
+    settings->thermal_s = options->thermal_s, settings->ramp_s = options->ramp_s;
+    settings->velocity_cutoff_rad_s = 2.0 * TOUCH_PI * options->velocity_cutoff_hz;
+    settings->delay_ticks = touch_fmin(touch_delay_s(device) * options->rate_hz, (double)TOUCH_MAX_DELAY);
+    settings->force_limits = touch_limits_of(&options->force_limits, device->force_max_n, device->force_continuous_n);
+    if (device->torque_max_nm > 0.0)
+        settings->torque_limits =
+            touch_limits_of(&options->torque_limits, device->torque_max_nm, device->torque_continuous_nm);
+    receiver->state.force.limit = settings->force_limits.peak;
+    receiver->state.torque.limit = settings->torque_limits.peak;
+    receiver->state.friction = settings->friction;
+    receiver->grip.orientation[0] = 1.0;
+    double ramp_s = touch_fmax(touch_ramp_limit_s(&settings->force_limits, options->ramp_s),
+                               touch_ramp_limit_s(&settings->torque_limits, options->ramp_s));
+    receiver->layout.ramp_limit_ns = (int64_t)(1e9 * ramp_s + 0.5);
+}
+
+/* -- damper in contact and coupling ----------------------------------------------------------------------------------- */
 
 typedef struct { /* damper in contact and coupling, in units of the field, 0: none; what is rendered, in those of the device */
     double brake_n_s_per_m, coupling_n_per_m;
@@ -220,8 +234,8 @@ static inline double touch_stiffest_n_per_m(const touch_cells *cells, int64_t br
 #define TOUCH_WALL_MAX_LEVEL_N 0.05
 #define TOUCH_WALL_LEVEL_FRACTION 0.1       /* level of the surface, over a large force */
 
-typedef struct { /* stiffness 0: there is no wall; level: force at the surface */
-    double stiffness_n_per_m, level_n;
+typedef struct { /* stiffness 0: there is no wall; level: force at the surface; a large force of the field */
+    double stiffness_n_per_m, level_n, large_n;
 } touch_field_wall;
 
 /* Heap sort: nothing is allocated, and the time is bounded. */
@@ -295,7 +309,7 @@ static inline int touch_is_on_ramp(const float *force_n, double large_n) {
 
 /* The wall in a field. `work` has room for touch_force_sizes(field, NULL) numbers. */
 static inline touch_field_wall touch_find_wall(const touch_wall_field *w, double *work) {
-    touch_field_wall wall = {0.0, 0.0};
+    touch_field_wall wall = {0.0, 0.0, 0.0};
     const touch_field_bricks *field = w->field;
     int64_t count = touch_force_sizes(field, work), on_ramp = 0, seen = 0, looked_at = 0, walls = 0;
     if (!count) return wall;
@@ -313,6 +327,7 @@ static inline touch_field_wall touch_find_wall(const touch_wall_field *w, double
     touch_sort_doubles(work, walls);
     wall.stiffness_n_per_m = touch_quantile(work, walls, TOUCH_WALL_STIFFNESS_FRACTION);
     wall.level_n = touch_fmin(TOUCH_WALL_MAX_LEVEL_N, TOUCH_WALL_LEVEL_FRACTION * large_n);
+    wall.large_n = large_n;
     return wall;
 }
 

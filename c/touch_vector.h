@@ -38,6 +38,12 @@ TOUCH_INLINE double touch_fmin(double a, double b) { return b < a ? b : a; }
 /* x within [low, high] */
 TOUCH_INLINE double touch_clamp(double x, double low, double high) { return touch_fmin(touch_fmax(x, low), high); }
 
+/* From 0 at 0 to 1 at 1, without an edge. */
+TOUCH_INLINE double touch_smooth_step(double x) {
+    double y = touch_clamp(x, 0.0, 1.0);
+    return y * y * (3.0 - 2.0 * y);
+}
+
 TOUCH_INLINE touch_vector touch_zero(void) { return touch_vector_of(0.0, 0.0, 0.0); }
 
 TOUCH_INLINE double touch_dot(touch_vector a, touch_vector b) { return a.x * b.x + a.y * b.y + a.z * b.z; }

@@ -1,4 +1,4 @@
-/* The receiver: tick, release, cycle, give_order, publish, unrolled_frame, limited, friction, contact_force,
+/* The receiver: tick, release, cycle, give_order, publish, unrolled_frame, limited, contact_force,
    receiver_layout and openhaptics_callback (_native.pyi). */
 #ifndef TOUCHFIELD_RECEIVER_H
 #define TOUCHFIELD_RECEIVER_H
@@ -91,13 +91,6 @@ static PyObject *py_limited(PyObject *self, PyObject *const *arguments, Py_ssize
     return tuple_of_vector(force);
 }
 
-static PyObject *py_friction(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
-    double numbers[8]; /* force, velocity, mu, slip speed */
-    (void)self;
-    if (!expect_arguments(count, 8) || !read_doubles(arguments, 8, numbers)) return NULL;
-    return tuple_of_vector(touch_friction(vector_of(numbers), vector_of(numbers + 3), numbers[6], numbers[7]));
-}
-
 static PyObject *py_contact_force(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
     Py_buffer view;
     touch_receiver *receiver;
@@ -110,9 +103,7 @@ static PyObject *py_contact_force(PyObject *self, PyObject *const *arguments, Py
         return NULL;
     if (check_frames(&view, offsets, 2)) {
         touch_instant t = touch_instant_of(receiver, offsets[0], offsets[1], numbers[0]);
-        touch_vector friction, force = touch_contact_force(receiver, &t, vector_of(numbers + 1), &friction);
-        const double both[6] = {force.x, force.y, force.z, friction.x, friction.y, friction.z};
-        result = tuple_of(both, 6);
+        result = tuple_of_vector(touch_contact_force(receiver, &t, vector_of(numbers + 1)));
     }
     PyBuffer_Release(&view);
     return result;
@@ -189,7 +180,6 @@ static PyObject *py_openhaptics_callback(PyObject *self, PyObject *unused) {
     {"release", FAST_FUNCTION(py_release), METH_FASTCALL, NULL},                    \
     {"cycle", FAST_FUNCTION(py_cycle), METH_FASTCALL, NULL},                        \
     {"limited", FAST_FUNCTION(py_limited), METH_FASTCALL, NULL},                    \
-    {"friction", FAST_FUNCTION(py_friction), METH_FASTCALL, NULL},                  \
     {"contact_force", FAST_FUNCTION(py_contact_force), METH_FASTCALL, NULL},        \
     {"give_order", FAST_FUNCTION(py_give_order), METH_FASTCALL, NULL},              \
     {"publish", FAST_FUNCTION(py_publish), METH_FASTCALL, NULL},                    \

@@ -83,21 +83,21 @@ static PyObject *native_stiffest_slope(PyObject *module, PyObject *arguments) {
 }
 
 /* 0: an error is raised. */
-static inline int find_wall_in(const touch_wall_field *source, double found[2]) {
-    touch_field_wall wall = {0.0, 0.0};
+static inline int find_wall_in(const touch_wall_field *source, double found[3]) {
+    touch_field_wall wall = {0.0, 0.0, 0.0};
     PyThreadState *state = PyEval_SaveThread();
     int64_t count = touch_force_sizes(source->field, NULL);
     double *work = (double *)malloc((size_t)(count ? count : 1) * sizeof *work);
     if (work) wall = touch_find_wall(source, work);
     free(work);
     PyEval_RestoreThread(state);
-    found[0] = wall.stiffness_n_per_m, found[1] = wall.level_n;
+    found[0] = wall.stiffness_n_per_m, found[1] = wall.level_n, found[2] = wall.large_n;
     return work ? 1 : (fail_for_memory(), 0);
 }
 
 static PyObject *native_find_wall(PyObject *module, PyObject *arguments) {
     PyObject *bricks, *forces, *object, *result = NULL;
-    double spacing_m[3], origin_m[3], found[2];
+    double spacing_m[3], origin_m[3], found[3];
     double *h = spacing_m, *o = origin_m;
     long long count;
     touch_field_bricks field;
@@ -109,7 +109,7 @@ static PyObject *native_find_wall(PyObject *module, PyObject *arguments) {
     const touch_cells *cells = add_cells_to_read(&arrays, object, count);
     if (cells && add_field(&arrays, bricks, forces, &field)) {
         touch_wall_field source = {&field, cells, spacing_m, origin_m};
-        if (find_wall_in(&source, found)) result = tuple_of(found, 2);
+        if (find_wall_in(&source, found)) result = tuple_of(found, 3);
     }
     release_arrays(&arrays);
     return result;

@@ -122,16 +122,8 @@ def cycle(memory: Buffer, x: float, y: float, z: float, now_ns: int) -> Vector:
 def limited(memory: Buffer, x: float, y: float, z: float, dt_s: float) -> Vector:
     """The force that the limits allow where one is wanted, newtons (`touch_limit_output`)."""
 
-def friction(
-    fx: float, fy: float, fz: float, vx: float, vy: float, vz: float, mu: float, slip_speed_m_s: float
-) -> Vector:
-    """Friction at a force, newtons, and a velocity, metres a second (`touch_friction`)."""
-
-def contact_force(
-    memory: Buffer, before: int, after: int, blend: float, x: float, y: float, z: float
-) -> tuple[float, float, float, float, float, float]:
-    """The force of the proxy on a hand at x, y, z metres, newtons, and what friction adds
-    (`touch_contact_force`)."""
+def contact_force(memory: Buffer, before: int, after: int, blend: float, x: float, y: float, z: float) -> Vector:
+    """The force of the proxy on a hand at x, y, z metres, newtons, without friction (`touch_contact_force`)."""
 
 def give_order(
     memory: Buffer, generation: int, start_s: float, speed: float, mode: int, is_stopping: int

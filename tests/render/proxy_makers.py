@@ -67,6 +67,7 @@ class Held:
         assert wall is not None
         self.wall = wall if stiffness is None else replace(wall, stiffness_n_per_m=stiffness)
         if is_proxy:
+            settings["wall_force_n"] = self.wall.large_n
             settings["wall_n_per_m"], settings["wall_level_n"] = (
                 self.wall.stiffness_n_per_m,
                 self.wall.level_n,

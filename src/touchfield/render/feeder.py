@@ -349,11 +349,11 @@ class FrameSource(FrameParts):
             if walls:
                 stated = stated_n_per_m(self.medium.provenance)
                 stiffness = stated or max(wall.stiffness_n_per_m for wall in walls)
-                level = min(wall.level_n for wall in walls)
+                forces = min(wall.level_n for wall in walls), max(wall.large_n for wall in walls)
                 if len(names) == 1:
-                    return Wall(stiffness, level, walls[0].spacing_m)
+                    return Wall(stiffness, *forces, walls[0].spacing_m)
                 finest = min(min(wall.spacing_m) for wall in walls)  # the finest axis, since bodies rotate
-                return Wall(stiffness, level, (finest, finest, finest))
+                return Wall(stiffness, *forces, (finest, finest, finest))
         return None
 
     def write_shared(self, memory: Memory, at: int) -> None:

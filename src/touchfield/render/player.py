@@ -435,10 +435,9 @@ class Session:
             source.yield_at = self.layout.yields
         settings = memory.receiver["settings"]
         if self._wall is not None:
-            settings["wall_n_per_m"], settings["wall_level_n"] = (
-                self._wall.stiffness_n_per_m,
-                self._wall.level_n,
-            )
+            settings["wall_n_per_m"] = self._wall.stiffness_n_per_m
+            settings["wall_level_n"] = self._wall.level_n
+            settings["wall_force_n"] = self._wall.large_n
             settings["wall_spacing_m"] = self._wall.spacing_m
             self._notes = (
                 *self._notes,

@@ -50,7 +50,7 @@ Values outside are mistakes; inside, the square of a force does not under- or ov
 
 _NON_NEGATIVE: Final = ("force_scale", "friction", "damping_n_s_per_m", "coupling_n_per_m")
 _CHECKED_NUMBERS: Final = (
-    *("rate_hz", "slip_speed_m_s", "scale", "thermal_s", "ramp_s", "velocity_cutoff_hz", "wall_n_per_m"),
+    *("rate_hz", "scale", "thermal_s", "ramp_s", "velocity_cutoff_hz", "wall_n_per_m"),
     *("peak_n", "continuous_n", "slew_n_per_s", "peak_nm", "continuous_nm", "slew_nm_per_s"),
     *_NON_NEGATIVE,
 )
@@ -69,7 +69,6 @@ class RenderSpec:
     damping_n_s_per_m: float | None = option(
         None, "b everywhere; default: the stream's, and in contact the stable value."
     )
-    slip_speed_m_s: float = 0.001  # v_s of `touchfield.filters.contact`
     coupling_n_per_m: float | None = option(
         None, "Stiffness of the virtual coupling; 0: none; default: the stable value."
     )
@@ -167,7 +166,7 @@ def write_parameters(
 
 
 _SAME_OPTIONS: Final = (
-    *("rate_hz", "slip_speed_m_s", "scale", "clutch_m", "force_scale", "gravity_n"),
+    *("rate_hz", "scale", "clutch_m", "force_scale", "gravity_n"),
     *("thermal_s", "ramp_s", "velocity_cutoff_hz"),
 )
 """Options of the same name and meaning in `touch_render_options`."""
@@ -293,10 +292,11 @@ def stiffest_n_per_m(pools: Iterable[CellPool]) -> float:
 
 @dataclass(frozen=True)
 class Wall:
-    """A wall: slope of the force, force at the surface, and spacing of the samples."""
+    """A wall: slope of the force, force at the surface, a large force, and spacing of the samples."""
 
     stiffness_n_per_m: float
     level_n: float
+    large_n: float
     spacing_m: tuple[float, float, float]
 
 

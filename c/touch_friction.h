@@ -1,0 +1,88 @@
+/* touch_friction.h: dry friction with an anchor, for the proxy, the field, tools and deformed media.
+
+   The anchor is the point of the surface that the hand stuck to last. A spring and a damper pull the hand back to it along the
+   surface. Where they would pull by more than mu |F|, the anchor slides after, so that the spring alone pulls by mu |F|: the model
+   of Hayward and Armstrong (2000), Dahl's with an edge. Friction depends on positions and not on a measured speed, so that a hand
+   at rest is held by a force that does not change. A body that moves carries the anchor.
+
+   The spring is as stiff as the loop of the device renders stably (touch_stick_of), and the damper is the one that it needs. Both
+   only take energy out over a cycle: what stretches the spring comes back, and what slides is lost. */
+#ifndef TOUCH_FRICTION_H
+#define TOUCH_FRICTION_H
+
+#include "touch_query.h"
+
+#define TOUCH_IN_CONE (1.0 - 1.0 / 549755813888.0) /* 1 - 2^-39: rounding never lifts friction out of its cone */
+
+typedef struct { /* one tick of friction */
+    double max_n;                     /* mu |F| */
+    double stick_n_per_m, stick_n_s_per_m; /* spring and damper */
+    touch_vector normal;              /* of the surface, F / |F| */
+    touch_vector velocity_m_s;        /* of the hand; of the proxy's end of the spring */
+} touch_friction_rule;
+
+/* What is left of a vector along the surface. */
+static inline touch_vector touch_along_surface(touch_vector v, touch_vector normal) {
+    return touch_add_scaled(v, -touch_dot(v, normal), normal);
+}
+
+/* Where the anchor of the tick before lies now, if the body that it is on has moved; `here_m` if there is none yet. */
+static inline touch_vector touch_carried_anchor(const touch_stick_anchor *anchor, const touch_instant *t, touch_vector here_m) {
+    if (!anchor->is_set) return here_m;
+    if (anchor->body < 0 || anchor->body >= touch_body_count(t)) return anchor->position_m;
+    touch_matrix rotation = touch_body_rotation(t, anchor->body);
+    return touch_add(touch_rotate(&rotation, anchor->body_position_m), touch_body_position(t, anchor->body));
+}
+
+/* Store the anchor, also in the axes of the body that pushes most at a point of the surface. */
+static inline void touch_store_anchor(touch_stick_anchor *anchor, const touch_instant *t, touch_vector anchor_m, int64_t body) {
+    anchor->is_set = 1;
+    anchor->position_m = anchor_m;
+    anchor->body = body;
+    if (body < 0) return;
+    touch_matrix rotation = touch_body_rotation(t, body);
+    touch_vector arm = touch_subtract(anchor_m, touch_body_position(t, body));
+    anchor->body_position_m = touch_rotate_back(&rotation, arm);
+}
+
+/* The friction on a point at the surface, N, along it and at most max_n. The anchor slides where it must, in `*anchor_m`. */
+static inline touch_vector touch_stick_friction(const touch_friction_rule *rule, touch_vector point_m, touch_vector *anchor_m) {
+    double max_n = rule->max_n * TOUCH_IN_CONE, k = rule->stick_n_per_m;
+    touch_vector stretch = touch_along_surface(touch_subtract(*anchor_m, point_m), rule->normal);
+    double spring_n = k * touch_norm(stretch);
+    if (!(spring_n < HUGE_VAL)) stretch = touch_zero();
+    else if (spring_n > max_n) stretch = touch_scale(max_n / spring_n, stretch);
+    *anchor_m = touch_add(point_m, stretch);
+    touch_vector slip = touch_along_surface(rule->velocity_m_s, rule->normal);
+    touch_vector friction = touch_add_scaled(touch_scale(k, stretch), -rule->stick_n_s_per_m, slip);
+    double size = touch_norm(friction);
+    if (!(size < HUGE_VAL)) return touch_zero();
+    return size > max_n ? touch_scale(max_n / size, friction) : friction;
+}
+
+/* Friction on the hand, N, in the field's axes, where a force presses a point of it against a surface. */
+static inline touch_vector touch_friction_force(touch_receiver *receiver, const touch_instant *t, touch_vector point_m,
+                                                touch_vector force_n, double dt_s) {
+    const touch_settings *settings = &receiver->settings;
+    touch_tick_state *state = &receiver->state;
+    touch_stick_anchor *anchor = &state->anchor;
+    double size = touch_norm(force_n);
+    if (!(size > 0.0 && state->friction > 0.0 && settings->stick_n_per_m > 0.0)) {
+        anchor->is_set = 0;
+        return touch_zero();
+    }
+    touch_vector anchor_m = touch_carried_anchor(anchor, t, point_m), velocity = state->velocity_m_s;
+    if (anchor->is_set) velocity = touch_add_scaled(velocity, -1.0 / dt_s, touch_subtract(anchor_m, anchor->position_m));
+    touch_friction_rule rule;
+    rule.max_n = state->friction * size;
+    rule.stick_n_per_m = settings->stick_n_per_m;
+    rule.stick_n_s_per_m = settings->stick_n_s_per_m;
+    rule.normal = touch_vector_of(force_n.x / size, force_n.y / size, force_n.z / size);
+    rule.velocity_m_s = velocity;
+    touch_vector friction = touch_stick_friction(&rule, point_m, &anchor_m);
+    const touch_body_pose *poses = (const touch_body_pose *)(const void *)(t->before + 1);
+    touch_store_anchor(anchor, t, anchor_m, poses->is_identity ? -1 : touch_strongest_body(t, point_m));
+    return friction;
+}
+
+#endif
