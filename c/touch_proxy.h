@@ -16,7 +16,7 @@
        touch_apply_friction_cone       back towards where it was, as far as the friction cone allows
        touch_store_proxy               for the next tick
 
-   The force is that of a spring, F = K (proxy - hand + x), along proxy - hand. The low-pass of a field makes a ramp of each
+   The force is that of a spring, K (|proxy - hand| + x), along proxy - hand. The low-pass of a field makes a ramp of each
    wall, and x extrapolates that ramp: what is thick is rendered as the field has it, what is thin still stops the hand.
    Friction lets the proxy stay as long as its spring pulls along the surface by less than mu times the pressure (Harwin and
    Melder 2002). Steps get shorter where those of the tick before went to and fro, so that the proxy comes to rest. */
@@ -54,7 +54,9 @@ typedef struct { /* a point, and the force there by size and direction */
     touch_vector normal; /* F / |F|, outwards; zero without a force */
 } touch_field_point;
 
-typedef struct { /* the tangent planes of the surfaces that stop the proxy, by their normals, the latest first */
+/* The tangent planes of the surfaces that stop the proxy, by their normals, the latest first. Normals behind `count` are those
+   of surfaces that the proxy has left: one that it comes back to stops it again, as in a corner. */
+typedef struct {
     touch_vector normal[3];
     int count;
 } touch_constraint_planes;
@@ -219,6 +221,7 @@ static inline void touch_adapt_step(const touch_isosurface *s, touch_vector moti
 static inline int touch_find_surface(const touch_isosurface *s, touch_field_point at, touch_vector motion, int is_sliding,
                                      touch_vector hand_m, touch_field_point *next) {
     double max_approach = is_sliding ? 0.5 * touch_magnitude(motion) : 0.0;
+    /* a force along the motion is that of the far side of a thin wall: back to where the step went in */
     if (next->force_n <= TOUCH_PROXY_SLIDE_LEVELS * s->level_n && touch_dot(next->normal, motion) <= max_approach) {
         *next = touch_move_onto_surface(s, *next);
     } else if (next->force_n > s->level_n) {
@@ -248,7 +251,7 @@ static inline int touch_move_proxy(const touch_isosurface *s, touch_vector hand_
         before = motion;
         touch_field_point next = touch_probe(s, touch_add_scaled(at.position_m, touch_fmin(length, step_m) / length, motion));
         int is_free = next.force_n < TOUCH_PROXY_FREE_LEVELS * s->level_n;
-        int is_leaving = touch_dot(touch_subtract(hand_m, next.position_m), next.normal) >= 0.0;
+        int is_leaving = touch_dot(touch_subtract(hand_m, next.position_m), next.normal) >= 0.0; /* pushed on to the hand */
         if (next.force_n <= s->level_n && (is_free || is_leaving)) { /* no surface stops this step */
             if (!planes.count && length <= step_m) {                 /* it ends at the hand */
                 *position_m = next.position_m;
@@ -328,7 +331,7 @@ static inline double touch_ramp_depth(const touch_isosurface *s, touch_vector po
     double depth = deep_n / k - TOUCH_PROXY_RAMP_SAMPLES * sample;
     depth = touch_fmax(depth, shallow_n / k - (1.0 + TOUCH_PROXY_RAMP_DOUBT) * sample);
     depth = touch_fmax(depth, -sample);
-    return touch_fmin(touch_fmin(depth, sample), 0.5 * depth_m);
+    return touch_fmin(touch_fmin(depth, sample), 0.5 * depth_m); /* so that x grows from zero, as the hand goes in */
 }
 
 /* The force of the proxy on the hand, N, without friction; `*friction_n` is what friction adds. One tick of the proxy. */
