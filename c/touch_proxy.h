@@ -54,9 +54,8 @@ typedef struct { /* a point, and the force there by size and direction */
     touch_vector normal; /* F / |F|, outwards; zero without a force */
 } touch_field_point;
 
-/* The tangent planes of the surfaces that stop the proxy, by their normals, the latest first. Normals behind `count` are those
-   of surfaces that the proxy has left: one that it comes back to stops it again, as in a corner. */
-typedef struct {
+typedef struct { /* the tangent planes of the surfaces that stop the proxy, by their normals, the latest first; behind `count`
+                    are those of surfaces that it has left: one that it comes back to stops it again, as in a corner */
     touch_vector normal[3];
     int count;
 } touch_constraint_planes;
@@ -217,11 +216,11 @@ static inline void touch_adapt_step(const touch_isosurface *s, touch_vector moti
         *step_m = touch_fmin(*growth * *step_m, s->max_step_m);
 }
 
-/* Bring the end of a step onto the surface. 0: it cannot be found, as where forces turn within a sample. */
+/* Bring the end of a step onto the surface. A force along the motion is that of the far side of a thin wall: back to where the
+   step went in. 0: it cannot be found, as where forces turn within a sample. */
 static inline int touch_find_surface(const touch_isosurface *s, touch_field_point at, touch_vector motion, int is_sliding,
                                      touch_vector hand_m, touch_field_point *next) {
     double max_approach = is_sliding ? 0.5 * touch_magnitude(motion) : 0.0;
-    /* a force along the motion is that of the far side of a thin wall: back to where the step went in */
     if (next->force_n <= TOUCH_PROXY_SLIDE_LEVELS * s->level_n && touch_dot(next->normal, motion) <= max_approach) {
         *next = touch_move_onto_surface(s, *next);
     } else if (next->force_n > s->level_n) {
@@ -251,8 +250,8 @@ static inline int touch_move_proxy(const touch_isosurface *s, touch_vector hand_
         before = motion;
         touch_field_point next = touch_probe(s, touch_add_scaled(at.position_m, touch_fmin(length, step_m) / length, motion));
         int is_free = next.force_n < TOUCH_PROXY_FREE_LEVELS * s->level_n;
-        int is_leaving = touch_dot(touch_subtract(hand_m, next.position_m), next.normal) >= 0.0; /* pushed on to the hand */
-        if (next.force_n <= s->level_n && (is_free || is_leaving)) { /* no surface stops this step */
+        int is_leaving = touch_dot(touch_subtract(hand_m, next.position_m), next.normal) >= 0.0;
+        if (next.force_n <= s->level_n && (is_free || is_leaving)) { /* no surface stops this step, or one pushes it on */
             if (!planes.count && length <= step_m) {                 /* it ends at the hand */
                 *position_m = next.position_m;
                 return 0;
@@ -322,7 +321,7 @@ static inline touch_vector touch_apply_friction_cone(const touch_isosurface *s, 
 
 /* Depth of a proxy below the surface that the ramp of forces behind it extrapolates to, metres; negative above. Two samples
    behind the surface the low-pass of the field is over. Where the force has its maximum before that, or the wall ends, the
-   force half as far behind is taken, with a margin. */
+   force half as far behind is taken, with a margin. At most half the depth of the hand, so that x grows from zero. */
 static inline double touch_ramp_depth(const touch_isosurface *s, touch_vector position_m, touch_vector inwards,
                                       double depth_m) {
     double sample = touch_sample_length(s, inwards), k = s->stiffness_n_per_m;
@@ -331,7 +330,7 @@ static inline double touch_ramp_depth(const touch_isosurface *s, touch_vector po
     double depth = deep_n / k - TOUCH_PROXY_RAMP_SAMPLES * sample;
     depth = touch_fmax(depth, shallow_n / k - (1.0 + TOUCH_PROXY_RAMP_DOUBT) * sample);
     depth = touch_fmax(depth, -sample);
-    return touch_fmin(touch_fmin(depth, sample), 0.5 * depth_m); /* so that x grows from zero, as the hand goes in */
+    return touch_fmin(touch_fmin(depth, sample), 0.5 * depth_m);
 }
 
 /* The force of the proxy on the hand, N, without friction; `*friction_n` is what friction adds. One tick of the proxy. */
