@@ -1,7 +1,7 @@
 /* touch_effects.h: what the renderer adds to the force of a field, and the limits that every force passes last, in the order
-   of a tick:
+   of a tick, where passivity has two halves, one at each end:
 
-       velocity                 of the hand in the field, low-passed
+       velocity                 of the hand in the field, low-passed (after the passivity observer)
        virtual coupling         a spring K between the hand and a proxy in the field (Colgate, Stanley and Brown 1995)
        friction and damping     Coulomb friction F_t = -mu |F| v_t / |v_t|, and a damper along the force of contact
        vibration, materials     sines along the force: of the medium, and textures and stick-slip of materials

@@ -16,9 +16,10 @@
        touch_store_proxy               for the next tick
        touch_field_share               how far the stored force is that of this wall
 
-   The force is that of a spring, F = K (proxy - hand + x), along proxy - hand. The low-pass of a field makes a ramp of each
-   wall, and x extrapolates that ramp. Where the stored force at the hand agrees with that spring, it is rendered itself; where a
-   wall is thin, or has an edge, the spring still stops the hand. Friction acts at the proxy (touch_friction.h). Steps get shorter where those of the tick before went to and fro, so that the proxy comes to rest. */
+   The force is that of a spring, F = K (|proxy - hand| + x), along proxy - hand. The low-pass of a field makes a ramp of each
+   wall, and x extrapolates that ramp. Where the stored force at the hand agrees with that spring, it is rendered itself; where
+   a wall is thin or has an edge, the spring still stops the hand. Friction acts at the proxy (touch_friction.h). Steps get
+   shorter where those of the tick before went to and fro, so that the proxy comes to rest. */
 #ifndef TOUCH_PROXY_H
 #define TOUCH_PROXY_H
 
@@ -58,7 +59,8 @@ typedef struct { /* a point, and the force there by size and direction */
     touch_vector normal; /* F / |F|, outwards; zero without a force */
 } touch_field_point;
 
-typedef struct { /* the tangent planes of the surfaces that stop the proxy, by their normals, the latest first */
+typedef struct { /* the tangent planes of the surfaces that stop the proxy, by their normals, the latest first; behind `count`
+                    are those of surfaces that it has left: one that it comes back to stops it again, as in a corner */
     touch_vector normal[3];
     int count;
 } touch_constraint_planes;
@@ -219,7 +221,8 @@ static inline void touch_adapt_step(const touch_isosurface *s, touch_vector moti
         *step_m = touch_fmin(*growth * *step_m, s->max_step_m);
 }
 
-/* Bring the end of a step onto the surface. 0: it cannot be found, as where forces turn within a sample. */
+/* Bring the end of a step onto the surface. A force along the motion is that of the far side of a thin wall: back to where the
+   step went in. 0: it cannot be found, as where forces turn within a sample. */
 static inline int touch_find_surface(const touch_isosurface *s, touch_field_point at, touch_vector motion, int is_sliding,
                                      touch_vector hand_m, touch_field_point *next) {
     double max_approach = is_sliding ? 0.5 * touch_magnitude(motion) : 0.0;
@@ -253,7 +256,7 @@ static inline int touch_move_proxy(const touch_isosurface *s, touch_vector hand_
         touch_field_point next = touch_probe(s, touch_add_scaled(at.position_m, touch_fmin(length, step_m) / length, motion));
         int is_free = next.force_n < TOUCH_PROXY_FREE_LEVELS * s->level_n;
         int is_leaving = touch_dot(touch_subtract(hand_m, next.position_m), next.normal) >= 0.0;
-        if (next.force_n <= s->level_n && (is_free || is_leaving)) { /* no surface stops this step */
+        if (next.force_n <= s->level_n && (is_free || is_leaving)) { /* no surface stops this step, or one pushes it on */
             if (!planes.count && length <= step_m) {                 /* it ends at the hand */
                 *position_m = next.position_m;
                 return 0;
@@ -309,7 +312,7 @@ static inline void touch_store_proxy(const touch_isosurface *s, touch_vector pos
 
 /* Depth of a proxy below the surface that the ramp of forces behind it extrapolates to, metres; negative above. Two samples
    behind the surface the low-pass of the field is over. Where the force has its maximum before that, or the wall ends, the
-   force half as far behind is taken, with a margin. */
+   force half as far behind is taken, with a margin. At most half the depth of the hand, so that x grows from zero. */
 static inline double touch_ramp_depth(const touch_isosurface *s, touch_vector position_m, touch_vector inwards,
                                       double depth_m) {
     double sample = touch_sample_length(s, inwards), k = s->stiffness_n_per_m;

@@ -139,7 +139,7 @@ typedef struct { /* `sequence` is odd while the five after it are written */
     double start_s;              /* media time at which it begins */
     double speed;
     int64_t mode, is_stopping;
-    int64_t heartbeat_ns;        /* when the player was last alive; 0: nobody looks */
+    int64_t heartbeat_ns;        /* when the player was last alive, by the servo's clock; 0: nobody looks (touch_play.h) */
     int64_t has_feed_failed;
 } touch_orders;
 
@@ -181,7 +181,7 @@ typedef struct { /* the proxy, or the other end of the virtual coupling */
     int64_t is_in_contact;       /* a surface stops it */
     int64_t body;                /* that carries it; -1: none */
     touch_vector body_position_m; /* in the axes of that body */
-    double step_m;               /* of its search in this tick */
+    double step_m;               /* at which the search of the tick before ended */
     touch_vector coupling_step_m, coupling_pull_n, hand_m; double added_n_per_m; /* of the coupling's latest step */
 } touch_proxy;
 

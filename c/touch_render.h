@@ -1,5 +1,5 @@
-/* touch_render.h: one tick of the servo, from the position of the device to a limited force, as a cGenericForceAlgorithm of
-   CHAI3D computes it. Nothing is allocated, and nothing waits.
+/* touch_render.h: one tick of the servo, from the position of the device to a limited force: what updateFromDevice,
+   computeInteractionForces and applyToDevice of a tool of CHAI3D do. Nothing is allocated, and nothing waits.
 
        touch_receiver *receiver = memory;   // laid out as touch_receiver.h says, with settings, frames and a first order
        while (!receiver->clock.is_released) {
@@ -12,33 +12,40 @@
    touch_publish, and plays, pauses, seeks and stops with touch_give_order. It need not wait for the servo, nor the servo
    for it; clock.needs tells which frames it may overwrite.
 
-   One tick. The sections of this file are in its order; within a section a function stands behind those that it calls:
+   One tick, call by call. The sections of this file are in this order; within a section a function stands behind those that it
+   calls, so that touch_receiver_tick and touch_tick are the last ones of theirs. Read them first:
 
        touch_receiver_tick             all of it, at a time of the clock
            touch_count_time            jitter, missed ticks, the next deadline
            touch_take_order            play, pause, seek, stop
            touch_find_frames           media clock; the two frames around now, and how far between them (an instant)
            touch_tick                  the force:
-               touch_move_device           device to field: axes, scale, clutch; velocity; passivity observer
+               touch_store_past_force      for the passivity observer
+               touch_move_device           device to field: axes, scale, clutch; passivity observer; velocity
+                   touch_smooth_settings       damper in contact and coupling, on their way to the settings     touch_effects.h
                touch_desired_force
+                   touch_find_material         the material there, if there are any                 touch_effects.h
                    touch_field_force           one of four:
                        touch_contact_force         proxy (god object)                         touch_proxy.h
                        touch_tool_force            penalty forces on the points of a tool     touch_tool.h
                        touch_coupling_force        virtual coupling                           touch_effects.h
                        touch_force_at              penalty force at the point                 touch_query.h
-                   touch_friction, touch_damped, touch_vibration_force, touch_texture         touch_effects.h
+                       touch_yield                 creep of a deformed medium, without a proxy         touch_query.h
+                   touch_friction, touch_vibration_force, touch_texture, touch_damped         touch_effects.h
                    touch_passivity_controller                                                 touch_effects.h
+                   gravity                     the weight of the handle
                ramp                        a gain of 0 to 1, in the time of the settings
-               touch_limit_both            peak, heat (continuous force) and slew limits      touch_effects.h
+               touch_limit_both            cap (the peak, lowered by heat), then slew         touch_effects.h
            touch_release               in place of touch_tick after a stop: the next force on the way to zero
            touch_write_row             the log
 
    Two frames of reference: "device" is the axes of the device, metres of the workspace; "field" is that of the medium. Only
-   touch_tick and touch_release put forces out, and both do so through touch_limit_both. Without a frame, a position or an
-   orientation of the device the gain goes to zero in the time of the ramp, and so does the last force.
+   touch_tick and touch_release put forces out, and both do so through touch_limit_both, or repeat the last force where no time
+   has passed. Without a frame, a position or an orientation of the device the gain goes to zero in the time of the ramp, and
+   so does the last force.
 
    The media clock stands at the beginning and after a seek until the first frames are there. Where a later one is late there
-   is no force, but the clock goes on; only where nothing more will come does it stand. */
+   is no force, but the clock goes on; only where nothing more will come does it stand. A paused medium keeps its force. */
 #ifndef TOUCH_RENDER_H
 #define TOUCH_RENDER_H
 

@@ -6,7 +6,7 @@
 
 /* -- Huffman codes ---------------------------------------------------------------------------------------------------- */
 
-#define MAX_CODE_BITS 24 /* touchfield.codec.paper.kernels.MAX_CODE_BITS */
+#define MAX_CODE_BITS 24 /* touchfield.codec.paper.body.MAX_CODE_BITS */
 #define MAX_RUN_BITS 24
 
 typedef struct { /* bits in bytes, highest first; zeros behind the last byte */

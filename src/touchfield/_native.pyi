@@ -466,6 +466,24 @@ def blend_weight(rate_hz: float, index: int, length: int, is_last: int) -> float
     """The weight of frame `index` of a segment against the last frame of the segment before; 1: it is not
     blended (c/touch_segment_blend.h). `length` is that of the segment, `is_last` whether none follows."""
 
+def blend_bricks(
+    start: int,
+    stop: int,
+    slots: Buffer,
+    before: Buffer,
+    after: Buffer,
+    weight: float,
+    k: float,
+    f0_n: float,
+    out: Buffer,
+    has_force: Buffer,
+) -> None:
+    """Write a range of blended bricks, float32 [n, 8, 8, 8, 3], and whether one has a force
+    (c/touch_segment_blend.h).
+
+    `slots` int64 [2, n] are indices in `before` and `after`, -1 for a brick that is missing.
+    """
+
 # -- the error bound of moving bodies
 
 Rule = tuple[float, float, float, float]
@@ -498,22 +516,4 @@ def compare_frames(
     `error_bound.Moves`. `stays`, bool [frames, bodies]: whether a body has not moved since the frame before.
     Raises `ratios`, float64 [bodies], to larger ones, with frame and voxel in `voxels`, int64 [bodies, 4].
     Returns the number of voxels in all frames whose error exceeds the mask.
-    """
-
-def blend_bricks(
-    start: int,
-    stop: int,
-    slots: Buffer,
-    before: Buffer,
-    after: Buffer,
-    weight: float,
-    k: float,
-    f0_n: float,
-    out: Buffer,
-    has_force: Buffer,
-) -> None:
-    """Write a range of blended bricks, float32 [n, 8, 8, 8, 3], and whether one has a force
-    (c/touch_segment_blend.h).
-
-    `slots` int64 [2, n] are indices in `before` and `after`, -1 for a brick that is missing.
     """
