@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-RECEIVER_VERSION: Final = 1
+RECEIVER_VERSION: Final = 2
 FRAME_BITS: Final = 40
 MAX_DELAY: Final = 4
 PAST_FORCES: Final = 6
@@ -124,7 +124,8 @@ SETTINGS: Final = np.dtype(
         ("rate_hz", np.float64),
         ("friction", np.float64),
         ("damping_n_s_per_m", np.float64),
-        ("slip_speed_m_s", np.float64),
+        ("stick_n_per_m", np.float64),
+        ("stick_n_s_per_m", np.float64),
         ("coupling_n_per_m", np.float64),
         ("brake_n_s_per_m", np.float64),
         ("is_passive", np.int64),
@@ -140,6 +141,7 @@ SETTINGS: Final = np.dtype(
         ("delay_ticks", np.float64),
         ("wall_n_per_m", np.float64),
         ("wall_level_n", np.float64),
+        ("wall_force_n", np.float64),
         ("wall_spacing_m", np.float64, (3,)),
         ("force_limits", LIMITS),
         ("torque_limits", LIMITS),
@@ -219,6 +221,15 @@ PROXY: Final = np.dtype(
     ]
 )
 
+STICK_ANCHOR: Final = np.dtype(
+    [
+        ("is_set", np.int64),
+        ("position_m", np.float64, (3,)),
+        ("body", np.int64),
+        ("body_position_m", np.float64, (3,)),
+    ]
+)
+
 TICK_STATE: Final = np.dtype(
     [
         ("is_started", np.int64),
@@ -236,6 +247,7 @@ TICK_STATE: Final = np.dtype(
         ("past_forces_n", np.float64, (6, 3)),
         ("vibration_phase", np.float64),
         ("proxy", PROXY),
+        ("anchor", STICK_ANCHOR),
         ("brake_n_s_per_m", np.float64),
         ("compliance_m_per_n", np.float64),
         ("friction", np.float64),
@@ -336,7 +348,6 @@ RENDER_OPTIONS: Final = np.dtype(
         ("rate_hz", np.float64),
         ("friction", np.float64),
         ("damping_n_s_per_m", np.float64),
-        ("slip_speed_m_s", np.float64),
         ("coupling_n_per_m", np.float64),
         ("is_passive", np.int64),
         ("scale", np.float64),
@@ -368,6 +379,7 @@ STRUCTS: Final = {
     "touch_grip": GRIP,
     "touch_limited": LIMITED,
     "touch_proxy": PROXY,
+    "touch_stick_anchor": STICK_ANCHOR,
     "touch_tick_state": TICK_STATE,
     "touch_counts": COUNTS,
     "touch_log_row": LOG_ROW,
