@@ -333,9 +333,9 @@ static inline double touch_ramp_depth(const touch_isosurface *s, touch_vector po
    is searched for; so it is rendered. Where the wall is thin or has an edge the stored force is smaller or turned. */
 static inline double touch_field_share(const touch_isosurface *s, touch_vector stored_n, touch_vector outwards, double force_n) {
     double stored = touch_magnitude(stored_n), expected = touch_fmin(force_n, s->large_n);
-    if (!(stored > 0.0 && expected > 0.0)) return 0.0;
-    double along = touch_dot(stored_n, outwards);
-    double by_size = touch_smooth_step((along / expected - TOUCH_PROXY_THIN_RATIO) / TOUCH_PROXY_THIN_WIDTH);
+    if (!(stored > 0.0)) return 0.0;
+    double along = touch_dot(stored_n, outwards), by_size = 1.0;
+    if (expected > 0.0) by_size = touch_smooth_step((along / expected - TOUCH_PROXY_THIN_RATIO) / TOUCH_PROXY_THIN_WIDTH);
     return by_size * touch_smooth_step((along / stored - TOUCH_PROXY_EDGE_COSINE) / TOUCH_PROXY_EDGE_WIDTH);
 }
 
