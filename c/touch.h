@@ -93,7 +93,7 @@ struct touch_state;
 typedef struct {
     const touch_file *file; /* or NULL: touch_start_body */
     touch_arena arena;
-    uint64_t kept; /* of the arena, that segments do not overwrite */
+    uint64_t persistent; /* bytes of the arena that segments do not overwrite */
     struct touch_state *state;
     const char *error;
 } touch_decoder;
@@ -1530,7 +1530,7 @@ int touch_start(touch_decoder *decoder, const touch_file *file, touch_arena aren
     if (!s) return touch_report_error(decoder, &error);
     if (touch_is(file->coder, "objects")) touch_start_bodies(decoder, &error);
     else touch_check_parameters(file->parameters, &s->fields.is_exact, &error);
-    decoder->kept = decoder->arena.used, s->full = decoder->arena.size, s->segment_number = file->segment_count;
+    decoder->persistent = decoder->arena.used, s->full = decoder->arena.size, s->segment_number = file->segment_count;
     return touch_report_error(decoder, &error);
 }
 
@@ -1577,7 +1577,7 @@ int touch_seek(touch_decoder *decoder, uint32_t segment) {
         touch_fail(&error, TOUCH_ARGUMENT, "a segment that there is not");
         return touch_report_error(decoder, &error);
     }
-    decoder->arena.used = decoder->kept, decoder->arena.size = s->full;
+    decoder->arena.used = decoder->persistent, decoder->arena.size = s->full;
     s->at = touch_segment_body(decoder->file, segment, &s->segment), s->next = 0, s->segment_number = segment;
     s->vibrating = 0;
     touch_cursor vibration = touch_find_vibration(decoder->file, segment, &vibrates);
@@ -1707,7 +1707,7 @@ uint32_t touch_vibration_frames(uint64_t size, uint32_t count) {
 uint64_t touch_vibration_room(const touch_grid *grid, uint64_t size, uint32_t count) {
     uint64_t frames = touch_vibration_frames(size, count);
     uint64_t all = touch_listed_bricks(grid, frames ? frames : 1, size), one = touch_listed_bricks(grid, 1, size);
-    return TOUCH_FIXED_ROOM + 512 * frames + 19200 * (all + one) + 10496 * one; /* kept, and work */
+    return TOUCH_FIXED_ROOM + 512 * frames + 19200 * (all + one) + 10496 * one; /* persistent, and work */
 }
 
 int touch_decode_support(const touch_grid *grid, touch_bytes code, const touch_samples *before, touch_arena *arena,

@@ -18,7 +18,6 @@
 
 #include <stddef.h>
 
-
 /* -- time ------------------------------------------------------------------------------------------------------------- */
 
 /* A tick that comes later than this many periods may move the force no further than one that comes now: no leap after a

@@ -4,7 +4,7 @@
 
        touch_play play;                                      // lives as long as the receiver
        touch_device device = {0};                            // what it does not state is 0
-       device.force_max_n = 3.3;
+       device.force_max_n = 3.3;                             // 0: the greatest force of the medium
        touch_play_open(&play, bytes, size, &device);         // TOUCH_OK, or why not: play.error
        play.options.is_loop = 1;                             // where the defaults do not suit
        touch_play_start(&play, malloc(touch_play_room(&play)));
@@ -15,7 +15,9 @@
        // in one thread that orders:   touch_play_pause(&play);  touch_play_seek(&play, 1.5);  touch_play_stop(&play);
 
    Each of the three threads writes its own fields only, and none waits for another. touch_play_stop brings the force to
-   zero; play.receiver->clock.is_released says when it is there.
+   zero for ever; play.receiver->clock.is_released says when it is there. If the thread that decodes does not call for a second
+   (it hangs, or has ended), the force goes to zero, too, until it calls again: touch_play_error reports it, and counts.silences
+   of the receiver.
 
    It plays what touch.h decodes: voxels of coder `touch`, objects and vibration. The memory is that of the decoder
    (touch_room: an upper limit by the bytes of the file, of which a file touches what it needs), thirteen times that of one
@@ -102,6 +104,7 @@ typedef struct {
 /* -- opening ---------------------------------------------------------------------------------------------------------- */
 
 #define TOUCH_PLAY_ALIGNMENT 64
+#define TOUCH_PLAY_MAX_FORCE_N 1e6
 #define TOUCH_PLAY_FLOOR_FRACTION 1e-9    /* of F_max: a body's force below it is a rounding error at its edge */
 
 static inline int touch_play_fail(touch_play *play, int code, const char *error) {
@@ -113,21 +116,29 @@ static inline uint64_t touch_play_aligned(uint64_t bytes) {
     return (bytes + TOUCH_PLAY_ALIGNMENT - 1) / TOUCH_PLAY_ALIGNMENT * TOUCH_PLAY_ALIGNMENT;
 }
 
+/* The greatest force of the device: 0 becomes that of the medium. */
+static inline int touch_play_choose_force_max(touch_play *play) {
+    double *max_n = &play->options.device.force_max_n;
+    if (*max_n == 0.0) *max_n = touch_fmin(play->file.force_max_n, TOUCH_PLAY_MAX_FORCE_N);
+    else if (!(*max_n >= 1e-6 && *max_n <= TOUCH_PLAY_MAX_FORCE_N))
+        return touch_play_fail(play, TOUCH_ARGUMENT,
+                               "the greatest force of the device must be 1e-6 to 1e6 N, or 0 for that of the medium");
+    return TOUCH_OK;
+}
+
 /* Open a file that lies in memory, and choose options for a device; TOUCH_OK, or play->code and play->error. */
 static inline int touch_play_open(touch_play *play, const void *bytes, uint64_t size, const touch_device *device) {
     memset(play, 0, sizeof *play);
     play->error = "";
     int code = touch_open(&play->file, bytes, size);
     if (code) return touch_play_fail(play, code, play->file.error);
-    if (!(device->force_max_n >= 1e-6 && device->force_max_n <= 1e6))
-        return touch_play_fail(play, TOUCH_ARGUMENT, "a device without a greatest force");
     if (TOUCH_HAS_EXTRAS)
         play->materials = touch_provenance_of(play->file.provenance.bytes, play->file.provenance.size, "materials.json");
     touch_play_options *options = &play->options;
     options->render = touch_render_defaults(), options->device = *device;
     options->blends = 1, options->speed = 1.0;
     options->max_ahead = 64, options->frames_bytes = (uint64_t)1 << 28;
-    return TOUCH_OK;
+    return touch_play_choose_force_max(play);
 }
 
 static inline uint64_t touch_play_parts(const touch_play *play) {
@@ -173,6 +184,12 @@ static inline void *touch_play_take(touch_arena *arena, uint64_t bytes) {
 
 /* -- decoding --------------------------------------------------------------------------------------------------------- */
 
+/* A sign of life of the thread that decodes, for the servo. */
+static inline void touch_play_beat(touch_play *play) {
+    int64_t *heartbeat = &play->receiver->orders.feed_heartbeat;
+    touch_share(heartbeat, *heartbeat + 1);
+}
+
 /* Decode a frame: the next one, or from the start of its segment. */
 static inline int touch_play_decode_frame(touch_play *play, int64_t frame) {
     uint32_t segment = touch_segment_of(&play->file, (uint32_t)frame);
@@ -182,6 +199,7 @@ static inline int touch_play_decode_frame(touch_play *play, int64_t frame) {
         code = touch_seek(&play->decoder, segment);
     play->decoded = -1;
     while (!code && play->decoded < frame) {
+        touch_play_beat(play);
         play->frame_arena.used = 0;
         code = touch_next(&play->decoder, &play->frame_arena, &play->frame);
         play->decoded = code ? -1 : (int64_t)play->frame.number;
@@ -270,7 +288,7 @@ static inline int64_t touch_play_merge(const touch_field_bricks *a, const touch_
 /* Blend the field of the former segment's last frame into a field; where there is no room for that, it stays as it is. */
 static inline void touch_play_blend(const touch_blend_rule *rule, const touch_play_field *former, touch_play_field *field,
                                     touch_arena *arena) {
-    uint64_t mark = arena->used, capacity = former->bricks.bricks + field->bricks.bricks, kept = 0;
+    uint64_t mark = arena->used, capacity = former->bricks.bricks + field->bricks.bricks, selected = 0;
     int32_t *brick = (int32_t *)touch_play_take(arena, 12 * capacity);
     float *forces_n = (float *)touch_play_take(arena, 4 * TOUCH_BRICK_FLOATS * capacity);
     int64_t *slot = (int64_t *)touch_play_take(arena, 16 * capacity);
@@ -284,11 +302,11 @@ static inline void touch_play_blend(const touch_blend_rule *rule, const touch_pl
     touch_blend_bricks(rule, count, 0, count, slot, former->bricks.forces_n, field->bricks.forces_n, forces_n, has_force);
     for (int64_t n = 0; n < count; n++) {
         if (!has_force[n]) continue;
-        memmove(brick + 3 * kept, brick + 3 * n, 12);
-        memmove(forces_n + TOUCH_BRICK_FLOATS * kept, forces_n + TOUCH_BRICK_FLOATS * n, 4 * TOUCH_BRICK_FLOATS);
-        kept++;
+        memmove(brick + 3 * selected, brick + 3 * n, 12);
+        memmove(forces_n + TOUCH_BRICK_FLOATS * selected, forces_n + TOUCH_BRICK_FLOATS * n, 4 * TOUCH_BRICK_FLOATS);
+        selected++;
     }
-    field->bricks.brick = brick, field->bricks.forces_n = forces_n, field->bricks.bricks = kept;
+    field->bricks.brick = brick, field->bricks.forces_n = forces_n, field->bricks.bricks = selected;
 }
 
 /* The weight of a frame against the last one of the segment before; 1: it is not blended. */
@@ -628,11 +646,9 @@ static inline int touch_play_check(const touch_play *play) {
            render->velocity_cutoff_hz > 0.0;
 }
 
-/* Lay out the receiver in memory of touch_play_room bytes, decode the first frame, and choose the settings for the device.
-   TOUCH_OK, or play->code and play->error. The servo may tick from then on; it renders no force before touch_play_resume. */
-static inline int touch_play_start(touch_play *play, void *memory) {
-    if (play->code) return play->code;
+static inline int touch_play_set_up(touch_play *play, void *memory) {
     if (!memory) return touch_play_fail(play, TOUCH_MEMORY, "no memory");
+    if (touch_play_choose_force_max(play)) return play->code;
     if (!touch_play_check(play)) return touch_play_fail(play, TOUCH_ARGUMENT, "options that cannot be played");
     play->decoded = play->latest_frame = play->former_frame = play->pace.latest = -1, play->generation = 1;
     if (touch_play_divide(play, memory)) return play->code;
@@ -647,6 +663,14 @@ static inline int touch_play_start(touch_play *play, void *memory) {
     receiver->clock.media_s = start_s, receiver->clock.needs = touch_tag(1, play->next);
     touch_give_order(receiver, 1, start_s, play->options.speed, TOUCH_IDLE, 0);
     return TOUCH_OK;
+}
+
+/* Lay out the receiver in memory of touch_play_room bytes, decode the first frame, and choose the settings for the device.
+   TOUCH_OK, or play->code and play->error, and no receiver. The servo may tick from then on; it renders no force before
+   touch_play_resume. */
+static inline int touch_play_start(touch_play *play, void *memory) {
+    if (!play->code && touch_play_set_up(play, memory)) play->receiver = NULL;
+    return play->code;
 }
 
 /* -- the thread that decodes ------------------------------------------------------------------------------------------ */
@@ -769,16 +793,18 @@ static inline int touch_play_step(touch_play *play) {
 }
 
 /* Decode one frame, and show it to the servo. 0: there is nothing to be done now, or it has failed (play->code); then the
-   servo plays what is there, and the force goes to zero. */
+   servo plays what is there, and the force goes to zero. To be called at least once a second: it is a sign of life, too. */
 static inline int touch_play_decode(touch_play *play) {
+    touch_play_beat(play);
     if (play->code) return 0;
     int is_done = touch_play_step(play);
     if (play->code) touch_share(&play->receiver->orders.has_feed_failed, 1);
     return is_done;
 }
 
-/* Whether a tick at `now_ns` finds its frames, or none will come. For a servo that may wait, as one of simulated time; the
-   tick is at most one frame later than the one before, and three frames have room in `frames_bytes`. */
+/* Whether a tick at `now_ns` finds its frames, or none will come, and a sign of life of the thread that decodes. For a servo
+   that may wait, as one of simulated time; the tick is at most one frame later than the one before, and three frames have room
+   in `frames_bytes`. */
 static inline int touch_play_is_ready(const touch_play *play, int64_t now_ns) {
     touch_receiver *receiver = play->receiver;
     const touch_clock *clock = &receiver->clock;
@@ -786,6 +812,8 @@ static inline int touch_play_is_ready(const touch_play *play, int64_t now_ns) {
     int64_t generation = clock->needs >> TOUCH_FRAME_BITS;
     double clock_s = ticks ? 1e-9 * (double)(now_ns - receiver->counts.first_ns) : 0.0;
     if (touch_shared(&receiver->orders.has_feed_failed)) return 1;
+    if (touch_shared(&receiver->orders.is_stopping)) return 1; /* the way to zero needs no frame */
+    if (touch_feed_silence_ns(receiver, now_ns) > TOUCH_MAX_SILENCE_NS) return 0;
     if (touch_shared(&receiver->orders.generation) != generation) return 1; /* frames come after the tick that takes it */
     if (receiver->layout.is_simulated) clock_s = (double)ticks / receiver->settings.rate_hz;
     if (count > 1) {
@@ -817,6 +845,16 @@ static inline void touch_play_seek(touch_play *play, double time_s) {
     const touch_orders *orders = &play->receiver->orders;
     touch_give_order(play->receiver, orders->generation + 1, touch_play_media_time(play, time_s), orders->speed, orders->mode,
                      0);
+}
+
+/* Why it plays no longer, or the thread that decodes is taken for dead; "": all is well. For any thread. */
+static inline const char *touch_play_error(const touch_play *play) {
+    const touch_receiver *receiver = play->receiver;
+    if (!receiver) return play->error;
+    int has_failed = touch_shared(&receiver->orders.has_feed_failed) != 0;
+    TOUCH_FENCE();
+    if (has_failed) return play->error;
+    return touch_shared(&receiver->clock.is_silent) ? "the thread that decodes gives no sign of life" : "";
 }
 
 /* Whether nothing is left to render and the force is zero. */

@@ -133,13 +133,14 @@ enum { TOUCH_MAX_DELAY = 4, TOUCH_PAST_FORCES = 6 };
 enum { TOUCH_IDLE, TOUCH_PLAYING, TOUCH_PAUSED };                            /* modes */
 enum { TOUCH_READY, TOUCH_WAITING, TOUCH_RUNNING, TOUCH_STALLED, TOUCH_ENDED }; /* states of the feed */
 
-typedef struct { /* `sequence` is odd while the five after it are written */
+typedef struct { /* `sequence` is odd while the five after it are written; a stop is for ever */
     int64_t sequence;
     int64_t generation;          /* rises with each seek */
     double start_s;              /* media time at which it begins */
     double speed;
     int64_t mode, is_stopping;
-    int64_t heartbeat_ns;        /* when the player was last alive, by the servo's clock; 0: nobody looks (touch_play.h) */
+    int64_t heartbeat_ns;        /* when the player was last alive, by the servo's clock; 0: nobody looks */
+    int64_t feed_heartbeat;      /* rises while the thread that decodes is alive; 0: nobody looks */
     int64_t has_feed_failed;
 } touch_orders;
 
@@ -160,6 +161,8 @@ typedef struct { /* the media clock and the feed of frames */
     double anchor_media_s, anchor_clock_s;
     double clock_s;
     int64_t used;                /* tag of the frame that was used last */
+    int64_t is_silent;           /* the player, or the thread that decodes, gives no sign of life */
+    int64_t feed_heartbeat_seen, feed_silence_ns; /* the latest, and the time since it rose */
 } touch_clock;
 
 typedef struct { /* what the device reports besides its position */
@@ -221,6 +224,7 @@ enum { TOUCH_TIME_BINS = 3000 }; /* of 1 us; one more has all above */
 typedef struct {
     int64_t ticks, late, missed; /* later than half a period; periods without a tick */
     int64_t underruns, stalled_ticks, waits, waiting_ticks;
+    int64_t silences, silent_ticks; /* times that the player, or the thread that decodes, gave no sign of life */
     int64_t first_ns, last_ns, worst_period_ns, worst_lateness_ns;
     int64_t frames_used;
     int64_t played_ticks;        /* in which the medium was to be played */
@@ -240,7 +244,7 @@ typedef struct { /* one tick */
 enum {
     TOUCH_FLAG_RUNNING = 1, TOUCH_FLAG_WAITING = 2, TOUCH_FLAG_STALLED = 4, TOUCH_FLAG_ENDED = 8, /* of the feed */
     TOUCH_FLAG_STOPPING = 16,    /* on the way to zero after a stop */
-    TOUCH_FLAG_SILENT = 32,      /* no sign of life of the player */
+    TOUCH_FLAG_SILENT = 32,      /* no sign of life of the player, or of the thread that decodes */
     TOUCH_FLAG_PAUSED = 64
 };
 

@@ -16,6 +16,7 @@
    calls, so that touch_receiver_tick and touch_tick are the last ones of theirs. Read them first:
 
        touch_receiver_tick             all of it, at a time of the clock
+           touch_count_silence         whether the player, and the thread that decodes, give a sign of life
            touch_count_time            jitter, missed ticks, the next deadline
            touch_take_order            play, pause, seek, stop
            touch_find_frames           media clock; the two frames around now, and how far between them (an instant)
@@ -66,8 +67,9 @@ static inline touch_directory_entry *touch_slot_of(touch_receiver *receiver, int
 
 /* -- a tick of the servo ---------------------------------------------------------------------------------------------- */
 
-/* A player that gave no sign of life for so long is taken for dead, and the force goes to zero. */
+/* A player, or a thread that decodes, that gave no sign of life for so long is taken for dead, and the force goes to zero. */
 #define TOUCH_MAX_SILENCE_NS INT64_C(1000000000)
+#define TOUCH_MAX_SILENT_STEP_NS INT64_C(100000000) /* more between two ticks was a pause of the servo's own */
 
 typedef struct { /* the frames of an instant, by their offsets from the first byte of the receiver */
     int64_t before_offset, after_offset; /* 0: there is none, hence no force */
@@ -75,6 +77,7 @@ typedef struct { /* the frames of an instant, by their offsets from the first by
     int64_t first_frame; /* the first one that may still be read */
 } touch_frames;
 
+static inline int touch_count_silence(touch_receiver *receiver, int64_t now_ns);
 static inline void touch_count_time(touch_receiver *receiver, int64_t now_ns);
 static inline void touch_take_order(touch_receiver *receiver, double clock_s);
 static inline touch_frames touch_find_frames(touch_receiver *receiver, double clock_s, int is_silent);
@@ -91,9 +94,9 @@ static inline int touch_is_zero(touch_vector v) { return v.x == 0.0 && v.y == 0.
 static inline touch_vector touch_receiver_tick(touch_receiver *receiver, touch_vector device_m, int64_t now_ns) {
     touch_clock *clock = &receiver->clock;
     int64_t ticks = receiver->counts.ticks;
-    int64_t heartbeat_ns = touch_shared(&receiver->orders.heartbeat_ns);
     double dt_s = 1.0 / receiver->settings.rate_hz;
     double clock_s = (double)ticks / receiver->settings.rate_hz;
+    int is_silent = touch_count_silence(receiver, now_ns);
     touch_count_time(receiver, now_ns);
     if (!receiver->layout.is_simulated) {
         clock_s = 1e-9 * (double)(now_ns - receiver->counts.first_ns);
@@ -102,7 +105,6 @@ static inline touch_vector touch_receiver_tick(touch_receiver *receiver, touch_v
     clock->clock_s = clock_s;
 
     touch_take_order(receiver, clock_s);
-    int is_silent = heartbeat_ns != 0 && now_ns - heartbeat_ns > TOUCH_MAX_SILENCE_NS;
     int is_stopping = clock->is_stop_ordered || touch_shared(&clock->is_stopping);
     touch_frames frames = touch_find_frames(receiver, clock_s, is_silent);
 
@@ -121,7 +123,30 @@ static inline touch_vector touch_receiver_tick(touch_receiver *receiver, touch_v
     return force;
 }
 
-/* -- time: periods and deadlines -------------------------------------------------------------------------------------- */
+/* -- time: signs of life, periods and deadlines ----------------------------------------------------------------------- */
+
+/* How long the thread that decodes has given no sign of life at `now_ns`. It needs no clock: a number that it raises. In
+   simulated time nobody looks. */
+static inline int64_t touch_feed_silence_ns(const touch_receiver *receiver, int64_t now_ns) {
+    const touch_clock *clock = &receiver->clock;
+    int64_t heartbeat = touch_shared(&receiver->orders.feed_heartbeat), step_ns = now_ns - receiver->counts.last_ns;
+    if (heartbeat == 0 || heartbeat != clock->feed_heartbeat_seen || receiver->layout.is_simulated) return 0;
+    return clock->feed_silence_ns + (step_ns < TOUCH_MAX_SILENT_STEP_NS ? step_ns : TOUCH_MAX_SILENT_STEP_NS);
+}
+
+/* Whether the player, or the thread that decodes, is taken for dead. */
+static inline int touch_count_silence(touch_receiver *receiver, int64_t now_ns) {
+    touch_clock *clock = &receiver->clock;
+    int64_t heartbeat_ns = touch_shared(&receiver->orders.heartbeat_ns);
+    clock->feed_silence_ns = touch_feed_silence_ns(receiver, now_ns);
+    clock->feed_heartbeat_seen = touch_shared(&receiver->orders.feed_heartbeat);
+    int is_player_silent = heartbeat_ns != 0 && now_ns - heartbeat_ns > TOUCH_MAX_SILENCE_NS;
+    int is_silent = is_player_silent || clock->feed_silence_ns > TOUCH_MAX_SILENCE_NS;
+    receiver->counts.silences += is_silent && !clock->is_silent;
+    receiver->counts.silent_ticks += is_silent;
+    touch_share(&clock->is_silent, is_silent);
+    return is_silent;
+}
 
 static inline int64_t touch_bin(int64_t ns) {
     int64_t us = ns / 1000;
@@ -158,7 +183,8 @@ static inline void touch_count_time(touch_receiver *receiver, int64_t now_ns) {
 
 /* -- the player: orders and frames ------------------------------------------------------------------------------------ */
 
-/* Write one order of the player; the servo takes it whole or not yet. */
+/* Write one order of the player; the servo takes it whole or not yet. A stop stays: the servo may see the last of two orders
+   only. */
 static inline void touch_give_order(touch_receiver *receiver, int64_t generation, double start_s, double speed, int64_t mode,
                                     int64_t is_stopping) {
     touch_orders *orders = &receiver->orders;
@@ -168,7 +194,7 @@ static inline void touch_give_order(touch_receiver *receiver, int64_t generation
     touch_share_double(&orders->start_s, start_s);
     touch_share_double(&orders->speed, speed);
     touch_share(&orders->mode, mode);
-    touch_share(&orders->is_stopping, is_stopping);
+    touch_share(&orders->is_stopping, orders->is_stopping || is_stopping);
     TOUCH_FENCE();
     touch_share(&orders->sequence, orders->sequence + 1);
 }
@@ -236,7 +262,7 @@ static inline void touch_take_order(touch_receiver *receiver, double clock_s) {
     touch_anchor(clock, media_s, clock_s);
     touch_share_double(&clock->speed, orders.speed);
     touch_share(&clock->mode, orders.mode);
-    clock->is_stop_ordered = orders.is_stopping;
+    clock->is_stop_ordered |= orders.is_stopping != 0; /* for ever */
     TOUCH_FENCE();
     touch_share(&clock->sequence_seen, orders.sequence); /* last: who sees it sees no state of the order before */
 }
@@ -263,8 +289,9 @@ static inline void touch_use_frames(touch_receiver *receiver, double media_s, do
     }
 }
 
-/* Frames are missing, or the player is silent: count that, and let the media clock stand where nothing more will come. */
-static inline void touch_wait_for_frames(touch_receiver *receiver, double media_s, double clock_s, int is_silent) {
+/* Frames are missing, or the player is silent: count that. Where nothing more will come, the media clock stands at
+   `standing_s`. */
+static inline void touch_wait_for_frames(touch_receiver *receiver, double standing_s, double clock_s, int is_silent) {
     touch_clock *clock = &receiver->clock;
     touch_counts *counts = &receiver->counts;
     int is_over = is_silent || touch_shared(&receiver->orders.has_feed_failed); /* no frame will come */
@@ -281,8 +308,8 @@ static inline void touch_wait_for_frames(touch_receiver *receiver, double media_
     else
         counts->waiting_ticks++;
     if (is_over) {
-        touch_share_double(&clock->media_s, media_s);
-        touch_anchor(clock, media_s, clock_s);
+        touch_share_double(&clock->media_s, standing_s);
+        touch_anchor(clock, standing_s, clock_s);
     }
 }
 

@@ -53,11 +53,10 @@ EXPORT(hand_close) void hand_close(void) {
 /* Open the file of `room` for the hand. A force on the file before goes to zero as at a seek. */
 EXPORT(hand_open) int hand_open(void) {
     touch_device device;
-    memset(&device, 0, sizeof device), device.force_max_n = 1.0;
+    memset(&device, 0, sizeof device);
     int code = touch_play_open(&hand_play, (const void *)(uintptr_t)page_file_at, page_file_size, &device);
     if (code) return hand_fail(code, hand_play.error);
     touch_play_options *options = &hand_play.options;
-    options->device.force_max_n = hand_play.file.force_max_n;
     options->is_loop = 1, options->max_ahead = HAND_AHEAD, options->frames_bytes = HAND_FRAMES_BYTES;
     uint64_t start = (page_file_at + page_file_size + 63) & ~(uint64_t)63, size = touch_play_room(&hand_play);
     if (size > UINT32_MAX || !page_reach(start + size)) return hand_fail(TOUCH_MEMORY, "the field is too large");

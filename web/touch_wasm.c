@@ -407,7 +407,7 @@ EXPORT(field_key) uint32_t field_key(uint32_t n) {
     uint64_t at = (uint64_t)(uintptr_t)field_of(n);
     int d;
     for (d = 0; d < 2; d++)
-        if (is_started[d] && at >= address_of(d) && at < address_of(d) + decoder[d].kept) return (uint32_t)at;
+        if (is_started[d] && at >= address_of(d) && at < address_of(d) + decoder[d].persistent) return (uint32_t)at;
     return 0;
 }
 

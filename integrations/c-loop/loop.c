@@ -112,9 +112,8 @@ static int prepare(const char *name, const loop_options *options) {
     const uint8_t *bytes = contents(name, &size);
     if (!bytes) return fprintf(stderr, "%s: cannot be read\n", name), 64;
     touch_device device = {0};
-    device.force_max_n = options->peak_n > 0.0 ? options->peak_n : 1.0;
+    device.force_max_n = options->peak_n;
     if (touch_play_open(&play, bytes, size, &device)) return fprintf(stderr, "%s: %s\n", name, play.error), 65;
-    if (!(options->peak_n > 0.0)) play.options.device.force_max_n = touch_fmin(play.file.force_max_n, 1e6);
     play.options.is_loop = options->is_loop, play.options.speed = options->speed;
     play.options.is_simulated = options->is_simulated;
     play.options.render.wall_n_per_m = options->wall_n_per_m;
@@ -162,6 +161,7 @@ int main(int count, char **words) {
     const touch_counts *counts = &play.receiver->counts;
     fprintf(stderr, "%lld ticks, the latest by %.3f ms; in %lld a frame was late\n", (long long)ticks,
             1e-6 * (double)counts->worst_lateness_ns, (long long)counts->stalled_ticks);
+    if (counts->silences) fprintf(stderr, "in %lld ticks the decoder was silent\n", (long long)counts->silent_ticks);
     if (play.code) fprintf(stderr, "%s: %s\n", words[optind], play.error);
     return play.code;
 }

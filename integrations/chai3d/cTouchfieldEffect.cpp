@@ -32,10 +32,9 @@ const char* cTouchfieldEffect::cReceiver::open(const std::string& a_filename, co
     m_bytes.assign(std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>());
     if (!in) return "the file cannot be read";
     touch_device device = {};
-    device.force_max_n = a_settings.m_forceMax > 0.0 ? a_settings.m_forceMax : 1.0;
+    device.force_max_n = a_settings.m_forceMax;
     device.force_continuous_n = a_settings.m_forceContinuous;
     if (touch_play_open(&m_play, m_bytes.data(), m_bytes.size(), &device)) return m_play.error;
-    if (!(a_settings.m_forceMax > 0.0)) m_play.options.device.force_max_n = touch_fmin(m_play.file.force_max_n, 1e6);
     m_play.options.is_loop = a_settings.m_loop, m_play.options.speed = a_settings.m_speed;
     m_play.options.is_complete = a_settings.m_complete;
     touch_render_options& render = m_play.options.render;
@@ -112,7 +111,5 @@ bool cTouchfieldEffect::isReady() const {
 }
 
 std::string cTouchfieldEffect::getError() const {
-    if (!m_receiver || !touch_shared(&m_receiver->m_play.receiver->orders.has_feed_failed)) return m_error;
-    TOUCH_FENCE();
-    return m_receiver->m_play.error;
+    return m_receiver ? touch_play_error(&m_receiver->m_play) : m_error;
 }

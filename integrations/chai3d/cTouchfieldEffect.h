@@ -56,7 +56,7 @@ class cTouchfieldEffect : public chai3d::cGenericEffect {
     // Whether the next tick, at the time of setClock, finds its frames decoded. For the haptic thread of a simulation.
     bool isReady() const;
 
-    // Why nothing is played, or nothing more; an empty text if all is well.
+    // Why nothing is played, or nothing more, or that the thread that decodes hangs; an empty text if all is well.
     std::string getError() const;
 
   private:

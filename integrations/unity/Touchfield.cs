@@ -79,7 +79,7 @@ public sealed class TouchfieldPlayer : IDisposable
         decoder.Start();
     }
 
-    // Why it plays no longer, or "". Then the force goes to zero.
+    // Why it plays no longer, or that the thread that decodes hangs; or "". Then the force goes to zero.
     public string Error { get { return isClosed ? "" : Marshal.PtrToStringAnsi(Native.touchfield_error(handle)); } }
 
     // Time of the medium at the latest tick, seconds.
@@ -170,7 +170,7 @@ public sealed class TouchfieldPlayer : IDisposable
 
     void Set(TouchfieldOptions options)
     {
-        if (options.ForceMaxN > 0) Set("force_max_n", options.ForceMaxN);
+        Set("force_max_n", options.ForceMaxN);
         Set("force_continuous_n", options.ForceContinuousN);
         Set("friction", options.Friction < 0 ? -1 : options.Friction);
         Set("damping_n_s_per_m", options.DampingNsPerM < 0 ? -1 : options.DampingNsPerM);

@@ -40,7 +40,6 @@ static const number_option NUMBERS[] = {
 
 touchfield *touchfield_open(const void *bytes, uint64_t size) {
     touch_device device = {0};
-    device.force_max_n = 1.0;
     touchfield *player = (touchfield *)calloc(1, sizeof *player);
     if (!player || !(player->bytes = malloc((size_t)size + 1))) {
         free(player);
@@ -51,7 +50,6 @@ touchfield *touchfield_open(const void *bytes, uint64_t size) {
     const touch_file *file = &player->play.file;
     size_t count = file->axes.size < sizeof player->axes ? (size_t)file->axes.size : sizeof player->axes - 1;
     if (count) memcpy(player->axes, file->axes.bytes, count);
-    player->play.options.device.force_max_n = touch_fmin(file->force_max_n, 1e6);
     return player;
 }
 
@@ -60,7 +58,7 @@ void touchfield_close(touchfield *player) {
     free(player->memory), free(player->bytes), free(player);
 }
 
-const char *touchfield_error(const touchfield *player) { return player->play.error; }
+const char *touchfield_error(const touchfield *player) { return touch_play_error(&player->play); }
 
 const char *touchfield_axes(const touchfield *player) { return player->axes; }
 
@@ -87,10 +85,8 @@ int touchfield_set(touchfield *player, const char *option, double value) {
 
 int touchfield_start(touchfield *player) {
     touch_play *play = &player->play;
-    double max_n = play->options.device.force_max_n;
     if (play->code) return play->code;
     if (player->memory) return TOUCH_ARGUMENT; /* it plays on */
-    if (!(max_n >= 1e-6 && max_n <= 1e6)) return touch_play_fail(play, TOUCH_ARGUMENT, "a device without a greatest force");
     player->memory = malloc((size_t)touch_play_room(play));
     if (touch_play_start(play, player->memory)) free(player->memory), player->memory = NULL;
     return play->code;

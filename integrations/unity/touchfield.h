@@ -28,7 +28,7 @@ typedef struct touchfield touchfield;
 TOUCHFIELD_API touchfield *touchfield_open(const void *bytes, uint64_t size);
 /* Free everything. */
 TOUCHFIELD_API void touchfield_close(touchfield *player);
-/* Why it plays not, or no longer; "" if all is well. */
+/* Why it does not play, or no longer, or that the thread that decodes hangs; "" if all is well. */
 TOUCHFIELD_API const char *touchfield_error(const touchfield *player);
 /* Which way the axes of the medium point, such as "x right, y down, z forward". */
 TOUCHFIELD_API const char *touchfield_axes(const touchfield *player);
@@ -38,7 +38,7 @@ TOUCHFIELD_API double touchfield_duration_s(const touchfield *player);
 TOUCHFIELD_API double touchfield_force_max_n(const touchfield *player);
 
 /* Set an option before touchfield_start; 0: there is no such option, or the value is not finite. Options of the device:
-   force_max_n (that of the medium), force_continuous_n, delay_s, inertia_kg, resolution_m; of the renderer: rate_hz (1000),
+   force_max_n (0: that of the medium), force_continuous_n, delay_s, inertia_kg, resolution_m; of the renderer: rate_hz (1000),
    friction, damping_n_s_per_m, coupling_n_per_m (each below 0: as the medium states, or the stable value), wall_n_per_m,
    scale, force_scale, ramp_s, is_passive; of the player: is_loop, is_complete (no frame is left out, for a servo that waits
    with touchfield_is_ready), speed, start_s. touch_settings.h and touch_play.h describe them. */
@@ -46,7 +46,7 @@ TOUCHFIELD_API int touchfield_set(touchfield *player, const char *option, double
 /* Lay out the receiver and decode the first frame, once; 0, or a code of touch.h. */
 TOUCHFIELD_API int touchfield_start(touchfield *player);
 
-/* Decode a frame ahead; 0: there is nothing to do now. */
+/* Decode a frame ahead; 0: there is nothing to do now. If nobody calls it for a second, the force goes to zero. */
 TOUCHFIELD_API int touchfield_decode(touchfield *player);
 
 /* The force on a hand, newtons, at metres of the medium and nanoseconds of a clock that never goes back; 0: it is zero. */

@@ -312,3 +312,28 @@ def test_program_of_the_readme_refuses_a_damaged_file(readme_program: Path) -> N
     path = GOLDEN.parent / "faulty" / "cut-at-end.touch"
     done = subprocess.run([readme_program, path], capture_output=True, text=True, check=False)
     assert done.returncode == 65 and "end too early" in done.stderr
+
+
+@pytest.fixture(scope="module")
+def orders_program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return compiled(HERE / "play_orders.c", tmp_path_factory.mktemp("orders"), *SANITIZERS)
+
+
+def point_with_a_force(path: Path) -> Any:
+    """A point, float64 [3], metres, that has a force in every frame."""
+    with tf.open_stream(path) as stream:
+        frames = [stream.medium[n] for n in range(len(stream.medium))]
+        points = frames[0].grid.to_m(frames[0].positions())
+        sizes_n = [np.linalg.norm([frame.sample_n(point) for point in points], axis=1) for frame in frames]
+    return points[np.argmax(np.min(sizes_n, axis=0))]
+
+
+@pytest.mark.parametrize("name", ["touch-solid", "plate"])
+@pytest.mark.parametrize("check", ["stop", "silence", "force-max"])
+def test_checks_of_play_orders(orders_program: Path, plate: Path, name: str, check: str) -> None:
+    """A stop is for ever; a thread that decodes no more is reported; 0 is the medium's greatest force."""
+    path = plate if name == "plate" else GOLDEN / f"{name}.touch"
+    point = (0.004, 0.003, 0.0006) if name == "plate" else point_with_a_force(path)
+    command = [orders_program, check, path, *map(str, point)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr

@@ -198,7 +198,8 @@ def test_options_and_files_are_refused_with_a_message(open_player, library: ctyp
     assert library.touchfield_start(player.handle) and player.error == ""
     assert not library.touchfield_set(faulty.handle, b"colour", 1.0)
     assert not library.touchfield_set(faulty.handle, b"friction", float("nan"))
-    assert "greatest force" in open_player(stream_of("touch-block"), force_max_n=0.0).error
+    for wrong_n in (-1.0, 1e-7, 2e6):
+        assert "greatest force" in open_player(stream_of("touch-block"), force_max_n=wrong_n).error
     assert "cannot be played" in open_player(stream_of("touch-block"), rate_hz=0.0).error
 
 

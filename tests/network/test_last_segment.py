@@ -6,6 +6,7 @@ import asyncio
 from threading import Timer
 from typing import Any
 
+import aiohttp
 import numpy as np
 import pytest
 
@@ -23,8 +24,6 @@ from touchfield.network.live import (
 )
 from touchfield.network.live_client import open_live
 from touchfield.network.live_server import LiveServer
-
-aiohttp = pytest.importorskip("aiohttp")
 
 COUNT = 12
 

@@ -343,7 +343,6 @@ def test_a_lattice_that_cannot_be_halved_is_refused() -> None:
 
 # -- through a network -------------------------------------------------------------------------------------
 
-pytest.importorskip("aiohttp", reason="live streams need the extra broadcast")
 pytest.importorskip("raptorq", reason="datagrams need the extra broadcast")
 from tests.network.test_datagrams import free_port  # noqa: E402
 

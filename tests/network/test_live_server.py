@@ -145,9 +145,6 @@ def test_invalid_times_are_refused(wrong: dict[str, float]) -> None:
         LiveSpec(**wrong)  # type: ignore[arg-type]
 
 
-pytest.importorskip("aiohttp", reason="live streams need the extra broadcast")
-
-
 @contextmanager
 def on_air(
     access: Access = Access(port=0), is_over: Callable[[], bool] = lambda: False

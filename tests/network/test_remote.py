@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from aiohttp import web
 
 import touchfield as tf
 from touchfield.cli.main import _exit_code
@@ -23,8 +24,6 @@ from touchfield.network.access import Access, Pages
 from touchfield.network.server import application
 from touchfield.pipeline import encode
 from touchfield.pipeline.spec import EncodeSpec
-
-web = pytest.importorskip("aiohttp.web", reason="serving needs the extra broadcast")
 
 
 @pytest.fixture(scope="module")

@@ -22,16 +22,14 @@ from browser import ROOT, drive, needs_browser
 
 import touchfield as tf
 from touchfield.cli.main import _exit_code
-from touchfield.pipeline.spec import EncodeSpec
-from touchfield.tasks.live import LiveSpec, broadcast, open_sender
-from touchfield.tasks.play import MAX_STALLED_FRACTION
-from touchfield.viewer.browser import empty_page, served_page
-
-pytest.importorskip("aiohttp", reason="servers need the extra broadcast")
 from touchfield.network.access import Access, Pages, run
 from touchfield.network.bridge import Bridge
 from touchfield.network.live_server import LiveServer
 from touchfield.network.server import application
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.tasks.live import LiveSpec, broadcast, open_sender
+from touchfield.tasks.play import MAX_STALLED_FRACTION
+from touchfield.viewer.browser import empty_page, served_page
 
 PAGES = Pages(served_page(), empty_page())
 INNER = "document.querySelector('iframe').contentWindow.touchfield"

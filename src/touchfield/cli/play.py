@@ -63,7 +63,7 @@ def play(
     log: Annotated[Path | None, "CSV to write: every tick."] = None,
     plot: Annotated[Path | None, "PNG to draw: the hand, the field, the forces."] = None,
     check: Annotated[bool, "Play nothing; tell whether this machine can decode it in time."] = False,
-    bridge: Annotated[bool, "Show the hand in a browser while it plays (extra broadcast)."] = False,
+    bridge: Annotated[bool, "Show the hand in a browser while it plays."] = False,
     as_json: Json = False,
 ) -> None:
     """Feel STREAM on a device, or on a simulated hand."""

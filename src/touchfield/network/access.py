@@ -16,13 +16,9 @@ from typing import Final, NamedTuple, Self
 from urllib.parse import urlsplit
 from weakref import WeakSet
 
-from touchfield.errors import InvalidArgument, MissingExtra, reason
+from aiohttp import web as web
 
-try:
-    from aiohttp import web as web
-except ImportError:
-    raise MissingExtra("a server of streams", "aiohttp", "broadcast") from None
-
+from touchfield.errors import InvalidArgument, reason
 
 _PAGE_HEADERS: Final = {
     "X-Content-Type-Options": "nosniff",

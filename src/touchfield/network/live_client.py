@@ -13,13 +13,12 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from importlib.util import find_spec
 from threading import Event as Flag, Thread
 from typing import Any, Final, Self
 from urllib.parse import urlsplit, urlunsplit
 
 from touchfield.container.remote import without_secret
-from touchfield.errors import MissingExtra, SourceError, TouchfieldError, reason
+from touchfield.errors import SourceError, TouchfieldError, reason
 from touchfield.files import standard_input
 from touchfield.network.live import MAX_BYTES, Ended, LiveReceiver, LiveSegment, Opened, messages
 from touchfield.network.live_medium import PATIENCE_S, REPORT_AFTER_S, LiveFrames, LiveStream
@@ -59,8 +58,6 @@ class _Client:
     def __init__(
         self, url: str, report: Callable[[str], None], coarse: _Client | None = None, is_layered: bool = False
     ) -> None:
-        if find_spec("aiohttp") is None and url != "-":
-            raise MissingExtra("a live stream", "aiohttp", "broadcast")
         self._url, self._report, self._coarse, self._is_layered = url, report, coarse, is_layered
         self._name = "standard input" if url == "-" else without_secret(url)
         self._receiver = LiveReceiver(is_open=url.lower().startswith("udp:"))

@@ -33,12 +33,14 @@ _MIN_SHARED_BYTES: Final = 1 << 28
 LIBRARIES: Final = (
     ("numpy", "numpy", "", "everything"),
     ("scipy", "scipy", "", "sources and measures"),
+    ("aiohttp", "aiohttp", "", "serve, live and play --bridge"),
     ("numba", "numba", "sources", "sources, filters and measures"),
     ("matplotlib", "matplotlib", "report", "pictures, and sample:terrain"),
     ("scikit-image", "skimage", "motorcycle", "sample:motorcycle"),
     ("mujoco-core", "mujoco", "physics", "simulated bodies"),
     ("av", "av", "video", "depth video and video"),
     ("mcap", "mcap", "mcap", "recordings of robots"),
+    ("raptorq", "raptorq", "broadcast", "live by UDP"),
     ("websockets", "websockets", "devices", "haply and bhaptics"),
     ("pyserial", "serial", "devices", "pin displays on a serial line"),
 )

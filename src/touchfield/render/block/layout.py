@@ -163,6 +163,7 @@ ORDERS: Final = np.dtype(
         ("mode", np.int64),
         ("is_stopping", np.int64),
         ("heartbeat_ns", np.int64),
+        ("feed_heartbeat", np.int64),
         ("has_feed_failed", np.int64),
     ]
 )
@@ -186,6 +187,9 @@ CLOCK: Final = np.dtype(
         ("anchor_clock_s", np.float64),
         ("clock_s", np.float64),
         ("used", np.int64),
+        ("is_silent", np.int64),
+        ("feed_heartbeat_seen", np.int64),
+        ("feed_silence_ns", np.int64),
     ]
 )
 
@@ -269,6 +273,8 @@ COUNTS: Final = np.dtype(
         ("stalled_ticks", np.int64),
         ("waits", np.int64),
         ("waiting_ticks", np.int64),
+        ("silences", np.int64),
+        ("silent_ticks", np.int64),
         ("first_ns", np.int64),
         ("last_ns", np.int64),
         ("worst_period_ns", np.int64),
