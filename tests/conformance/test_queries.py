@@ -1,4 +1,4 @@
-"""The golden queries of `conformance/queries`, by the reference, the package, C in several builds and WebAssembly.
+"""The golden queries of `conformance/queries`: the reference, the package, C in several builds, WebAssembly.
 
 `touch.h` answers at frames, `touch_query.h`, on which package, engines and page build, at any time. Its
 programs get the memory of a receiver for each pair of frames, as `FieldSampler` writes it.
