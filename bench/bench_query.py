@@ -9,8 +9,7 @@ objects are those of `bench_objects`. The peers interpolate the same dense field
 threads. Forces are compared.
 
 A single query is timed within C by the processor's counter (`query_times.c`), and from Python. README quotes
-its median and its 99.9th percentile at random points with a force, where each query finds other memory, and
-along the path.
+its 99.9th percentile at random points with a force, where each query finds other memory, and along the path.
 """
 
 from __future__ import annotations
