@@ -47,6 +47,7 @@ reproduction: .venv/ready
 # the only way in which golden files are written; a change in them is a change of the format
 golden: .venv/ready
 	$(BIN)/python conformance/make_golden.py
+	$(BIN)/python conformance/make_queries.py
 
 # wheels for the platforms of build_backend/targets.py, cross-compiled by zig, and checked
 wheels: .venv/ready

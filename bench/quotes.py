@@ -5,8 +5,9 @@ them.
 
 Lists the quoted phrases, the phrases that a page lacks, and the results that are stale. `--write` puts the
 figures of the results into the pages. Speeds are quoted as ratios to a peer of the same run, because machines
-change from day to day. The exit status is 1 if a page lacks a phrase, or if README quotes a stale result.
-README therefore quotes only what is measured in minutes.
+change from day to day; only single queries are quoted in nanoseconds, with the kind of points. The exit
+status is 1 if a page lacks a phrase, or if README quotes a stale result. README therefore quotes only what is
+measured in minutes.
 """
 
 from __future__ import annotations
@@ -49,6 +50,19 @@ def row(rows: Iterable[dict[str, Any]], **fields: Any) -> dict[str, Any]:
     return found
 
 
+def query_quote() -> Quote:
+    """Return the times of single queries in C, nanoseconds, with the kind of points."""
+    query = stored("query")
+    single, path_fraction = query["single"], query["batches"]["path"]["share"]
+    points, path = single["compiled, in force"], single["compiled, path"]
+    times = [f"{1000 * us:.0f}" for us in (points["p50_us"], points["p99.9_us"], path["p99.9_us"])]
+    phrase = (
+        "{} ns in the median and {} ns at p99.9 at random points with a force, "
+        "and {} ns at p99.9 along a path of which {} % has a force"
+    )
+    return Quote(README, "query", phrase, (*times, f"{100 * path_fraction:.0f}"))
+
+
 def speed_quotes() -> list[Quote]:
     """Return times of peers relative to touchfield."""
     depth, mesh, query = (stored(name) for name in ("depth", "mesh", "query"))
@@ -59,6 +73,7 @@ def speed_quotes() -> list[Quote]:
         Quote(README, "depth", "{} times as fast as NumPy and {} times as fast as NVIDIA Warp", tuple(peers)),
         Quote(README, "mesh", "{} times as fast as the fastest", (f"{fastest:.1f}",)),
         Quote(README, "query", "{} times as fast as SciPy", (f"{scipy:.0f}",)),
+        query_quote(),
     ]
 
 

@@ -29,8 +29,9 @@ class Listener:
         self.sizes.append(len(datagram))
         head, *rest = list(OscBundle(datagram))
         assert head.address == "/touchfield/frame" and rest
-        number, seconds, part, parts, *shape = head.params
+        number, seconds, part, parts, *shape, timeout_ms = head.params
         assert tuple(shape) == self.shape and 0 <= part < parts and seconds >= 0
+        assert timeout_ms == 500 and type(timeout_ms) is int
         if part == 0:
             assert self._parts == 0
             self.frames.append({"number": np.array(number)})

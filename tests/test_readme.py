@@ -54,7 +54,7 @@ def test_the_device_in_one_file_plays(
 ) -> None:
     pytest.importorskip("matplotlib", reason="sample:terrain comes with matplotlib")
     monkeypatch.chdir(tmp_path)
-    device, played = re.findall(r"```python\n(.*?)```", NEW_DEVICE, re.DOTALL)
+    device, *_, played = re.findall(r"```python\n(.*?)```", NEW_DEVICE, re.DOTALL)
     names: dict[str, Any] = {}
     exec(compile(device, "devices.md", "exec"), names)
     exec(compile(played, "devices.md", "exec"), names)

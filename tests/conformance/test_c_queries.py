@@ -1,17 +1,18 @@
 """Force, gradient and vibration at a point agree between `c/touch.h`, the package and the format.
 
-The third result is computed here from docs/format, in float64: trilinear samples of the reference decoder's
-fields. Points are at edge cases: on samples, faces and edges of cells, at the borders of bricks and of the
-lattice, next to samples without a force, where a sum of forces is clipped, and at NaN.
+The third result is that of `conformance/queries.py`, in float64. Points are at edge cases: on samples, faces
+and edges of cells, at the borders of bricks and of the lattice, next to samples without a force, where a sum
+of forces is clipped, and at NaN.
 """
 
 from __future__ import annotations
 
+import importlib
 import itertools
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,113 +28,16 @@ pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler
 
 FOLDER = Path(__file__).parent
 V1 = CONFORMANCE / "v1"
-CORNERS = list(itertools.product((0, 1), repeat=3))
-ON_PLANE = 1e-9  # samples: a point within this distance of a lattice plane is on it
 POINTS = 1500
+queries: Any = importlib.import_module("queries")
+Answers: Any = queries.Answers  # here of all frames: [frames, points, ...]
 
 
-class Answers(NamedTuple):
-    """Force in N [..., 3], gradient in N/m [..., 3, 3], amplitude and Hz [..., 2], by frame and point."""
-
-    force: np.ndarray
-    gradient: np.ndarray
-    vibration: np.ndarray
-
-
-# -- the format's own words --------------------------------------------------------------------------------
-
-
-class Lattice:
-    """Samples of a field [nx, ny, nz, c], padded with zeros."""
-
-    def __init__(self, samples: np.ndarray, record: dict[str, Any]) -> None:
-        self.samples = np.pad(samples.astype(np.float64), [(1, 2)] * 3 + [(0, 0)])
-        self.origin_m, self.spacing_m = np.array(record["origin_m"]), np.array(record["spacing_m"])
-        self.shape = np.array(record["grid_shape"])
-
-    def cells(self, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Corners [8, n, c] of the cell around each point, zero outside, and the position in it [n, 3]."""
-        index = (points_m - self.origin_m) / self.spacing_m
-        low = np.floor(index + ON_PLANE).astype(int)
-        inside = ((low >= -1) & (low < self.shape)).all(axis=1)
-        low, index = np.where(inside[:, None], low, 0), np.where(inside[:, None], index, 0.0)
-        x, y, z = low.T + 1
-        corners = np.array([self.samples[x + i, y + j, z + k] for i, j, k in CORNERS])
-        part = index - low
-        return corners * inside[:, None], np.where(part > ON_PLANE, part, 0.0)
-
-    def at(self, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Values [n, c] and their gradients [n, c, 3]."""
-        corners, part = self.cells(points_m)
-        value, slopes = 0.0, np.zeros((*corners.shape[1:], 3))
-        for corner, samples in zip(CORNERS, corners, strict=True):
-            weight = np.where(corner, part, 1 - part)
-            value = value + weight.prod(axis=1)[:, None] * samples
-            for axis in range(3):
-                others = np.delete(weight, axis, axis=1).prod(axis=1)
-                sign = 1 if corner[axis] else -1
-                slopes[..., axis] += sign * (others / self.spacing_m[axis])[:, None] * samples
-        return np.asarray(value), slopes
-
-    def vibration(self, points_m: np.ndarray) -> np.ndarray:
-        """Amplitude and frequency [n, 2]: the code block of docs/format/vibration.md."""
-        corners, part = self.cells(points_m)
-        out = np.zeros((len(points_m), 2))
-        for n in range(len(points_m)):
-            largest = 0.0
-            for corner, (amplitude, hertz) in zip(CORNERS, corners[:, n], strict=True):
-                added = np.where(corner, part[n], 1 - part[n]).prod() * amplitude
-                out[n, 0] += added
-                if added > (1 + 1e-6) * largest:
-                    largest, out[n, 1] = added, hertz
-        return out
-
-
-def by_the_format(path: Path, points: np.ndarray) -> Answers:
-    """The result from the reference decoder's fields."""
-    file = decoder.read_file(path.read_bytes())
-    head, found = file.head, decoder.decode(path)
-    if head["coder"] == "objects":
-        scene = decode_objects.decode_scene(head, file.objects, file.segments)
-        both = [objects_at(scene, frame, points) for frame in range(head["frame_count"])]
-    else:
-        both = [Lattice(frame, head).at(points) for frame in found["forces_n"]]
-    vibration = np.zeros((len(both), len(points), 2))
-    if "amplitudes_n" in found:
-        pairs = np.stack([found["amplitudes_n"], found["frequencies_hz"]], axis=-1)
-        vibration = np.stack([Lattice(frame, head).vibration(points) for frame in pairs])
-    forces, gradients = zip(*both, strict=True)
-    return Answers(np.stack(forces), np.stack(gradients), vibration)
-
-
-def objects_at(scene: Any, frame: int, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Forces and gradients of a composed scene: the sum over its bodies, clipped in length."""
-    total, slopes, max_n = (
-        np.zeros((len(points), 3)),
-        np.zeros((len(points), 3, 3)),
-        scene.head["force_max_n"],
-    )
-    for body in scene.bodies:
-        rotation = decode_objects.rotation_of(body.quaternions[frame])
-        arm = points - body.positions_m[frame]
-        samples = body.forces_n[frame if body.record["is_deforming"] else 0]
-        local_forces, local_slopes = Lattice(samples, body.record).at(arm @ rotation)
-        total += local_forces @ rotation.T
-        slopes += rotation @ local_slopes @ rotation.T
-        if scene.surface_damping > 0:
-            velocity, (x, y, z) = decode_objects.motion(body, frame, scene.head["rate_hz"])
-            touched = (np.linalg.norm(local_forces, axis=1) > 1e-9 * max_n)[:, None]
-            cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-            total += touched * scene.surface_damping * (velocity + arm @ cross.T)
-            slopes += touched[..., None] * scene.surface_damping * cross
-    size = np.linalg.norm(total, axis=1)[:, None]
-    is_cut = size > max_n
-    size = np.where(is_cut, size, 1.0)
-    direction = total / size
-    across = slopes - direction[:, :, None] * np.einsum("ni,nij->nj", direction, slopes)[:, None, :]
-    return np.where(is_cut, max_n * direction, total), np.where(
-        is_cut[..., None], (max_n / size)[..., None] * across, slopes
-    )
+def by_the_format(path: Path, points: np.ndarray) -> Any:
+    """The result of the reference, for every frame."""
+    medium = queries.medium_of(path)
+    frames = [medium.answers(frame, frame, 0.0, points) for frame in range(medium.frame_count)]
+    return Answers(*(np.stack(part) for part in zip(*frames, strict=True)))
 
 
 # -- the other two -----------------------------------------------------------------------------------------
@@ -146,7 +50,7 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return built(tmp_path_factory.mktemp("c"), "query", "-O1", f"-I{folder}", source=FOLDER / "query.c")
 
 
-def by_c(program: Path, path: Path, points: np.ndarray, folder: Path) -> Answers:
+def by_c(program: Path, path: Path, points: np.ndarray, folder: Path) -> Any:
     """The result of `touch.h`."""
     points.tofile(folder / "points")
     assert run_with(program, path, folder / "points", folder / "answers") == (0, "")
@@ -154,7 +58,7 @@ def by_c(program: Path, path: Path, points: np.ndarray, folder: Path) -> Answers
     return Answers(rows[..., :3], rows[..., 3:12].reshape(*rows.shape[:2], 3, 3), rows[..., 12:])
 
 
-def by_the_package(path: Path, points: np.ndarray) -> Answers:
+def by_the_package(path: Path, points: np.ndarray) -> Any:
     """The result of `FieldSampler`, which does not accept NaN."""
     with tf.open_stream(path) as stream:
         medium = stream.medium if stream.scene is None else stream.scene

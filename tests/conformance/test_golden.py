@@ -90,4 +90,4 @@ def test_golden_files_are_those_of_the_generator() -> None:
     generator = importlib.import_module("make_golden")
     assert {path.stem for path in GOLDEN} == generator.FIELDS.keys() | generator.SCENES.keys()
     folders = {path.name for path in CONFORMANCE.iterdir() if path.is_dir()}
-    assert folders - {"__pycache__"} == {"v1", "faulty", "ticks"}
+    assert folders - {"__pycache__"} == {"v1", "faulty", "ticks", "queries"}

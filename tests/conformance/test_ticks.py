@@ -87,8 +87,8 @@ OF_THE_PAGE = ("-DTOUCH_HAS_EXTRAS=0", "-DTOUCH_INLINE=static inline", "-Oz")  #
 WITH_EXTRAS = {"deformation", "material", "tool"}  # that no file has
 
 
-def wasm_module(path: Path, *options: str) -> Path:
-    """Compile the tick for WebAssembly, with the page's own mathematics."""
+def wasm_module(path: Path, *options: str, source: str = "ticks_wasm.c") -> Path:
+    """Compile the tick, or another source, for WebAssembly, with the page's own mathematics."""
     if which("node") is None:
         pytest.skip("there is no node here")
     if find_spec("ziglang") is None and "TOUCHFIELD_ZIG_PYTHON" not in os.environ:
@@ -99,7 +99,7 @@ def wasm_module(path: Path, *options: str) -> Path:
         "-target", "wasm32-freestanding", "-mcpu=generic+bulk_memory+nontrapping_fptoint", "-O2", *options,
         "-std=c11", "-Wall", "-Wextra", "-Werror", "-fno-builtin", "-nostdlib", "-fno-sanitize=all",
         f"-I{freestanding}", f"-I{ROOT / 'c'}", "-Wl,--no-entry", "-o", str(path),
-        str(own / "ticks_wasm.c"), str(freestanding / "library.c"),
+        str(own / source), str(freestanding / "library.c"),
     ]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

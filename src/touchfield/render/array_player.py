@@ -325,7 +325,7 @@ class ArrayPlayer:
         tick = step = 0  # periods of the clock; frames of the medium, which waits while the feed stalls
         start_s = first_sent_s = monotonic()
         while self._loop or self._count == 1 or position < self._count:
-            if self._stop.wait(max(0.0, start_s + tick * period - monotonic())):
+            if self._is_stopped_before(start_s + tick * period):
                 return
             late_s = monotonic() - (start_s + tick * period)
             sample = self._prefetcher.at(position)
@@ -344,12 +344,27 @@ class ArrayPlayer:
                 step += 1 + missed
                 position = self._first + step * self._stride
 
+    def _is_stopped_before(self, deadline_s: float) -> bool:
+        """Wait for a time of the monotonic clock, and keep the device alive; returns whether a stop came."""
+        while (remaining_s := deadline_s - monotonic()) > self._device.keep_alive_s:
+            if self._stop.wait(self._device.keep_alive_s):
+                return True
+            self._device.keep_alive()
+        return self._stop.wait(max(0.0, remaining_s))
+
 
 class ArrayDevice(ABC):
     """A fixed array of actuators; its `profile` has columns, rows, panels and levels."""
 
     title: ClassVar[str] = "device"
     """Name of the kind of device in messages."""
+
+    keep_alive_s: ClassVar[float] = math.inf
+    """Longest time between two calls of `put_drives` or `keep_alive`, seconds.
+
+    A device whose player died must not stay on: it switches off by itself after a time that its protocol
+    states, which is at least three times as long.
+    """
 
     notes: tuple[str, ...] = ()
     """Notes for the user about the device during playback."""
@@ -377,6 +392,13 @@ class ArrayDevice(ABC):
         frequencies of the vibration band have the same shape; they are None if the medium has none. Raises
         `DeviceError` if the device is gone.
         """
+
+    def keep_alive(self) -> None:
+        """Let the device show the latest drives for longer; called after `put_drives` only.
+
+        Raises `DeviceError` if the device is gone.
+        """
+        return
 
     def close(self) -> None:
         """Switch all actuators off and release the device.

@@ -27,6 +27,12 @@ from touchfield.errors import DeviceError, TouchfieldError
 from touchfield.render.block import Block, Memory, layout
 from touchfield.render.point_device import Point, PointDevice
 from touchfield.render.readiness import open_when_ready
+from touchfield.render.readings import (
+    buttons_reading,
+    gripper_reading,
+    orientation_reading,
+    position_reading,
+)
 
 Opener = Callable[[], PointDevice]
 """Callable that makes the device, not yet open; can be pickled."""
@@ -67,9 +73,10 @@ Clock = WallClock | VirtualClock
 
 
 class DeviceLink:
-    """Exchange between a device and the block, apart from the position.
+    """Exchange between a device and the block.
 
-    A method that the device does not override is never called.
+    A method that the device does not override is never called. All that the device reports is converted here
+    (`readings`), whatever the types that its driver returns.
     """
 
     def __init__(self, memory: Memory, device: PointDevice) -> None:
@@ -83,14 +90,19 @@ class DeviceLink:
             has, ("orientation", "buttons", "gripper_m", "put_wrench")
         )
 
-    def read(self) -> None:
-        """Store orientation, buttons and gripper of the device in the block."""
+    def position_m(self) -> Point:
+        """Return the position of the device, metres; store orientation, buttons and gripper in the block.
+
+        Raises `DeviceError` if the device does, or if a reading has another form.
+        """
+        position_m = position_reading(self._device.position_m())
         if self._has_orientation:
-            self._grip["orientation"] = self._device.orientation()
+            self._grip["orientation"] = orientation_reading(self._device.orientation())
         if self._has_buttons:
-            self._grip["buttons"] = self._device.buttons()
+            self._grip["buttons"] = buttons_reading(self._device.buttons())
         if self._has_gripper:
-            self._grip["gripper_m"] = self._device.gripper_m()
+            self._grip["gripper_m"] = gripper_reading(self._device.gripper_m())
+        return position_m
 
     def put(self, force_n: Point) -> None:
         """Apply a force, and the torque of the latest tick."""
@@ -128,14 +140,13 @@ def serve(
         if device.is_driven:
             _supervise(memory, device, must_stop)
             return
-        sleep_until, position_m = clock.sleep_until, device.position_m
+        sleep_until = clock.sleep_until
         try:
             while not clock_state["is_released"]:
                 now_ns = 0 if is_paced else sleep_until(int(clock_state["deadline_ns"]))
                 if must_stop():
                     clock_state["is_stopping"] = 1
-                latest_m = position_m()
-                link.read()
+                latest_m = link.position_m()
                 link.put(native.cycle(memory.bytes, *latest_m, clock.now_ns() if is_paced else now_ns))
                 device.advance(0.0 if orders["mode"] == layout.IDLE else dt_s)
         except BaseException:

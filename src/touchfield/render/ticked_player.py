@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Final
 from touchfield.compute.native import native
 from touchfield.render.block import DEFAULT_BYTES, Memory, layout
 from touchfield.render.player import Session, is_over
+from touchfield.render.readings import position_reading
 from touchfield.render.spec import RenderSpec
 
 if TYPE_CHECKING:
@@ -87,13 +88,15 @@ class TickedPlayer:
     def tick(self, position_m: Vector | None, now_ns: int | None = None) -> Vector:
         """Return the force on a hand, newtons.
 
-        `position_m` is in metres. Without one, and for one that is not finite, the force goes to zero within
-        the ramp. `now_ns` is the time of a clock that does not go back; by default, the monotonic clock's.
+        `position_m` is in metres; DeviceError if it is not three numbers. Without one, and for one that is
+        not finite, the force goes to zero within the ramp. `now_ns` is the time of a clock that does not go
+        back; by default, the monotonic clock's.
         """
         if self._is_simulated:
             self._feeder.fill_lookahead(self._lookahead)
         now_ns = time.perf_counter_ns() if now_ns is None else now_ns
-        return native.cycle(self._memory.bytes, *(_NOWHERE if position_m is None else position_m), now_ns)
+        point_m = _NOWHERE if position_m is None else position_reading(position_m)
+        return native.cycle(self._memory.bytes, *point_m, now_ns)
 
     def play(self) -> None:
         """Start the media clock."""

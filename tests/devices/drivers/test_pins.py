@@ -43,7 +43,7 @@ class Display:
     def __init__(self, answer: Callable[[int], bytes | None] = lambda number: b"ok %d\n" % number) -> None:
         self.answer = answer
         self.shape: tuple[int, int] | None = None
-        self.levels = 0
+        self.levels, self.timeout_ms, self.keeps = 0, 0, 0
         self.frames: list[list[list[int]]] = []
         self.faults: list[str] = []
         self.disconnected = threading.Event()
@@ -54,20 +54,24 @@ class Display:
         assert int(found[2], 16) == crc(found[1])
         word, *values = found[1].split(b" ")
         if word == b"size":
-            assert not self.frames and len(values) == 3
-            rows, columns, self.levels = map(int, values)
+            assert not self.frames and len(values) == 4
+            rows, columns, self.levels, self.timeout_ms = map(int, values)
             assert 2 <= self.levels <= 36 and self.shape in (None, (rows, columns))
             self.shape = (rows, columns)
             return self.answer(0)
-        assert word == b"pins" and self.shape is not None and len(values) == 2
+        assert self.shape is not None and int(values[0]) == len(self.frames) + self.keeps + 1
+        if word == b"keep":
+            assert len(values) == 1
+            self.keeps += 1
+            return self.answer(len(self.frames) + self.keeps)
+        assert word == b"pins" and len(values) == 2
         rows, columns = self.shape
         heights = [int(chr(digit), 36) for digit in values[1]]
         assert (
             values[1] == values[1].lower() and len(heights) == rows * columns and max(heights) < self.levels
         )
         self.frames.append([heights[r * columns : (r + 1) * columns] for r in range(rows)])
-        assert int(values[0]) == len(self.frames)
-        return self.answer(len(self.frames))
+        return self.answer(len(self.frames) + self.keeps)
 
     def serve(self, read: Callable[[], bytes], write: Callable[[bytes], object]) -> None:
         rest = b""
@@ -146,7 +150,7 @@ def test_heights_by_rows_and_lowered_at_the_end(over: Callable[[Display], object
         pad.put_drives(drives(SMALL, 1.0), None, 0.1)
         pad.close()
         pad.close()
-    assert display.shape == (2, 3) and display.levels == 4
+    assert display.shape == (2, 3) and display.levels == 4 and display.timeout_ms == 1000
     assert display.frames == [[[0, 1, 2], [2, 3, 3]], [[0] * 3] * 2, [[3] * 3] * 2, [[0] * 3] * 2]
 
 
@@ -183,7 +187,7 @@ def test_reopened_display_gets_the_whole_frame() -> None:
         pad.open()
         pad.put_drives(np.zeros((1, 2, 3), np.float32), None, 0.05)
         pad.close()
-    assert sent == [b"size 2 3 4", b"pins 1 000000"] * 2
+    assert sent == [b"size 2 3 4 1000", b"pins 1 000000"] * 2
 
 
 def test_profile_is_taken_from_the_stream() -> None:
@@ -235,8 +239,8 @@ def test_board_that_starts_when_its_port_is_opened() -> None:
 
 
 def test_lines_of_the_documentation_have_valid_checksums() -> None:
-    found = re.findall(r"^    ((?:size|pins) \d.*) \*([0-9a-f]{4})$", pins.__doc__ or "", re.MULTILINE)
-    assert len(found) == 2
+    found = re.findall(r"^    ((?:size|pins|keep) \d.*) \*([0-9a-f]{4})$", pins.__doc__ or "", re.MULTILINE)
+    assert len(found) == 3
     for line, total in found:
         assert crc(line.encode()) == int(total, 16)
         assert checked_line(line.encode()) == f"{line} *{total}\n".encode()

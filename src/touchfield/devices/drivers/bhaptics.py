@@ -4,7 +4,9 @@ through its WebSocket (version 2).
 It needs no key and no licence, and uses loopback. Protocol: one JSON message a frame to ``/v2/feedbacks``, in
 which each panel is a submission of the type "frame": its position (VestFront, VestBack), its dots (index and
 intensity 0 to 100) and their duration. A later submission with the same key replaces the one before. The
-Player sends its own state; of that, ConnectedPositions (names such as Vest) and ConnectedDeviceCount tell
+duration is at most 500 ms, then the Player switches the dots off: a program that was killed leaves none on.
+
+The Player sends its own state; of that, ConnectedPositions (names such as Vest) and ConnectedDeviceCount tell
 whether a vest is there. These names, and when the Player sends its state, are from the maker's public SDK as
 remembered and unverified: a Player that sends neither is taken to have a vest. A Player has one vest.
 
@@ -52,7 +54,10 @@ VEST_ROWS: Final = {5: (0, 1, 2, 3, 4), 4: (0, 1, 2, 3, 3), 2: (0, 0, 1, 1, 1)}
 _FULL: Final = 100
 _DURATION_FRAMES: Final = 1.5
 """Duration of a message in frames, so that a slightly late frame leaves no gap."""
-_SHORTEST_MS, _LONGEST_MS = 50, 10000  # bHaptics tact-js, submitDot
+_SHORTEST_MS, _LONGEST_MS = 50, 500
+"""Limits of that duration: the least that bHaptics tact-js (submitDot) takes, and how long a motor stays on
+after this program was killed.
+"""
 
 _TIMEOUT_S: Final = 2.0
 _STATE_S: Final = 0.5
@@ -79,6 +84,7 @@ class BHaptics(ArrayDevice):
     """
 
     title: ClassVar[str] = _TITLE
+    keep_alive_s: ClassVar[float] = 0.3e-3 * _LONGEST_MS
 
     def __init__(self, profile: Device, player: Address = PLAYER) -> None:
         columns, rows, _ = profile.lattice
@@ -89,6 +95,7 @@ class BHaptics(ArrayDevice):
         self._lock: UnitLock | None = None
         self._has_vest: bool | None = None
         self._rows = np.array(VEST_ROWS[rows])
+        self._message = ""
 
     def open(self) -> None:
         """See `ArrayDevice`."""
@@ -99,7 +106,7 @@ class BHaptics(ArrayDevice):
         except DeviceError:
             line.close()
             raise
-        self._line, self._has_vest, self.notes = line, None, ()
+        self._line, self._has_vest, self._message, self.notes = line, None, "", ()
 
     def readiness(self) -> Readiness:
         """See `ArrayDevice.readiness`; waits for the Player's first state."""
@@ -119,10 +126,15 @@ class BHaptics(ArrayDevice):
         steps = steps_of(self.profile, drives, levels)
         intensities = np.floor(steps * (_FULL / max(levels - 1, 1)) + 0.5).astype(np.int64)
         duration_ms = math.ceil(1000 * _DURATION_FRAMES * seconds) if math.isfinite(seconds) else _LONGEST_MS
+        self._message = self._submission(intensities, min(max(duration_ms, _SHORTEST_MS), _LONGEST_MS))
+        self.keep_alive()
+
+    def keep_alive(self) -> None:
+        """See `ArrayDevice`: submit the latest frame again."""
         if self._line is None:
             raise DeviceError(_NAME, "no connection", "one that was opened")
         try:
-            self._line.send(self._message(intensities, min(max(duration_ms, _SHORTEST_MS), _LONGEST_MS)))
+            self._line.send(self._message)
         except Exception as error:  # closed, broken, or nobody reads what is sent
             raise DeviceError(_NAME, f"that it is gone ({reason(error)})", hint=_HINT) from error
         self._read(0.0)
@@ -140,7 +152,7 @@ class BHaptics(ArrayDevice):
         except Exception as error:  # closed or broken
             raise DeviceError(_NAME, f"that it is gone ({reason(error)})", hint=_HINT) from error
 
-    def _message(self, intensities: Int64s, duration_ms: int) -> str:
+    def _submission(self, intensities: Int64s, duration_ms: int) -> str:
         submissions = []
         for panel, position in zip(intensities, POSITIONS):
             dots = panel[self._rows].reshape(-1).tolist()

@@ -5,6 +5,7 @@ A frame is one bundle, or several if it is large. Each bundle is one datagram of
 the first of these messages::
 
     /touchfield/frame              i number   d seconds   i part   i parts   i panels   i rows   i columns
+                                   i timeout in milliseconds
     /touchfield/drives/PANEL       i first    f drive ... 0 to 1
     /touchfield/frequencies/PANEL  i first    f hertz ... 0 without vibration; only if the medium has any
 
@@ -13,7 +14,10 @@ back, or the panel's number from 2; ``first`` is the index of the message's firs
 row after row from the top left. All parts of a frame have the same number. A drive is rounded to the
 profile's levels, if it states any.
 
-UDP may lose a datagram, so the frame that switches all actuators off is sent three times. The address scheme
+**The receiver switches all actuators off if no complete frame arrives for the timeout of the latest one**, so
+that a program that was killed or has stopped leaves none on. At least every 100 ms a frame is sent, if need
+be the latest one again with a new number. UDP may lose a datagram, so the frame that switches all actuators
+off is sent three times. ``integrations/osc_array.py`` is a receiver of this protocol. The address scheme
 is specific to touchfield; there is no common one for arrays of actuators. The bytes are assembled here: a
 library that checks each number separately took 100 ms for the 6240 pins of a HyperBraille, this code 0.7 ms.
 """
@@ -25,7 +29,7 @@ import struct
 from collections.abc import Iterator
 from contextlib import suppress
 from time import monotonic
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 
@@ -48,6 +52,8 @@ _FLOATS_PER_MESSAGE: Final = (
 ) // 5  # a float is four bytes and one letter of the type
 _PANELS: Final = ("front", "back")
 _LAST_FRAME_COPIES: Final = 3
+REST_S: Final = 0.5
+"""Time without a complete frame after which the receiver switches its actuators off."""
 _BUNDLE_HEAD: Final = b"#bundle\0" + struct.pack(">Q", 1)
 """Head of a bundle that is to be shown at once (OSC 1.0)."""
 
@@ -55,10 +61,13 @@ _BUNDLE_HEAD: Final = b"#bundle\0" + struct.pack(">Q", 1)
 class Osc(ArrayDevice):
     """Any array behind a program or device that listens to Open Sound Control."""
 
+    keep_alive_s: ClassVar[float] = 0.2 * REST_S
+
     def __init__(self, profile: Device, to: Address) -> None:
         self.profile, self._to = profile, to
         self._where = f"osc:{to[0]}:{to[1]}"
         self._number, self._start_s = 0, 0.0
+        self._shown: tuple[Float64s, Float32s | None] | None = None
 
     def open(self) -> None:
         """See `ArrayDevice`; UDP does not show whether anything listens on another machine."""
@@ -77,7 +86,7 @@ class Osc(ArrayDevice):
                 self._where, f"no way there ({reason(error)})", "a host that can be reached"
             ) from error
         line.settimeout(1.0)
-        self._line, self._number, self._start_s = line, 0, monotonic()
+        self._line, self._number, self._start_s, self._shown = line, 0, monotonic(), None
 
     def put_drives(self, drives: Float32s, frequencies_hz: Float32s | None, seconds: float) -> None:
         """See `ArrayDevice`."""
@@ -86,10 +95,17 @@ class Osc(ArrayDevice):
             values = drives_of(self.profile, drives)
         else:
             values = steps_of(self.profile, drives, levels) / max(levels - 1, 1)
+        self._shown = values, frequencies_hz
+        self.keep_alive()
+
+    def keep_alive(self) -> None:
+        """See `ArrayDevice`: send the latest frame, with a new number."""
         if self._line is None:
             raise DeviceError(self._where, "no connection", "one that was opened")
+        if self._shown is None:
+            return
         try:
-            for datagram in self._datagrams(values, frequencies_hz):
+            for datagram in self._datagrams(*self._shown):
                 self._line.send(datagram)
         except OSError as error:
             hint = "Start what listens there first"
@@ -118,9 +134,10 @@ class Osc(ArrayDevice):
                         bodies.append(b"")
                     bodies[-1] += message
         number, seconds = self._number & 0x7FFFFFFF, monotonic() - self._start_s
+        timeout_ms = round(1000 * REST_S)
         for part, body in enumerate(bodies):
-            head = struct.pack(">idiiiii", number, seconds, part, len(bodies), *drives.shape)
-            yield _BUNDLE_HEAD + _message("/touchfield/frame", "idiiiii", head) + body
+            head = struct.pack(">idiiiiii", number, seconds, part, len(bodies), *drives.shape, timeout_ms)
+            yield _BUNDLE_HEAD + _message("/touchfield/frame", "idiiiiii", head) + body
 
 
 def _message(name: str, types: str, values: bytes) -> bytes:

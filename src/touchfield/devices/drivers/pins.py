@@ -5,27 +5,36 @@ The vendors' own protocols differ and are mostly not public. This simple protoco
 or board between touchfield and the display. A line is ASCII, ends in a line feed, and has a checksum of
 everything before the blank and star::
 
-    line     size ROWS COLUMNS LEVELS *CRC        first, and again if there is no answer; its number is 0
-    line     pins NUMBER HEIGHTS *CRC             NUMBER from 1
-    answer   ok NUMBER                            it is shown; sent after every line
-    answer   err TEXT                             it is not
+    line     size ROWS COLUMNS LEVELS TIMEOUT *CRC   first, and again if there is no answer; its number is 0
+    line     pins NUMBER HEIGHTS *CRC                NUMBER from 1
+    line     keep NUMBER *CRC                        the pins stay; NUMBER goes on
+    answer   ok NUMBER                               it is shown; sent after every line
+    answer   rest NUMBER                             to keep: the pins are at rest, after the time-out
+    answer   err TEXT                                it is not
 
 ``HEIGHTS`` is a digit for each pin, row after row from the top left: 0 (down) to LEVELS - 1 (up), 0 to 9 and
 then a to z, so that there are at most 36 levels. ``CRC`` is CRC-16/CCITT-FALSE (polynomial 1021, initial
 value ffff) as four hexadecimal digits. For 2 x 2 pins that are up or down::
 
-    size 2 2 2 *af5a
+    size 2 2 2 1000 *f687
     pins 1 0110 *204a
+    keep 2 *8549
 
 The next line is sent after the previous one was answered; a second ``ok 0`` is ignored. A frame that changes
-no pin is not sent, since pins keep their height. `close` lowers all pins.
+no pin is not sent.
+
+**The display lowers all pins if, after an answer, no byte arrives for TIMEOUT milliseconds, and when the
+connection is closed.** So a program that was killed, has stopped or lost its cable leaves no pin up. While
+pins stay as they are, `keep` is sent every 300 ms. After the answer ``rest``, as when the program was stopped
+for a while, the heights are sent again. `close` lowers all pins. ``integrations/pin_display.py`` is a display
+of this protocol.
 """
 
 from __future__ import annotations
 
 import binascii
 from time import monotonic
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 
@@ -45,6 +54,8 @@ if TYPE_CHECKING:
 DIGITS: Final = b"0123456789abcdefghijklmnopqrstuvwxyz"
 MAX_ANSWER_BYTES: Final = 256
 TIMEOUT_S: Final = 2.0
+REST_S: Final = 1.0
+"""Time without a byte after which the display lowers its pins; part of its first line."""
 _CLOSE_TIMEOUT_S: Final = 0.5
 _HINT: Final = "Check that it is on, that the port is the right one, and that it speaks this protocol"
 _FORM: Final = "pins:PORT[@BAUD] | pins:HOST:PORT"
@@ -69,6 +80,8 @@ class Pins(ArrayDevice):
         ``connect() -> Line``; raises `DeviceError`.
     """
 
+    keep_alive_s: ClassVar[float] = 0.3 * REST_S
+
     def __init__(self, profile: Device, where: str, connect: Callable[[], Line]) -> None:
         if profile.panels != 1:
             raise InvalidArgument("pins", f"{profile.name}, {profile.panels} panels", "an array of one panel")
@@ -76,13 +89,13 @@ class Pins(ArrayDevice):
         self._levels = min(profile.levels or len(DIGITS), len(DIGITS))
         self._digits = np.frombuffer(DIGITS, np.uint8)
         self._number = 0
-        self._heights = b""
+        self._heights, self._answered_s = b"", 0.0
 
     def open(self) -> None:
         """See `ArrayDevice`."""
         self._line, self._number, self._heights = self._connect(), 0, b""
         columns, rows, _ = self.profile.lattice
-        size = b"size %d %d %d" % (rows, columns, self._levels)
+        size = b"size %d %d %d %d" % (rows, columns, self._levels, round(1000 * REST_S))
         try:
             self._exchange(size, 0, self._timeout_s)
         except DeviceError as error:
@@ -94,19 +107,34 @@ class Pins(ArrayDevice):
         """See `ArrayDevice`: a drive is a height; pins do not vibrate."""
         self._show(steps_of(self.profile, drives, self._levels), self._timeout_s)
 
+    def keep_alive(self) -> None:
+        """See `ArrayDevice`."""
+        heights, self._heights = self._heights, b""
+        self._number += 1
+        answer = self._exchange(b"keep %d" % self._number, self._number, self._timeout_s, b"rest")
+        if answer == b"ok":
+            self._heights = heights
+        elif heights:
+            self._send(heights, self._timeout_s)
+
     def _put_off(self, off: Float32s) -> None:
         self._show(steps_of(self.profile, off, self._levels), _CLOSE_TIMEOUT_S)
 
     def _show(self, steps: Int64s, timeout_s: float) -> None:
         heights = self._digits[steps.reshape(-1)].tobytes()
-        if heights == self._heights:
-            return
+        if heights != self._heights:
+            self._send(heights, timeout_s)
+        elif monotonic() - self._answered_s >= self.keep_alive_s:
+            self.keep_alive()
+
+    def _send(self, heights: bytes, timeout_s: float) -> None:
         self._heights = b""  # after an error from here on, the next frame is sent in any case
         self._number += 1
         self._exchange(b"pins %d %s" % (self._number, heights), self._number, timeout_s)
         self._heights = heights
 
-    def _exchange(self, content: bytes, number: int, timeout_s: float) -> None:
+    def _exchange(self, content: bytes, number: int, timeout_s: float, *others: bytes) -> bytes:
+        """Send a line; returns the word of its answer, b"ok" or one of `others`."""
         if self._line is None:
             raise DeviceError(self._where, "no connection", "one that was opened")
         deadline_s = monotonic() + timeout_s
@@ -122,8 +150,10 @@ class Pins(ArrayDevice):
             raise DeviceError(
                 self._where, f"that it is gone ({error or 'it was closed'})", hint=_HINT
             ) from error
-        if answer == b"ok %d" % number:
-            return
+        self._answered_s = monotonic()
+        for word in (b"ok", *others):
+            if answer == b"%s %d" % (word, number):
+                return word
         text = "".join(chr(byte) if 32 <= byte < 127 else "?" for byte in answer[:80])
         if answer.startswith(b"err "):
             raise DeviceError(self._where, f"that it refuses line {number}: {text[4:]}", f"ok {number}")
