@@ -11,9 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-_FIRST_TICKS: Final = 100
-_TICKS: Final = 1000
-"""Ticks of a report; the first one is short, so that it comes before a force is applied."""
+_FIRST_S: Final = 0.1
+_WINDOW_S: Final = 1.0
+_MAX_TICKS: Final = 250
+_MIN_TICKS: Final = 10
+"""A window has so many ticks, or is so long; the first one is short, so that it ends before a force is
+applied. The times of a window are sorted within one tick."""
 
 _SLOWER: Final = 1.02
 
@@ -22,7 +25,7 @@ QUANTILE: Final = 0.9
 
 
 class LoopTimes(NamedTuple):
-    """Times of some ticks, seconds."""
+    """Times of the ticks of a window, seconds."""
 
     median_s: float  # from position to force
     delay_s: float  # the same, of all but the slowest tenth of the ticks
@@ -37,30 +40,33 @@ class LoopTimes(NamedTuple):
 
 
 class LoopMeter:
-    """Collects the times of ticks; reports those of the first ticks, and of each second that is slower.
+    """Collects the times of ticks; reports those of the first window, and of each window that is slower.
 
     A report is a message to another process, so that there must not be many.
     """
 
-    def __init__(self, report: Callable[[LoopTimes], None], first_ticks: int = _FIRST_TICKS) -> None:
-        self._report, self._count = report, first_ticks
+    def __init__(self, report: Callable[[LoopTimes], None]) -> None:
+        self._report, self._window_s, self._reported_s = report, _FIRST_S, 0.0
         self._durations_s: list[float] = []
         self._start_s: float | None = None
-        self._ticks, self._reported_s = 0, 0.0
+        self._ticks = 0
 
     def add(self, duration_s: float, now_s: float, ticks: int = 1) -> None:
         """Add a tick that took `duration_s` seconds from position to force; it is the latest of `ticks`."""
         if self._start_s is None:  # its period is not known
             self._start_s = now_s
             return
-        self._durations_s.append(duration_s)
+        durations_s, elapsed_s = self._durations_s, now_s - self._start_s
+        durations_s.append(duration_s)
         self._ticks += ticks
-        if len(self._durations_s) < self._count:
-            return
-        durations_s, period_s = sorted(self._durations_s), (now_s - self._start_s) / max(self._ticks, 1)
         count = len(durations_s)
-        times = LoopTimes(durations_s[count // 2], durations_s[int(QUANTILE * (count - 1))], period_s)
-        if times.delay_s + period_s > _SLOWER * self._reported_s:
-            self._reported_s = times.delay_s + period_s
+        if count < _MAX_TICKS and (count < _MIN_TICKS or elapsed_s < self._window_s):
+            return
+        durations_s.sort()
+        slow_s = durations_s[int(QUANTILE * (count - 1))]
+        times = LoopTimes(durations_s[count // 2], slow_s, elapsed_s / max(self._ticks, 1))
+        if slow_s + times.period_s > _SLOWER * self._reported_s:
+            self._reported_s = slow_s + times.period_s
             self._report(times)
-        self._count, self._durations_s, self._start_s, self._ticks = _TICKS, [], now_s, 0
+        self._window_s, self._start_s, self._ticks = _WINDOW_S, now_s, 0
+        durations_s.clear()

@@ -486,6 +486,7 @@ class Session:
         self._device, self._spec, self.is_loop = device, spec, loop
         self._stated = device
         self.delay_s = delay_s_of(device)
+        self._target_s = 0.0  # the largest delay that was measured
         self._noted_s = 0.0  # the largest delay that a note names
         self._lock = threading.Lock()  # of damping and coupling: the feeder and the watcher adapt them
         self.orders = Orders(FIRST_GENERATION, self.media_time_s(start_s), speed)
@@ -605,7 +606,10 @@ class Session:
         at once; later it is approached, by a small step at each call, so that no force jumps. It never falls.
         """
         measured_s = min(lag_s(self._spec.rate_hz), _MAX_DELAY_S)
-        if measured_s <= _SLOWER * self.delay_s:
+        if measured_s > _SLOWER * max(self._target_s, self.delay_s):
+            self._target_s = measured_s
+        measured_s = self._target_s
+        if measured_s <= self.delay_s:
             return
         with self._lock:
             if measured_s > _NOTED_SLOWER * max(self._noted_s, self.delay_s):

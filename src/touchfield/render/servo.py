@@ -36,7 +36,6 @@ Opener = Callable[[], PointDevice]
 _WATCH_S: Final = 0.01
 _MAX_SILENCE_S: Final = 2.0  # time without a call after which a driver counts as dead
 _NOWHERE: Final = (math.nan, math.nan, math.nan)
-_FIRST_FRAMES: Final = 20  # seen at each `_WATCH_S`, for the first report of a driver that calls us
 
 
 class WallClock:
@@ -132,7 +131,7 @@ def serve(
     is_simulated = receiver["layout"]["is_simulated"] = overrides(device, "advance")
     meter = None
     if report_loop is not None and not is_simulated:
-        meter = LoopMeter(report_loop, *((_FIRST_FRAMES,) if device.is_driven else ()))
+        meter = LoopMeter(report_loop)
     receiver["layout"]["is_paced"] = is_paced or device.is_driven
     try:
         if not open_device(device):
