@@ -119,9 +119,8 @@ _CALIBRATION_OK, _CALIBRATION_NEEDS_UPDATE = 0x5000, 0x5001
 _STYLES_WITHOUT_HELP: Final = (1 << 1, 1 << 2)
 """HD_CALIBRATION_AUTO and _INKWELL, which need no other action of the user than to use the inkwell."""
 
-_BUTTONS_OFFSET: Final = sum(
-    (struct.fields or {})[name][1] for struct, name in ((layout.RECEIVER, "grip"), (layout.GRIP, "buttons"))
-)
+_OFFSETS: Final = dict(native.receiver_layout())
+_BUTTONS_OFFSET: Final = _OFFSETS["touch_receiver.grip"] + _OFFSETS["touch_grip.buttons"]
 """Of the buttons in a receiver, bytes."""
 
 _CALL_AGAIN: Final = 1
