@@ -114,7 +114,8 @@ def delay_check(device_text: str, kind: DeviceKind) -> Check:
     stated = "no delay, 1 ms is assumed" if profile.delay_ms is None else f"{profile.delay_ms:g} ms"
     choice, seconds = point_device(device_text), 0.0
     try:
-        with Player(HapticMedium.from_frames([_solid()], 1.0), profile, choice.opener) as player:
+        medium = HapticMedium.from_frames([_solid()], 1.0)
+        with Player(medium, profile, choice.opener, wait_s=_DELAY_S) as player:
             while player.statistics()["delay_p90_us"] is None and not player.wait(_DELAY_POLL_S):
                 seconds += _DELAY_POLL_S
                 if seconds > _DELAY_S:

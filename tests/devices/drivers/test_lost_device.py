@@ -213,6 +213,30 @@ def test_a_touch_that_loses_its_calibration_has_no_position_until_it_has_it_agai
         memory[1] = 1
 
 
+def test_the_force_of_a_touch_goes_to_zero_while_it_is_not_calibrated(hd: FakeDriver) -> None:
+    session, memory = laid_out(numbered_medium(1), RenderSpec(scale=0.1))  # the hand stays within the field
+    feeder, device, notes = session.feeder(memory, is_timed=False), OpenHaptics(), []
+    feeder.fill_lookahead(5)
+    session.order(memory, mode=layout.PLAYING)
+    ticks, steps = memory.receiver["counts"], [(200, 0x5002, 0), (600, 0x5002, 1)]
+
+    def before_tick() -> bool:
+        if steps and ticks["ticks"] > steps[0][0]:
+            hd.library.fake_calibration(*steps.pop(0)[1:])
+        return bool(ticks["ticks"] > 1200)
+
+    watch = ReadinessWatch(device.title, device.state, 30.0, notes.append)
+    serve(memory, device, VirtualClock(), before_tick, watch=watch)
+    forces = np.linalg.norm(hd.forces, axis=1)
+    has_force = forces[100:1100] > 0.1
+    first, last = np.flatnonzero(~has_force)[[0, -1]] + 100
+    assert 200 <= first <= 350 and 600 <= last <= 800, "within 64 frames, the ramp and a poll of the orders"
+    assert not forces[first + 30 : last - 30].any() and forces[first - 50] > 0.4 and forces[1050] > 0.4
+    assert np.abs(np.diff(forces)).max() < 0.2
+    assert len(notes) == 2 and "not calibrated" in notes[0] and "inkwell" in notes[0]
+    assert "is ready again" in notes[1]
+
+
 def test_buttons_of_a_touch_are_written_at_each_frame_and_its_delay_is_measured(hd: FakeDriver) -> None:
     memory = np.zeros(512, np.int64)
     fields = layout.RECEIVER.fields, layout.GRIP.fields
