@@ -99,6 +99,26 @@ def test_the_force_of_a_lost_device_goes_to_zero_and_returns_within_the_slew_lim
     assert np.abs(np.diff(forces)).max() <= 1e-3 * 40.0 * (1 + 1e-9)
 
 
+def test_a_device_that_stays_lost_ends_the_playback_with_a_force_of_zero() -> None:
+    session, memory = laid_out(numbered_medium(1))
+    feeder, device = session.feeder(memory, is_timed=False), RestingDevice()
+    feeder.fill_lookahead(5)
+    session.order(memory, mode=layout.PLAYING)
+    ticks = memory.receiver["counts"]
+
+    def state() -> Readiness:
+        return Readiness("7", is_powered=bool(ticks["ticks"] < 100))
+
+    watch = ReadinessWatch("arm", state, 0.5, lambda note: None)
+    clock = iter(range(10**6))
+    watch_is_ready = watch.is_ready
+    watch.is_ready = lambda now_s: watch_is_ready(1e-3 * next(clock))  # type: ignore[method-assign]
+    with pytest.raises(DeviceError, match="arm 7: found a device that is without power; expected a ready"):
+        serve(memory, device, VirtualClock(), lambda: False, watch=watch)
+    forces = np.array(device.forces)[:, 2]
+    assert forces[90] > 0.4 and not forces[400:].any() and 700 < len(forces) < 800 and device.closed
+
+
 # -- the drivers
 
 
