@@ -48,7 +48,6 @@ from touchfield.devices.drivers.links import DriverLibrary
 from touchfield.devices.drivers.registry import DeviceKind, Opener
 from touchfield.devices.drivers.unit_lock import UnitLock
 from touchfield.errors import DeviceAbsent, DeviceError, InvalidArgument
-from touchfield.render.block import layout
 from touchfield.render.point_device import PointDevice
 from touchfield.render.readiness import Readiness
 
