@@ -316,6 +316,7 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "bridge": Case(None, {"Bridge": CALLED, "Bridge.stream": "{tmp}/in.touch", "play.on_player": STUB}),
         "device": case("sim:spring", "spec.device", "sim:spring"),
         "wait": case("5s", "spec.wait", "5s"),
+        "settings": case("gravity=off", "spec.settings", "gravity=off"),
         "profile": case("novint-falcon", "spec.profile", "novint-falcon"),
         "trajectory": case("hand.csv", "spec.trajectory", "hand.csv"),
         "seconds": case("2.5", "spec.seconds", 2.5),
@@ -342,6 +343,7 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "continuous-nm": case("0.03", "render.continuous_nm", 0.03),
         "slew-nm-per-s": case("5", "render.slew_nm_per_s", 5.0),
         "up": case("y", "render.up", "y"),
+        "axes": case("-x,y,z", "render.axes", "-x,y,z"),
         "clutch-mm": case("1,-2,3", "render.clutch_m", (0.001, -0.002, 0.003)),
         "gravity-n": case("0,-1,0.5", "render.gravity_n", (0.0, -1.0, 0.5)),
         "no-blend": case(None, "render.blend", False),
@@ -426,7 +428,10 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "connected": Case(None, printed="touchfield doctor --device haply"),
     },
     "sources": {},
-    "doctor": {"device": case("haply", "examine.name", "haply")},
+    "doctor": {
+        "device": case("haply", "examine.name", "haply"),
+        "delay": case(None, "examine.measures_delay", True),
+    },
     "warmup": {},
 }
 

@@ -78,7 +78,7 @@ def test_doctor_prints_fixes_for_missing_parts_only(monkeypatch: pytest.MonkeyPa
         Check("that", False, "none", "Get it"),
         Check("x", False, "-"),
     ]
-    monkeypatch.setattr("touchfield.tasks.setup.examine", lambda name: {f"for {name}": checks})
+    monkeypatch.setattr("touchfield.tasks.setup.examine", lambda name, delay: {f"for {name}": checks})
     assert _exit_code(["doctor", "--device", "pins"]) == 0
     assert capsys.readouterr().out.splitlines() == [
         "for pins", "  ok       this: 1.2", "  missing  that: none. Get it", "  missing  x: -",

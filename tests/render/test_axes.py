@@ -5,14 +5,27 @@ invalid texts.
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from player_makers import AXES, GRID, OMNI, Simulated, numbered_medium
 
 from touchfield.devices import devices
 from touchfield.errors import InvalidArgument
-from touchfield.render.point_device import BOX_AXES, axes_matrix, axes_notes, axes_of_text
+from touchfield.medium import ForceField, HapticMedium
+from touchfield.render.block import Memory
+from touchfield.render.offline import run_offline
+from touchfield.render.player import Session
+from touchfield.render.point_device import (
+    BOX_AXES,
+    Point,
+    axes_matrix,
+    axes_notes,
+    axes_of_text,
+    signed_axes,
+)
 from touchfield.render.spec import RenderSpec
 from touchfield.sources.scene import CAMERA_AXES, UP_Y_AXES, UP_Z_AXES
 
@@ -138,3 +151,69 @@ def test_all_48_orientations_are_distinct() -> None:
             ]
             found.add(tuple(axes_matrix(", ".join(parts), BOX_AXES).ravel()))
     assert len(found) == 48
+
+
+@pytest.mark.parametrize(
+    ("text", "rows"),
+    [
+        ("x,y,z", [[1, 0, 0], [0, 1, 0], [0, 0, 1]]),
+        ("x,-z,y", [[1, 0, 0], [0, 0, -1], [0, 1, 0]]),
+        (" -X , +y, Z ", [[-1, 0, 0], [0, 1, 0], [0, 0, 1]]),
+    ],
+)
+def test_signed_axes_are_a_permutation(text: str, rows: list[list[int]]) -> None:
+    matrix = signed_axes(text)
+    assert matrix is not None and matrix.tolist() == rows
+
+
+@pytest.mark.parametrize(
+    "text", ["", "x,y", "x,y,y", "x,y,z,x", "--x,y,z", "-+x,y,z", "x y z", "a,b,c", "x," * 99]
+)
+def test_invalid_axes_are_one_clear_error(text: str) -> None:
+    assert signed_axes(text) is None
+    with pytest.raises(InvalidArgument, match=r"axes: found .* expected each of x, y, z once, such as"):
+        RenderSpec(axes=text)
+
+
+def matrix_of(spec: RenderSpec, profile_axes: str) -> np.ndarray:
+    """The matrix from the device to the field in the settings of a session."""
+    session = Session(numbered_medium(1), replace(OMNI, axes=profile_axes), spec)
+    memory = Memory.empty(session.layout.size_bytes)
+    session.set_up(memory)
+    settings = memory.receiver["settings"]
+    matrix = np.array(settings["axes"].tolist()).reshape(3, 3)
+    assert settings["handedness"] == np.linalg.det(matrix)
+    return matrix
+
+
+def test_axes_of_the_options_are_those_of_the_profile_or_replace_them() -> None:
+    omega = "x towards the user, y right, z up"
+    by_profile = matrix_of(RenderSpec(), omega)
+    assert (by_profile == axes_matrix(omega, AXES)).all()
+    mirrored = matrix_of(RenderSpec(axes="x,-y,z"), omega)  # right is left
+    assert (mirrored @ [0, 1, 0] == -(by_profile @ [0, 1, 0])).all() and np.linalg.det(mirrored) == -1
+    assert (mirrored @ [1, 0, 3] == by_profile @ [1, 0, 3]).all()
+    mounted = matrix_of(RenderSpec(axes="x,-z,y"), BOX_AXES)
+    assert (mounted @ [1, 2, 3] == [1, -3, 2]).all()
+    assert (matrix_of(RenderSpec(axes=omega), BOX_AXES) == by_profile).all()
+
+
+class Aside(Simulated):
+    """Rests 4 mm to the device's right, and moves nowhere."""
+
+    def position_m(self) -> Point:
+        super().position_m()
+        return 0.004, 0.0, 0.0
+
+
+@pytest.mark.parametrize(("axes", "side"), [(None, 1.0), ("-x,y,z", -1.0)])
+def test_position_and_force_are_mirrored_together(axes: str | None, side: float) -> None:
+    forces = np.zeros((*GRID.shape, 3), np.float32)
+    forces[GRID.shape[0] // 2 :, ..., 0] = 0.5  # pushes on along x, in one half
+    medium = HapticMedium.from_frames([ForceField.from_dense(GRID, forces)], 50.0, AXES)
+    profile = replace(OMNI, axes=BOX_AXES)
+    rows = run_offline(medium, profile, Aside, RenderSpec(render="field", axes=axes), seconds=0.3).log
+    assert rows["position_m"][150, 0] == pytest.approx(side * 0.004)
+    field_force_n, force_n = rows["field_force_n"][150], rows["force_n"][150]
+    assert field_force_n[0] == pytest.approx(0.45 if side > 0 else 0.05)  # between samples at -5 and 5 mm
+    assert force_n == pytest.approx(field_force_n * [side, 1, 1])

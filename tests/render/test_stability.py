@@ -108,6 +108,15 @@ def test_a_hand_at_a_wall_comes_to_rest(stiffness: float, b: float, delay: int, 
     assert work < 1e-5
 
 
+@pytest.mark.parametrize(("used_ms", "is_stable"), [(1, False), (3, True)])
+def test_a_hand_is_at_rest_only_if_the_delay_used_is_that_of_the_loop(used_ms: int, is_stable: bool) -> None:
+    """A loop of 3 ms whose profile states 1 ms: `Session.adapt_delay` uses the measured delay."""
+    device = device_of(0.3, used_ms)
+    bench = with_automatic(Bench(wall(500.0, 12.0), device=device, grid=FINE), device, 500.0)
+    deviation, _ = pressed(bench, 0.3, 3, 0.0)
+    assert (deviation < 0.02) == is_stable and (is_stable or deviation > 1.0)
+
+
 def test_a_wall_within_the_device_s_limits_is_not_changed() -> None:
     found = stability_of(device_of(5.0, 0, 2e-5), RenderSpec(), 0.0, 2000.0)
     assert found.brake_n_s_per_m == found.coupling_n_per_m == 0

@@ -58,7 +58,7 @@ def _connected() -> Answer:
 
     found = connected_units()
     rows = [
-        (kind, unit.unit or "-", unit.text, unit.hint if not unit.is_ready else "")
+        (kind, unit.unit or "-", unit.details, unit.hint if not unit.is_ready else "")
         for kind, units in found.items()
         for unit in units
     ]
@@ -110,14 +110,15 @@ def sources() -> Answer:
     return Answer({kind.name: kind.summary for kind in kinds()}, "kinds of source (--as NAME)")
 
 
-@command("Set up", "doctor --device haply")
+@command("Set up", "doctor --device haply", "doctor --device forcedimension --delay")
 def doctor(
     device: Annotated[str | None, "Only what this device needs: haply, bhaptics, ..."] = None,
+    delay: Annotated[bool, "Open the device, and measure its delay without a force."] = False,
 ) -> Answer:
     """Check the installation and suggest fixes."""
     from touchfield.tasks.setup import examine
 
-    report = examine(device)
+    report = examine(device, delay)
 
     def print_text() -> None:
         console = literal_console()

@@ -13,10 +13,10 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +46,15 @@ from touchfield.render.material import material_bytes, stored_materials, write_m
 from touchfield.render.readiness import DEFAULT_WAIT_S, MAX_WAIT_S
 from touchfield.render.servo import Opener
 from touchfield.render.servo_process import ServoProcess
-from touchfield.render.spec import RenderSpec, Stability, Wall, stability_of, write_parameters
+from touchfield.render.spec import (
+    RenderSpec,
+    Stability,
+    Wall,
+    delay_s_of,
+    stability_of,
+    write_delay,
+    write_parameters,
+)
 from touchfield.render.tool import tool_bytes, write_tool
 
 if TYPE_CHECKING:
@@ -60,6 +68,25 @@ _FRACTION_OF_FREE: Final = 0.9
 _JOIN_S: Final = 5.0
 
 
+class Grip(NamedTuple):
+    """What a device reported at a tick besides its position."""
+
+    buttons: int  # bit n is button n
+    gripper_m: float  # opening of the gripper
+    orientation: tuple[float, float, float, float]  # unit quaternion, w first: device from grip
+
+
+class ButtonEvent(NamedTuple):
+    """A button that was pressed or released."""
+
+    button: int  # number of its bit
+    is_pressed: bool
+    time_s: float  # since the first tick, as in the log
+    media_s: float
+    position_m: tuple[float, float, float]  # of the hand in the field
+    gripper_m: float
+
+
 class Player:
     """Plays a medium on a type 1 device.
 
@@ -70,8 +97,10 @@ class Player:
     `device_profile` is of type 1. `opener` makes the device in the servo's process and can be pickled.
     `memory_bytes` bounds the frames decoded ahead, `speed` is seconds of the medium for one second (above 0,
     up to 100), and `start_s` is the media time to start at. The log keeps the latest `log_rows` rows.
-    `is_realtime` requests SCHED_FIFO. Raises `InvalidArgument` if a number is out of range or the memory is
-    too small for the frames.
+    `is_realtime` requests SCHED_FIFO. `on_button` is called for each button that was pressed or released, in
+    order, within about 10 ms, from a thread of the player; it may give orders. If it raises an error, the
+    player stops with that error. Raises `InvalidArgument` if a number is out of range or the memory is too
+    small for the frames.
     """
 
     def __init__(
@@ -89,13 +118,14 @@ class Player:
         is_realtime: bool = True,
         wait_s: float = DEFAULT_WAIT_S,
         on_note: Callable[[str], None] = lambda note: None,
+        on_button: Callable[[ButtonEvent], None] | None = None,
     ) -> None:
         require_positive(memory_bytes=memory_bytes)
         require_between(0, MAX_WAIT_S, wait_s=wait_s)
         bound = min(int(memory_bytes), int(_FRACTION_OF_FREE * free_bytes()))
         self._session = Session(medium, device_profile, spec or RenderSpec(), bound, loop, speed, start_s)
         self._opener, self._log_rows, self._is_realtime = opener, log_rows, is_realtime
-        self._wait_s, self._on_note = wait_s, on_note
+        self._wait_s, self._on_note, self._on_button = wait_s, on_note, on_button
         self._lock = threading.RLock()
         self._block: Block | None = None
         self._servo: ServoProcess | None = None
@@ -104,6 +134,8 @@ class Player:
         self._statistics: dict[str, Any] = {}
         self._error: Exception | None = None
         self._log: TickLog | None = None
+        self._button_log: TickLog | None = None
+        self._pressed = 0
         self._feeder: Feeder | None = None
         self._is_slow = False
         self._rescue: threading.Thread | None = None
@@ -123,6 +155,7 @@ class Player:
             self._session.set_up(memory)
             self._feeder = self._session.feeder(memory, self._block.reserve)
             self._log = TickLog(memory, max(self._log_rows, 0))
+            self._button_log = TickLog(memory, LOG_ROWS if self._on_button else 0)
             self._servo = ServoProcess(
                 self._block, self._opener, self._is_realtime, self._wait_s, self._on_note
             )
@@ -133,7 +166,9 @@ class Player:
             self._watcher.start()
             deadline = time.monotonic() + _PRELOAD_S  # so that `play` usually starts immediately
             while (
-                not self._feeder.is_preloaded and self._feeder.error is None and time.monotonic() < deadline
+                not (self._feeder.is_preloaded and self._has_delay)
+                and self._feeder.error is None
+                and time.monotonic() < deadline
             ):
                 time.sleep(0.002)
             if self._feeder.error is not None and not self._feeder.is_preloaded:
@@ -179,7 +214,8 @@ class Player:
     def notes(self) -> tuple[str, ...]:
         """Notes for the user.
 
-        They concern axes, limits, damping, coupling, frames left out, and the loss of servo or standby.
+        They concern axes, limits, damping, coupling, a slow loop, frames left out, and the loss of servo or
+        standby.
         """
         servo_notes = () if self._servo is None else self._servo.notes
         return (*self._session.notes, *servo_notes, *self._notes)
@@ -203,6 +239,26 @@ class Player:
                 return 0.0, 0.0, 0.0
             x, y, z = self._block.memory.receiver["state"]["position_m"].tolist()
             return x, y, z
+
+    @property
+    def grip(self) -> Grip:
+        """Buttons, gripper and orientation at the latest tick; none, 0 and the identity before the first."""
+        with self._lock:
+            if self._block is None:
+                return Grip(0, 0.0, (1.0, 0.0, 0.0, 0.0))
+            grip = self._block.memory.receiver["grip"]
+            w, x, y, z = grip["orientation"].tolist()
+            return Grip(int(grip["buttons"]), float(grip["gripper_m"]), (w, x, y, z))
+
+    @property
+    def buttons(self) -> int:
+        """Buttons pressed at the latest tick: bit n is button n. `on_button` misses no short press."""
+        return self.grip.buttons
+
+    @property
+    def gripper_m(self) -> float:
+        """Opening of the gripper at the latest tick, metres."""
+        return self.grip.gripper_m
 
     @property
     def is_ended(self) -> bool:
@@ -236,7 +292,9 @@ class Player:
         period), ``missed_ticks``; ``underruns``, ``stalled_ticks``; ``waits`` (after start and seeks),
         ``waiting_ticks``; ``frames_used``; ``decode_median_s`` of one frame; ``frames_left_out``, which could
         not be decoded in time; ``stalled_share``, the fraction of ticks during play without a frame;
-        ``log_rows_lost``; ``priority``, ``memory``, ``processors``.
+        ``log_rows_lost``; ``priority``, ``memory``, ``processors``; ``delay_p50_us`` and
+        ``delay_p90_us``, the time from position to force in the slowest second of the loop (None if it was
+        not measured), and ``delay_used_us``, for which stability was chosen.
         """
         with self._lock:
             if self._block is not None and self._servo is not None and self._log is not None and self._feeder:
@@ -246,9 +304,19 @@ class Player:
                     "decode_median_s": float(np.median(decode_s)) if decode_s else 0.0,
                     "frames_left_out": self._feeder.dropped_frames,
                     "log_rows_lost": self._log.lost,
+                    **self._delays_us(),
                     **self._servo.report,
                 }
             return dict(self._statistics)
+
+    def _delays_us(self) -> dict[str, float | None]:
+        """Return the delays for `statistics`."""
+        times = None if self._servo is None else self._servo.loop_times
+        return {
+            "delay_p50_us": None if times is None else 1e6 * times.median_s,
+            "delay_p90_us": None if times is None else 1e6 * times.delay_s,
+            "delay_used_us": 1e6 * self._session.delay_s,
+        }
 
     def log(self) -> NDArray[Any]:
         """Return the latest rows of the log, a structured array of `block.COLUMNS`.
@@ -265,6 +333,25 @@ class Player:
         """Send a heartbeat to the servo, drain the log and read the servo's messages."""
         while not self._is_closing.wait(_WATCH_S):
             self._update()
+            self._report_buttons()
+
+    def _report_buttons(self) -> None:
+        """Call `on_button` for the changes since the last call, without the lock."""
+        with self._lock:
+            if self._on_button is None or self._button_log is None or self._block is None:
+                return
+            self._button_log.drain()
+            rows = self._button_log.take()
+        try:
+            for event in button_events(rows, self._pressed):
+                self._on_button(event)
+        except Exception as error:
+            self._on_button = None
+            with self._lock:
+                self._error = self._error or error
+                self._session.order(self._block.memory, is_stopping=True)
+        if len(rows):
+            self._pressed = int(rows["buttons"][-1])
 
     def _update(self) -> None:
         with self._lock:
@@ -276,6 +363,8 @@ class Player:
             self._servo.receive()
             is_released = bool(receiver["clock"]["is_released"])
             self._servo.check_progress(int(receiver["counts"]["ticks"]), is_released)
+            if self._servo.loop_times is not None:
+                self._session.adapt_delay(self._block.memory, self._servo.loop_times.lag_s)
             if self._servo.is_unreleased and self._rescue is None:
                 self._rescue = threading.Thread(target=self._force_zero, name="touchfield-zero", daemon=True)
                 self._rescue.start()
@@ -283,6 +372,14 @@ class Player:
             if self._feeder.dropped_frames and not self._is_slow:
                 self._is_slow = True
                 self._notes = (*self._notes, self._feeder.note)
+
+    @property
+    def _has_delay(self) -> bool:
+        """True once the delay of the loop is known, and for a simulated device, which has none."""
+        assert self._block is not None and self._servo is not None
+        return bool(
+            self._servo.loop_times is not None or self._block.memory.receiver["layout"]["is_simulated"]
+        )
 
     def _force_zero(self) -> None:
         """Wait for a force of zero after the servo's process was lost."""
@@ -307,6 +404,7 @@ class Player:
                 ramp_limit_ns = block.memory.receiver["layout"]["ramp_limit_ns"]
                 self._servo.join(1e-9 * float(ramp_limit_ns) + _JOIN_S)
             self._update()
+            self._report_buttons()
             if self._rescue is not None:
                 self._rescue.join()
             if self._servo is not None:
@@ -318,12 +416,38 @@ class Player:
             with self._lock:
                 self._block = self._feeder = None
                 block.unlink()
-                if self._log is not None:
-                    self._log.let_go()
+                for log in (self._log, self._button_log):
+                    if log is not None:
+                        log.let_go()
                 block.close()
 
 
+def button_events(rows: NDArray[Any], pressed: int) -> Iterator[ButtonEvent]:
+    """Yield the changes of the buttons in rows of the log, a structured array of `block.COLUMNS`.
+
+    `pressed` are the buttons before the first row.
+    """
+    changes = np.diff(rows["buttons"], prepend=np.int64(pressed))
+    for row in rows[np.flatnonzero(changes)]:
+        buttons = int(row["buttons"])
+        changed, pressed = buttons ^ pressed, buttons
+        x, y, z = row["position_m"].tolist()
+        values = float(row["time_s"]), float(row["media_s"]), (x, y, z), float(row["gripper_m"])
+        for button in range(changed.bit_length()):
+            if changed >> button & 1:
+                yield ButtonEvent(button, bool(buttons >> button & 1), *values)
+
+
 MAX_SPEED: Final = 100.0
+_SLOWER: Final = 1.02
+_NOTED_SLOWER: Final = 1.2
+_MAX_DELAY_S: Final = 0.1
+"""Ratios of delays that count as slower and that are noted, and the largest delay."""
+
+_DELAY_STEP: Final = 1.05
+_DELAY_STEP_S: Final = 2e-5
+"""Step of the delay while it is played, as a ratio and in seconds."""
+
 _LOOKAHEAD_S: Final = 4.0  # seconds of a medium that the directory can hold, up to `_MAX_SLOTS` frames
 _MAX_SLOTS: Final = 1 << 14
 
@@ -360,6 +484,11 @@ class Session:
     ) -> None:
         self.source = FrameSource(medium, spec.blend, spec.deformation)
         self._device, self._spec, self.is_loop = device, spec, loop
+        self._stated = device
+        self.delay_s = delay_s_of(device)
+        self._target_s = 0.0  # the largest delay that was measured
+        self._noted_s = 0.0  # the largest delay that a note names
+        self._lock = threading.Lock()  # of damping and coupling: the feeder and the watcher adapt them
         self.orders = Orders(FIRST_GENERATION, self.media_time_s(start_s), speed)
         lookahead = min(_LOOKAHEAD_S * self.source.rate_hz * max(speed, 1.0), float(_MAX_SLOTS))
         slots = max(1 << math.ceil(lookahead - 1).bit_length(), SLOTS)
@@ -384,8 +513,18 @@ class Session:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes for the user; those on damping and coupling reflect the frames so far."""
-        return self._notes if self._stability is None else (*self._notes, self._stability.note)
+        """Notes for the user; those on damping and coupling reflect the frames and the loop so far."""
+        notes = self._notes if self._stability is None else (*self._notes, self._stability.note)
+        return (*notes, self._delay_note) if self._noted_s else notes
+
+    @property
+    def _delay_note(self) -> str:
+        stated_ms = self._stated.delay_ms
+        stated = "1 ms that is assumed" if stated_ms is None else f"{stated_ms:g} ms that its profile states"
+        return (
+            f"from position to force the loop of {self._stated.name} takes {1e3 * self._noted_s:.2g} ms, "
+            f"more than the {stated}: stability is chosen for that"
+        )
 
     def _wall_of_spec(self) -> Wall | None:
         """Return the wall of the proxy; None if the field is rendered without a proxy."""
@@ -453,11 +592,39 @@ class Session:
 
         The ticks approach the new values slowly.
         """
-        is_final = self._wall is not None and self._stability is not None
-        if stiffness_n_per_m <= self._stiffest_n_per_m or is_final:
+        with self._lock:
+            is_final = self._wall is not None and self._stability is not None
+            if stiffness_n_per_m <= self._stiffest_n_per_m or is_final:
+                return
+            self._stiffest_n_per_m = stiffness_n_per_m
+            self._write_stability(memory)
+
+    def adapt_delay(self, memory: Memory, lag_s: Callable[[float], float]) -> None:
+        """Choose all that depends on the delay anew if the loop is slower than what it was chosen for.
+
+        `lag_s` returns the measured lag of a loop with a nominal rate, Hz. Before `play` the new delay holds
+        at once; later it is approached, by a small step at each call, so that no force jumps. It never falls.
+        """
+        measured_s = min(lag_s(self._spec.rate_hz), _MAX_DELAY_S)
+        if measured_s > _SLOWER * max(self._target_s, self.delay_s):
+            self._target_s = measured_s
+        measured_s = self._target_s
+        if measured_s <= self.delay_s:
             return
-        self._stiffest_n_per_m = stiffness_n_per_m
-        stability = stability_of(self._device, self._spec, self.source.damping_n_s_per_m, stiffness_n_per_m)
+        with self._lock:
+            if measured_s > _NOTED_SLOWER * max(self._noted_s, self.delay_s):
+                self._noted_s = measured_s
+            is_idle = self.orders.mode == layout.IDLE
+            next_s = measured_s if is_idle else _DELAY_STEP * self.delay_s + _DELAY_STEP_S
+            self.delay_s = min(measured_s, next_s)
+            self._device = replace(self._device, delay_ms=1e3 * self.delay_s)
+            write_delay(memory, self._spec, self._device, self.source.friction, self.source.damping_n_s_per_m)
+            if self._stiffest_n_per_m > -math.inf:
+                self._write_stability(memory)
+
+    def _write_stability(self, memory: Memory) -> None:
+        stiffest_n_per_m = self._stiffest_n_per_m
+        stability = stability_of(self._device, self._spec, self.source.damping_n_s_per_m, stiffest_n_per_m)
         memory.receiver["settings"]["brake_n_s_per_m"] = stability.brake_n_s_per_m
         memory.receiver["settings"]["coupling_n_per_m"] = stability.coupling_n_per_m
         if self._spec.damping_n_s_per_m is None or self._spec.coupling_n_per_m is None:

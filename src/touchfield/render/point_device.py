@@ -63,6 +63,24 @@ class PointDevice(ABC):
         """
         return Readiness()
 
+    def state(self) -> Readiness:
+        """Return the state of the device while it is driven.
+
+        The servo calls this method a few times a second, between two ticks; it must return within a tick, and
+        apply no force. While a state is missing, the force is zero. Raises `DeviceError` if the device is
+        gone.
+        """
+        return Readiness()
+
+    @property
+    def unit(self) -> str:
+        """Id of the unit that was opened, if a device made anew might open another one; otherwise ""."""
+        return ""
+
+    def use_unit(self, unit: str) -> None:
+        """Let `open` open the unit with this id, which is the `unit` of a device whose process has died."""
+        return
+
     @abstractmethod
     def position_m(self) -> Point:
         """Return the position in metres, in the device's own axes.
@@ -127,6 +145,10 @@ class PointDevice(ABC):
         """
         return
 
+    def frame_s(self) -> float:
+        """Return the time from position to force in the latest call of a driver that calls the renderer."""
+        return 0.0
+
 
 BOX_AXES: Final = "x right, y up, z towards the user"
 
@@ -175,6 +197,21 @@ def axes_of_text(text: str) -> Float64s | None:
         axis, sign = _DIRECTIONS[directions[0]]
         matrix[axis, "xyz".index(tokens[0])] = sign
     return matrix if len(axes) == 3 and (np.abs(matrix).sum(axis=1) == 1).all() else None
+
+
+def signed_axes(text: str) -> Float64s | None:
+    """Parse signed axes such as "x,-z,y" into a permutation S, float64 [3, 3]; None if unreadable.
+
+    The axes that S v has for a vector v of the device are those of the text: here x, -z and y of v.
+    """
+    parts = [part.strip().lower() for part in text.split(",")] if len(text) <= _MAX_LENGTH else []
+    names = [part.removeprefix("-").removeprefix("+") for part in parts]
+    if sorted(names) != ["x", "y", "z"] or any(len(part) > 2 for part in parts):
+        return None
+    matrix = np.zeros((3, 3))
+    for row, (part, name) in enumerate(zip(parts, names, strict=True)):
+        matrix[row, "xyz".index(name)] = -1.0 if part.startswith("-") else 1.0
+    return matrix
 
 
 def axes_matrix(device_axes: str, field_axes: str, up: str = "lattice") -> Float64s:

@@ -20,13 +20,15 @@ import time
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
+from time import perf_counter
 from typing import Any, Final
 
 from touchfield.compute.native import native
 from touchfield.errors import DeviceError, TouchfieldError
 from touchfield.render.block import Block, Memory, layout
+from touchfield.render.loop_delay import LoopMeter, LoopTimes
 from touchfield.render.point_device import Point, PointDevice
-from touchfield.render.readiness import open_when_ready
+from touchfield.render.readiness import ReadinessWatch, open_when_ready
 from touchfield.render.readings import (
     buttons_reading,
     gripper_reading,
@@ -39,6 +41,7 @@ Opener = Callable[[], PointDevice]
 
 _WATCH_S: Final = 0.01
 _MAX_SILENCE_S: Final = 2.0  # time without a call after which a driver counts as dead
+_NOWHERE: Final = (math.nan, math.nan, math.nan)
 
 
 class WallClock:
@@ -82,12 +85,8 @@ class DeviceLink:
     def __init__(self, memory: Memory, device: PointDevice) -> None:
         self._grip, self._device = memory.receiver["grip"], device
         self._torque_nm = memory.receiver["state"]["torque"]["output"]
-
-        def has(name: str) -> bool:
-            return getattr(type(device), name) is not getattr(PointDevice, name)
-
-        self._has_orientation, self._has_buttons, self._has_gripper, self._has_torque = map(
-            has, ("orientation", "buttons", "gripper_m", "put_wrench")
+        self._has_orientation, self._has_buttons, self._has_gripper, self._has_torque = (
+            overrides(device, name) for name in ("orientation", "buttons", "gripper_m", "put_wrench")
         )
 
     def position_m(self) -> Point:
@@ -112,6 +111,11 @@ class DeviceLink:
             self._device.put_force_n(*force_n)
 
 
+def overrides(device: PointDevice, name: str) -> bool:
+    """Return True if the class of a device has a method of its own."""
+    return getattr(type(device), name) is not getattr(PointDevice, name)
+
+
 def _open(device: PointDevice) -> bool:
     device.open()
     return True
@@ -123,22 +127,29 @@ def serve(
     clock: Clock,
     must_stop: Callable[[], bool],
     open_device: Callable[[PointDevice], bool] = _open,
+    watch: ReadinessWatch | None = None,
+    report_loop: Callable[[LoopTimes], None] | None = None,
 ) -> None:
     """Serve a device until a stop has brought the force to zero; it is always closed.
 
     `open_device` opens it; if that returns False, there is nothing to serve. `must_stop` is called before
-    each tick. An error of the device is raised once the force is zero.
+    each tick. While `watch` reports that the device is not ready, it has no position and hence no force.
+    `report_loop` gets the times of the loop of a device that is not simulated. An error of the device is
+    raised once the force is zero.
     """
     receiver = memory.receiver
     clock_state, orders, dt_s = receiver["clock"], receiver["orders"], 1.0 / receiver["settings"]["rate_hz"]
     is_paced, link, latest_m = device.is_paced, DeviceLink(memory, device), (0.0, 0.0, 0.0)
-    receiver["layout"]["is_simulated"] = type(device).advance is not PointDevice.advance
+    is_simulated = receiver["layout"]["is_simulated"] = overrides(device, "advance")
+    meter = None
+    if report_loop is not None and not is_simulated:
+        meter = LoopMeter(report_loop)
     receiver["layout"]["is_paced"] = is_paced or device.is_driven
     try:
         if not open_device(device):
             return
         if device.is_driven:
-            _supervise(memory, device, must_stop)
+            _supervise(memory, device, must_stop, watch, meter)
             return
         sleep_until = clock.sleep_until
         try:
@@ -146,8 +157,14 @@ def serve(
                 now_ns = 0 if is_paced else sleep_until(int(clock_state["deadline_ns"]))
                 if must_stop():
                     clock_state["is_stopping"] = 1
+                start_s = perf_counter()
                 latest_m = link.position_m()
+                if watch is not None and not watch.is_ready(start_s):
+                    latest_m = _NOWHERE
                 link.put(native.cycle(memory.bytes, *latest_m, clock.now_ns() if is_paced else now_ns))
+                if meter is not None:
+                    end_s = perf_counter()
+                    meter.add(end_s - start_s, end_s)
                 device.advance(0.0 if orders["mode"] == layout.IDLE else dt_s)
         except BaseException:
             ramp_to_zero(memory, device, link, clock, latest_m)
@@ -199,8 +216,17 @@ def slew_s(receiver: Any) -> float:
     return seconds
 
 
-def _supervise(memory: Memory, device: PointDevice, must_stop: Callable[[], bool]) -> None:
-    """Leave the ticks to the vendor's driver, and wait for the end."""
+def _supervise(
+    memory: Memory,
+    device: PointDevice,
+    must_stop: Callable[[], bool],
+    watch: ReadinessWatch | None,
+    meter: LoopMeter | None,
+) -> None:
+    """Leave the ticks to the vendor's driver, and wait for the end.
+
+    The driver's own callback takes the force away while the device is not ready; `watch` reports it.
+    """
     clock, counts = memory.receiver["clock"], memory.receiver["counts"]
     device.drive(int(memory.bytes.ctypes.data), memory.size_bytes)
     latest_ticks, latest_tick_s = -1, time.monotonic()
@@ -211,7 +237,11 @@ def _supervise(memory: Memory, device: PointDevice, must_stop: Callable[[], bool
             time.sleep(_WATCH_S)
             device.watch()
             now_s, ticks = time.monotonic(), int(counts["ticks"])
+            if watch is not None:
+                watch.is_ready(now_s)
             if ticks != latest_ticks:
+                if meter is not None:
+                    meter.add(device.frame_s(), now_s, ticks - latest_ticks)
                 latest_ticks, latest_tick_s = ticks, now_s
             elif now_s - latest_tick_s > _MAX_SILENCE_S:
                 raise DeviceError(
@@ -243,6 +273,9 @@ _PR_SET_TIMERSLACK: Final = 29
 CLOSED: Final = b"closed"
 """Last message of the servo to its standby: it has closed the device itself."""
 
+UNIT: Final = b"unit "
+"""Start of the message that names the unit which the servo has opened; its id follows."""
+
 
 def run_servo(path: str, is_realtime: bool, wait_s: float, pipe: Connection, lifeline: Connection) -> None:
     """Main function of the servo's process.
@@ -271,16 +304,29 @@ def run_servo(path: str, is_realtime: bool, wait_s: float, pipe: Connection, lif
         def is_orphan() -> bool:
             return os.getppid() != parent
 
+        def note(text: str) -> None:
+            with contextlib.suppress(OSError):  # the player is gone: the next tick finds that
+                pipe.send(("note", text))
+
+        def report_loop(times: LoopTimes) -> None:
+            with contextlib.suppress(OSError):
+                pipe.send(("loop", times))
+
         def open_device(device: PointDevice) -> bool:
             def must_stop() -> bool:
                 return bool(clock["is_stopping"] or orders["is_stopping"]) or is_orphan()
 
-            is_ready = open_when_ready(device, wait_s, must_stop, lambda note: pipe.send(("note", note)))
+            is_ready = open_when_ready(device, wait_s, must_stop, note)
             if is_ready:
-                pipe.send(("ready", report))
+                if device.unit:
+                    lifeline.send_bytes(UNIT + device.unit.encode())
+                pipe.send(("ready", (report, device.unit)))
             return is_ready
 
-        serve(memory, device, WallClock(), is_orphan, open_device)
+        watch = None
+        if overrides(device, "state"):
+            watch = ReadinessWatch(device.title, device.state, wait_s, note)
+        serve(memory, device, WallClock(), is_orphan, open_device, watch, report_loop)
         pipe.send(("done", None))
     except BaseException as error:
         reported = error

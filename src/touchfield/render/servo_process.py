@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import time
 from collections.abc import Callable
+from functools import partial
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from pickle import PickleError
@@ -14,11 +15,13 @@ from typing import Final
 
 from touchfield.errors import DeviceError, InvalidArgument, TouchfieldError
 from touchfield.render.block import Block
+from touchfield.render.loop_delay import LoopTimes
 from touchfield.render.readiness import DEFAULT_WAIT_S
 from touchfield.render.servo import Opener, run_servo
 from touchfield.render.standby import (
     StandbyProcess,
     lost_standby,
+    open_unit,
     replaced_standby,
     zero_by_reconnecting,
     zero_report,
@@ -58,7 +61,8 @@ class ServoProcess:
     process is ready; `error` is the error that ended it. `is_done` is True if it ended as ordered, and
     `is_unreleased` if it ended without bringing the force to zero. The device may take `wait_s` seconds to
     get ready; `on_note` is called with what it lacks. The standby starts once the servo has loaded its code,
-    so that it does not delay the servo; if it is lost, another one starts.
+    so that it does not delay the servo; if it is lost, another one starts. `loop_times` are those of the
+    slowest second of the servo's loop so far; None before the first report, and for a simulated device.
     """
 
     def __init__(
@@ -80,6 +84,8 @@ class ServoProcess:
                 "opener", f"{opener!r} ({error})", "a callable that can be pickled"
             ) from error
         self.report: dict[str, str] = {}
+        self.loop_times: LoopTimes | None = None
+        self._unit = ""
         self.error: TouchfieldError | None = None
         self.is_ready = self.is_done = self.is_unreleased = self._is_joined = False
         self._ticks, self._ticked_s = -1, time.monotonic()
@@ -153,7 +159,9 @@ class ServoProcess:
                         self._block.unlink()
                     self._start_standby()
                 elif kind == "ready":
-                    self.is_ready, self.report = True, content
+                    self.is_ready, (self.report, self._unit) = True, content
+                elif kind == "loop":
+                    self.loop_times = content
                 elif kind == "note":
                     self._on_note(content)
                 elif kind == "done":
@@ -175,15 +183,26 @@ class ServoProcess:
             )
 
     def _start_standby(self) -> None:
-        """Start the standby; without one, the servo runs all the same."""
+        """Start the standby; without one, the servo runs all the same.
+
+        The first one gets the unit from the servo; later ones are started with it.
+        """
         assert self._process.pid is not None
+        opener = self._pickled_opener
+        if self._unit:
+            opener = ForkingPickler.dumps(self._opener_of_unit)
         try:
             self._standby = StandbyProcess(
-                self._block, self._pickled_opener, self._process.pid, self._is_realtime, self._lifeline
+                self._block, opener, self._process.pid, self._is_realtime, self._lifeline
             )
         except OSError as error:
             self._standby, self._standby_error = None, str(error)
         self._standby_count += 1
+
+    @property
+    def _opener_of_unit(self) -> Opener:
+        """The opener of the unit that the servo has opened, if one made anew might open another one."""
+        return partial(open_unit, self._opener, self._unit) if self._unit else self._opener
 
     def _receive_of_standby(self) -> None:
         """Read the messages of the standby; start another one if it is lost while the servo runs."""
@@ -201,7 +220,9 @@ class ServoProcess:
         Without a standby, a new process does it.
         """
         error = None if self._standby is None else self._standby.wait_answer()
-        return zero_by_reconnecting(self._opener) if error is None else zero_report(error)
+        if error is not None:
+            return zero_report(error)
+        return zero_by_reconnecting(self._opener_of_unit)
 
     def wait_ready(self) -> None:
         """Wait until the device is open and ready; raises the error if it cannot be opened."""

@@ -26,8 +26,8 @@ from touchfield.errors import (
 )
 from touchfield.medium.cells import CellPool
 from touchfield.options import option
-from touchfield.render.block import layout
-from touchfield.render.point_device import UP_CHOICES, axes_matrix, axes_notes
+from touchfield.render.block import Memory, layout
+from touchfield.render.point_device import UP_CHOICES, axes_matrix, axes_notes, axes_of_text, signed_axes
 from touchfield.render.tool import Tool
 
 if TYPE_CHECKING:
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from touchfield.devices import Device
     from touchfield.medium import ForceField
     from touchfield.medium.deformation import Deformation
-    from touchfield.render.block import Memory
     from touchfield.render.material import Material
 
 
@@ -104,6 +103,9 @@ class RenderSpec:
     up: str = option(
         "auto", "Up for the hand: x to -z; auto: as the stream states; lattice: y or -y, as stored."
     )
+    axes: str | None = option(
+        None, "Axes of the device: signed ones of its profile's, such as -x,y,z, or x right, y up, z towards."
+    )
     # None: the materials stored with the medium
     materials: tuple[Material, ...] | None = None
     # deformation of the medium; it is then rendered as with "field"
@@ -130,6 +132,8 @@ class RenderSpec:
             if np.shape(values) != (3,) or not all(map(is_finite, values)):
                 raise InvalidArgument(name, repr(values), "three finite numbers")
         require_between(10, 20000, rate_hz=self.rate_hz)
+        if self.axes is not None and signed_axes(self.axes) is None and axes_of_text(self.axes) is None:
+            raise InvalidArgument("axes", repr(self.axes[:80]), _AXES_FORM)
 
 
 def write_parameters(
@@ -151,9 +155,10 @@ def write_parameters(
     _check_limits(spec, device)
     friction = _coefficient("friction of the medium", spec.friction, medium_friction)
     damping = _coefficient("damping of the medium", spec.damping_n_s_per_m, medium_damping)
-    options = _options(spec, axes_matrix(device.axes, field_axes, spec.up))
+    axes, device_axes = _device_axes(spec, device)
+    options = _options(spec, axes_matrix(device_axes, field_axes, spec.up) @ axes)
     native.choose_settings(memory.bytes, options, _stated(device), friction, damping)
-    notes = [] if device.axes == field_axes else list(axes_notes(device.axes, field_axes, spec.up))
+    notes = [] if device_axes == field_axes else list(axes_notes(device_axes, field_axes, spec.up))
     if spec.tool is not None and device.torque_max_nm is None:
         notes.append(f"{device.name} states no torque: only the tool's force is rendered")
     limits = memory.receiver["settings"]["force_limits"]
@@ -163,6 +168,22 @@ def write_parameters(
             f"the constant force of {weight:g} N leaves nothing of the limit of {limit_n:g} N to the field"
         )
     return tuple(notes)
+
+
+_AXES_FORM: Final = (
+    "each of x, y, z once, such as -x,y,z, or a text such as x right, y up, z towards the user"
+)
+
+
+def _device_axes(spec: RenderSpec, device: Device) -> tuple[NDArray[np.float64], str]:
+    """Return the signed permutation from the device's axes to those of a text, and that text.
+
+    The text is that of the profile, unless `spec` names other axes in words.
+    """
+    signed = None if spec.axes is None else signed_axes(spec.axes)
+    if signed is not None:
+        return signed, device.axes
+    return np.eye(3), spec.axes or device.axes
 
 
 _SAME_OPTIONS: Final = (
@@ -203,6 +224,31 @@ def _stated(device: Device) -> NDArray[np.void]:
     if device.inertia_kg is not None:
         stated["inertia_kg"] = device.inertia_kg or _NONE
     return stated
+
+
+DEFAULT_DELAY_S: Final = 1e-3
+"""``TOUCH_DEFAULT_DELAY_S``: the delay of a device that states none."""
+
+_OF_DELAY: Final = ("delay_ticks", "stick_n_per_m", "stick_n_s_per_m")
+"""Settings besides damper and coupling that depend on the delay of the device."""
+
+
+def delay_s_of(device: Device) -> float:
+    """Return the delay of a device from position to force, seconds, stated or assumed."""
+    return DEFAULT_DELAY_S if device.delay_ms is None else 1e-3 * device.delay_ms
+
+
+def write_delay(
+    memory: Memory, spec: RenderSpec, device: Device, medium_friction: float, medium_damping: float
+) -> None:
+    """Write the settings that depend on the delay of `device`, perhaps while a servo ticks.
+
+    The other arguments are those of `write_parameters`.
+    """
+    scratch = Memory.empty(layout.RECEIVER.itemsize)
+    native.choose_settings(scratch.bytes, _options(spec), _stated(device), medium_friction, medium_damping)
+    for name in _OF_DELAY:
+        memory.receiver["settings"][name] = scratch.receiver["settings"][name]
 
 
 _CHOSEN: Final = -1.0

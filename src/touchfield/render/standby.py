@@ -15,6 +15,8 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable
+from functools import partial
 from multiprocessing.connection import Connection, wait
 from typing import Any, Final
 
@@ -22,6 +24,7 @@ from touchfield.render.block import Block, Memory
 from touchfield.render.point_device import PointDevice
 from touchfield.render.servo import (
     CLOSED,
+    UNIT,
     DeviceLink,
     Opener,
     WallClock,
@@ -64,9 +67,12 @@ def _run_standby(
         warm_up(block.memory)
         make_realtime(is_realtime)
         pipe.send(("ready", ""))
-        if has_died(
-            servo_pid, lifeline, pipe, 1e-9 * float(block.memory.receiver["layout"]["ramp_limit_ns"])
-        ):
+        units: list[str] = []
+        ramp_limit_s = 1e-9 * float(block.memory.receiver["layout"]["ramp_limit_ns"])
+        if has_died(servo_pid, lifeline, pipe, ramp_limit_s, units.append):
+            for unit in units[-1:]:
+                device.use_unit(unit)
+                opener = partial(open_unit, opener, unit)
             answer = take_over(block.memory, opener, device)
             with contextlib.suppress(OSError):  # there is no player any more
                 pipe.send(("zero", answer))
@@ -78,23 +84,50 @@ def _run_standby(
         sys.exit(1)
 
 
-def has_died(servo_pid: int, lifeline: Connection, pipe: Connection, ramp_limit_s: float) -> bool:
+def open_unit(opener: Opener, unit: str) -> PointDevice:
+    """Make a device, not yet open, whose `open` opens the unit with this id; can be pickled as a partial."""
+    device = opener()
+    device.use_unit(unit)
+    return device
+
+
+def has_died(
+    servo_pid: int,
+    lifeline: Connection,
+    pipe: Connection,
+    ramp_limit_s: float,
+    on_unit: Callable[[str], None] = lambda unit: None,
+) -> bool:
     """Wait for the end of the servo; False if it closed the device itself.
 
     The other end of `lifeline` is the servo's, that of `pipe` the player's. A servo without a player stops by
-    itself; it is killed if it does not.
+    itself; it is killed if it does not. `on_unit` gets the id of the unit that the servo has opened.
     """
-    ends: list[Any] = [lifeline]
+    process: list[Any] = []
     with contextlib.suppress(AttributeError, OSError):  # Linux only; OSError: it has ended already
-        ends.append(os.pidfd_open(servo_pid))
-    if not any(end in ends for end in wait([*ends, pipe])) and not wait(ends, ramp_limit_s + _ORPHAN_S):
-        with contextlib.suppress(OSError):
-            os.kill(servo_pid, getattr(signal, "SIGKILL", signal.SIGTERM))
-        wait(ends)
-    try:
-        return not (lifeline.poll() and lifeline.recv_bytes() == CLOSED)
-    except (EOFError, OSError):
-        return True
+        process.append(os.pidfd_open(servo_pid))
+    deadline_s = math.inf  # set once the player is gone
+    while True:
+        has_player = math.isinf(deadline_s)
+        limit_s = None if has_player else max(deadline_s - time.monotonic(), 0.0)
+        ends = wait([lifeline, *process, *([pipe] if has_player else [])], limit_s)
+        try:
+            while lifeline.poll():
+                message = lifeline.recv_bytes()
+                if message == CLOSED:
+                    return False
+                on_unit(message.removeprefix(UNIT).decode())
+        except (EOFError, OSError):
+            return True
+        if any(end in process for end in ends):
+            return True
+        if pipe in ends:
+            deadline_s = time.monotonic() + ramp_limit_s + _ORPHAN_S
+        elif not ends:
+            with contextlib.suppress(OSError):
+                os.kill(servo_pid, getattr(signal, "SIGKILL", signal.SIGTERM))
+            wait([lifeline, *process])
+            return True
 
 
 def take_over(memory: Memory, opener: Opener, device: PointDevice) -> str:

@@ -75,14 +75,17 @@ class PlaySpec:
     `trajectory` and `trace` move the simulated hand, which by default approaches, presses, slides and leaves.
     `seconds` count from the first frame; None is the length of the trajectory, or of the medium (a single
     frame, or a loop: until interrupted). `wait` is a duration, at most an hour, until the device must be
-    ready. `is_logged` keeps all rows of the log instead of the latest minute; `is_drawn` keeps a frame as
-    the background of the picture.
+    ready. `settings` are those of the device's driver. `is_logged` keeps all rows of the log instead of the
+    latest minute; `is_drawn` keeps a frame as the background of the picture.
     """
 
     device: str = option(
         "sim", "sim, sim:spring, haply, openhaptics, forcedimension, bhaptics, osc:HOST:PORT, pins:PORT"
     )
     wait: str = option("30s", "How long to wait until the device is ready, such as 30s or 2min.")
+    settings: str = option(
+        "", "Of the device, NAME=VALUE,...: gravity=off, handedness=left (see touchfield doctor)."
+    )
     profile: str | None = option(None, "Profile whose limits and actuators hold; default: the device's own.")
     trajectory: Path | None = option(None, "Where the probe goes: CSV of t_s,x_m,y_m,z_m.")
     seconds: float | None = option(None, "How long; default: the trajectory, or the medium.")
@@ -212,7 +215,7 @@ def _play_point(
         hint = f"Play it on an array {array}, or encode the scene for a point {point}."
         raise InvalidArgument(name, found, "one in space", hint)
     trajectory = _read_trajectory(spec, stream)
-    choice = point_device(spec.device, trajectory)
+    choice = point_device(spec.device, trajectory, spec.settings)
     profile_name = spec.profile or choice.profile
     profile = device(profile_name) if profile_name else stream_device(stream)
     if choice.is_simulated:
@@ -220,7 +223,7 @@ def _play_point(
         spec = replace(spec, render=replace(spec.render, up="lattice"))  # moves in the axes of the field
         if not trajectory:
             trajectory = _probe(spec, profile, stream.medium[:1] if stream.is_live else medium_or_scene)
-        choice = point_device(spec.device, trajectory)
+        choice = point_device(spec.device, trajectory, spec.settings)
     elif spec.offline:
         raise InvalidArgument(f"--offline works with --device sim, not with {choice.name}")
     seconds = spec.seconds  # None: to the end of the medium, or without limit if it has no end
@@ -372,6 +375,8 @@ def _play_array(stream: OpenStream, spec: PlaySpec, report: Progress, on_note: O
         raise _for_points("offline" if spec.offline else "trajectory" if spec.trajectory else "trace")
     if spec.is_logged:
         raise _for_points("log or --plot")
+    if spec.settings:
+        raise _for_points("settings")
     declared = stream_device(stream)
     driver = array_device(spec.device, device(spec.profile) if spec.profile else None, declared)
     if declared.is_array and declared.name != driver.profile.name:

@@ -16,7 +16,15 @@ import numpy as np
 
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.compute.threads import Progress, silent, worker_count
-from touchfield.devices.drivers.registry import Check, DeviceKind, array_kinds, library_check, point_kinds
+from touchfield.devices import device
+from touchfield.devices.drivers.registry import (
+    Check,
+    DeviceKind,
+    array_kinds,
+    library_check,
+    point_device,
+    point_kinds,
+)
 from touchfield.errors import DeviceError, InvalidArgument, MissingExtra
 from touchfield.filters.limit import limit_forces
 from touchfield.filters.registry import field_filters
@@ -25,11 +33,15 @@ from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.pipeline.comparison import compare
 from touchfield.pipeline.encoding import encode
 from touchfield.pipeline.spec import EncodeSpec
+from touchfield.render.player import Player
 from touchfield.render.readiness import Readiness
+from touchfield.render.spec import delay_s_of
 from touchfield.sources.laws import ForceProfile
 from touchfield.tasks.measure import MeasureSpec, measure_medium
 
 _MIN_SHARED_BYTES: Final = 1 << 28
+_DELAY_S: Final = 5.0
+_DELAY_POLL_S: Final = 0.05
 LIBRARIES: Final = (
     ("numpy", "numpy", "", "everything"),
     ("scipy", "scipy", "", "sources and measures"),
@@ -47,11 +59,15 @@ LIBRARIES: Final = (
 """Distribution, module, extra ("" is the core), purpose."""
 
 
-def examine(name: str | None = None) -> dict[str, list[Check]]:
+def examine(name: str | None = None, measures_delay: bool = False) -> dict[str, list[Check]]:
     """Check the libraries, the machine, and each device; or only the device `name`.
 
-    `name` may name a unit, such as "haply:HOST:PORT/ID". Raises InvalidArgument if there is no such device.
+    `name` may name a unit, such as "haply:HOST:PORT/ID". With `measures_delay` it is opened, and the delay of
+    its loop is measured without a force. Raises InvalidArgument if there is no such device, or its delay
+    cannot be measured.
     """
+    if measures_delay and name is None:
+        raise InvalidArgument("--delay", "no --device", "the device whose delay is to be measured")
     kinds = {kind.name: kind for kind in (*point_kinds(), *array_kinds())}
     if name is None:
         devices = {known: device_checks(kind) for known, kind in kinds.items()}
@@ -60,7 +76,10 @@ def examine(name: str | None = None) -> dict[str, list[Check]]:
     kind = kinds.get(kind_name.lower())
     if kind is None:
         raise InvalidArgument("device", repr(name[:80]), f"one of {', '.join(kinds)}")
-    return {kind.name: device_checks(kind, rest)}
+    checks = device_checks(kind, rest)
+    if measures_delay:
+        checks.append(delay_check(name.strip(), kind))
+    return {kind.name: checks}
 
 
 def device_checks(kind: DeviceKind, rest: str = "") -> list[Check]:
@@ -69,6 +88,9 @@ def device_checks(kind: DeviceKind, rest: str = "") -> list[Check]:
     Units are looked for at `rest`, or at the default address if all requirements are met.
     """
     checks = kind.checks()
+    if kind.settings:
+        settings = ", ".join(f"{setting.name}={setting.form}" for setting in kind.settings)
+        checks.append(Check("settings (play --settings)", True, settings))
     if kind.find_units is None or not (rest or all(check.is_there for check in checks)):
         return checks
     try:
@@ -79,8 +101,35 @@ def device_checks(kind: DeviceKind, rest: str = "") -> list[Check]:
         return [*checks, Check("units", False, "none connected", "Plug one in.")]
     return [
         *checks,
-        *(Check(f"unit {unit.unit}".strip(), unit.is_ready, unit.text, unit.hint) for unit in units),
+        *(Check(f"unit {unit.unit}".strip(), unit.is_ready, unit.details, unit.hint) for unit in units),
     ]
+
+
+def delay_check(device_text: str, kind: DeviceKind) -> Check:
+    """Open a point device, measure the delay of its loop without a force, and compare it with the profile.
+
+    Raises InvalidArgument for an array and a simulated hand, which have none.
+    """
+    if kind.is_array or kind.is_simulated or kind.profile is None:
+        raise InvalidArgument("--delay", kind.name, "a device with a position and a force of its own")
+    profile, subject = device(kind.profile), "delay from position to force"
+    stated = "no delay, 1 ms is assumed" if profile.delay_ms is None else f"{profile.delay_ms:g} ms"
+    choice, seconds = point_device(device_text), 0.0
+    try:
+        medium = HapticMedium.from_frames([_solid()], 1.0)
+        with Player(medium, profile, choice.opener, wait_s=_DELAY_S) as player:
+            while player.statistics()["delay_p90_us"] is None and not player.wait(_DELAY_POLL_S):
+                seconds += _DELAY_POLL_S
+                if seconds > _DELAY_S:
+                    raise DeviceError(kind.name, f"no tick for {_DELAY_S:g} s", "a loop that runs")
+            figures = player.statistics()
+    except (DeviceError, MissingExtra) as error:
+        return Check(subject, False, error.found, error.hint)
+    slow_ms, median_ms = (1e-3 * figures[f"delay_{name}_us"] for name in ("p90", "p50"))
+    found = f"{slow_ms:.3g} ms in nine of ten ticks, {median_ms:.3g} ms in the median; {profile.name} states"
+    is_enough = 1e-3 * figures["delay_used_us"] <= 1e3 * delay_s_of(profile) * 1.02
+    hint = "Stability is chosen for the measured delay. Close other programs, or state it in the profile."
+    return Check(subject, is_enough, f"{found} {stated}", hint)
 
 
 def connected_units() -> dict[str, list[Readiness]]:

@@ -10,6 +10,8 @@ static double forces[MOST][3], torques[MOST][3], latest[3]; /* a torque acts unt
 static int count, reads, opens, opened, enabled, failing_after;
 static int wrist; /* with motors, a gripper and buttons */
 static int serial, ready_after, lacking, present; /* the status at `lacking` is wrong for `ready_after` calls */
+static int buttons, gravity, left_handed;
+static double mass, gap;
 static char faults[400], failing[40], log_[64];
 
 static void need(int truth, const char *words) { if (!truth && !faults[0]) snprintf(faults, sizeof faults, "%s", words); }
@@ -23,8 +25,14 @@ void fake_reset(void)
     memset(latest, 0, sizeof latest);
     wrist = count = reads = opens = opened = enabled = failing_after = ready_after = 0;
     faults[0] = failing[0] = log_[0] = 0;
-    serial = present = 1;
+    serial = present = gravity = 1;
+    left_handed = 0;
+    buttons = 5, mass = 0, gap = 0.017;
 }
+void fake_grip(int pressed, double opening) { buttons = pressed, gap = opening; }
+void fake_hand(int is_left) { left_handed = is_left; }
+int fake_gravity(void) { return gravity; }
+double fake_mass(void) { return mass; }
 void fake_unit(int number, int is_present) { serial = number, present = is_present; }
 void fake_lack(int status, int calls) { lacking = status, ready_after = calls; }
 void fake_fail(const char *function, int after)
@@ -46,6 +54,22 @@ int dhdOpen(void)
     return DEVICE;
 }
 int dhdOpenSerial(int number) { return number == serial ? dhdOpen() : -1; }
+_Bool dhdIsLeftHanded(char device) { need(opened && device == DEVICE, "dhdIsLeftHanded"); return left_handed; }
+int dhdSetGravityCompensation(int on, char device)
+{
+    note('G');
+    need(opened && !enabled && device == DEVICE && on <= 1, "dhdSetGravityCompensation");
+    if (fails("dhdSetGravityCompensation")) return -1;
+    gravity = on;
+    return 0;
+}
+int dhdSetEffectorMass(double kilograms, char device)
+{
+    note('M');
+    need(opened && !enabled && device == DEVICE && kilograms > 0, "dhdSetEffectorMass");
+    mass = kilograms;
+    return 0;
+}
 int dhdGetDeviceCount(void) { return present; }
 int dhdOpenID(char number) { need(number < present, "dhdOpenID"); return dhdOpen(); }
 int dhdGetSerialNumber(unsigned short *number, char device)
@@ -60,6 +84,7 @@ int dhdGetStatus(int status[16], char device)
     need(opened && device == DEVICE, "dhdGetStatus");
     status[0] = status[1] = status[2] = 1; /* power, connected, started */
     status[3] = 0;                         /* RESET mode: not calibrated */
+    status[10] = gravity;
     if (!is_ready) status[lacking] = !status[lacking], ready_after--;
     return 0;
 }
@@ -108,11 +133,11 @@ int dhdGetOrientationFrame(double frame[3][3], char device)
     memcpy(frame, turned, sizeof turned);
     return 0;
 }
-unsigned int dhdGetButtonMask(char device) { need(opened && device == DEVICE, "dhdGetButtonMask"); return wrist ? 5 : 0; }
-int dhdGetGripperGap(double *gap, char device)
+unsigned int dhdGetButtonMask(char device) { need(opened && device == DEVICE, "dhdGetButtonMask"); return wrist ? buttons : 0; }
+int dhdGetGripperGap(double *opening, char device)
 {
     need(opened && wrist && device == DEVICE, "dhdGetGripperGap");
-    *gap = 0.017;
+    *opening = gap;
     return fails("dhdGetGripperGap") ? -1 : 0;
 }
 _Bool dhdHasWrist(char device) { need(opened && device == DEVICE, "dhdHasWrist"); return wrist; }

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import json
 import math
+import socket
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from websockets.exceptions import ConnectionClosed
@@ -94,3 +95,78 @@ def fake_haply(**options: Any) -> Iterator[FakeHaply]:
             server.shutdown()
             thread.join(5)
     assert not fake.faults, fake.faults
+
+
+class Door:
+    """The port of a service: takes settings by HTTP, and passes WebSockets on to a fake.
+
+    A setting appears in the first message of the next connection, unless `is_deaf`. `status` is the answer.
+    """
+
+    def __init__(self, fake: FakeHaply, status: int, is_deaf: bool) -> None:
+        self.fake, self.status, self.is_deaf = fake, status, is_deaf
+        self.posts: list[tuple[str, Any]] = []
+        self._socket = socket.create_server(("127.0.0.1", 0))
+        self.port = self._socket.getsockname()[1]
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    def _serve(self) -> None:
+        while True:
+            try:
+                connection, _ = self._socket.accept()
+            except OSError:  # closed
+                return
+            threading.Thread(target=self._answer, args=(connection,), daemon=True).start()
+
+    def _answer(self, connection: socket.socket) -> None:
+        if connection.recv(4, socket.MSG_PEEK) == b"POST":
+            with connection:
+                self._take_setting(connection)
+            return
+        inside = socket.create_connection(("127.0.0.1", self.fake.port))
+        threading.Thread(target=_copy, args=(inside, connection), daemon=True).start()
+        _copy(connection, inside)
+
+    def _take_setting(self, connection: socket.socket) -> None:
+        with connection.makefile("rb") as request:
+            path = request.readline().split()[1].decode()
+            length = 0
+            while line := request.readline().strip():
+                name, _, value = line.decode().partition(":")
+                length = int(value) if name.lower() == "content-length" else length
+            content = json.loads(request.read(length))
+        self.posts.append((path, content))
+        _, _, unit, _, name = path.split("/")
+        for entry in self.fake.first["inverse3"] if not self.is_deaf else ():
+            if entry["device_id"] == unit:
+                entry.setdefault("config", {})[name] = content.get(name, content)
+        connection.sendall(f"HTTP/1.1 {self.status} OK\r\nContent-Length: 0\r\n\r\n".encode())
+
+    def close(self) -> None:
+        self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+        self._thread.join(5)
+
+
+def _copy(source: socket.socket, target: socket.socket) -> None:
+    """Copy bytes until one side closes."""
+    try:
+        while data := source.recv(1 << 16):
+            target.sendall(data)
+    except OSError:
+        pass
+    for end in (source, target):
+        with suppress(OSError):
+            end.shutdown(socket.SHUT_RDWR)
+
+
+@contextmanager
+def fake_haply_with_settings(status: int = 200, is_deaf: bool = False, **options: Any) -> Iterator[Door]:
+    """A fake whose port takes settings, too."""
+    with fake_haply(**options) as fake:
+        door = Door(fake, status, is_deaf)
+        try:
+            yield door
+        finally:
+            door.close()

@@ -24,6 +24,7 @@ static pthread_t thread;
 enum { CALIBRATED = 0x5000, INKWELL = 4 };
 static unsigned calibration;
 static unsigned long update_from, frozen_until;
+static int buttons;
 static char serial[20];
 
 static void fault(const char *words) { if (!faults[0]) snprintf(faults, sizeof faults, "%s", words); }
@@ -45,9 +46,11 @@ void fake_reset(void)
     callback = NULL;
     calibration = CALIBRATED;
     update_from = frozen_until = 0;
+    buttons = 0;
     snprintf(serial, sizeof serial, "1");
 }
 void fake_calibration(unsigned code, unsigned long accepts_from) { calibration = code, update_from = accepts_from; }
+void fake_buttons(int pressed) { buttons = pressed; }
 void fake_freeze(unsigned long until) { frozen_until = until; }
 void fake_serial(const char *text) { snprintf(serial, sizeof serial, "%s", text); }
 void fake_fail(const char *function, unsigned code) { snprintf(failing, sizeof failing, "%s", function); failing_code = code; }
@@ -119,8 +122,8 @@ void hdUpdateCalibration(unsigned style)
 }
 void hdGetIntegerv(unsigned what, int *values)
 {
-    need(with_device && what == 0x2650, "hdGetIntegerv of something else");
-    *values = 1 | INKWELL;
+    need(with_device && (what == 0x2555 || (what == 0x2000 && in_frame)), "hdGetIntegerv of something else");
+    *values = what == 0x2000 ? buttons : 1 | INKWELL;
 }
 const char *hdGetString(unsigned what)
 {

@@ -335,8 +335,9 @@ def test_units_of_a_service_are_listed_without_a_command() -> None:
     assert [unit.unit for unit in units] == ["AAAA", "BBBB"] and named == units[1]
     assert units[0].text == "not calibrated" and not units[0].is_ready
     assert [(c.what, c.is_there, c.found) for c in checks[-2:]] == [
-        ("unit AAAA", False, "not calibrated"), ("unit BBBB", False, "not calibrated")
-    ]  # fmt: skip
+        ("unit AAAA", False, "not calibrated; right-handed"),
+        ("unit BBBB", False, "not calibrated; right-handed"),
+    ]
     assert fake.forces == []
 
 

@@ -7,20 +7,26 @@ device without a wrist reports no rotation, one without a gripper reports it clo
 the first nonzero torque on, so that a device without motors for it never receives one.
 
 A unit is named by its serial number. Its state is that of `dhdGetStatus`: in RESET mode the device is not
-calibrated, and the user is expected to put its handle to the rest position. Names, indices and signatures are
-those of the maker's header ``dhdc.h`` 3.7.
+calibrated, and the user is expected to put its handle to the rest position. The state is also read a few
+times a second while the device is driven; that this call is as quick as those of a tick is unverified.
+
+The library compensates the weight of the handle itself (`dhdSetGravityCompensation`, `dhdSetEffectorMass`):
+it adds that to each force. Names, indices and signatures are those of the maker's header ``dhdc.h`` 3.7;
+those of gravity, handedness and status are the same in its release 3.2.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from contextlib import suppress
 from ctypes import POINTER, byref, c_bool, c_byte, c_char_p, c_double, c_int, c_ubyte, c_uint, c_ushort
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from touchfield.devices.drivers.links import DriverLibrary
-from touchfield.devices.drivers.registry import DeviceKind, Opener
+from touchfield.devices.drivers.registry import DeviceKind, DeviceSetting, Opener, on_or_off, positive_number
 from touchfield.devices.drivers.unit_lock import UnitLock
 from touchfield.errors import DeviceAbsent, DeviceError, InvalidArgument
 from touchfield.render.point_device import PointDevice, Quaternion
@@ -60,26 +66,44 @@ _OPTIONAL: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
     "dhdOpenSerial": (c_int, (c_int,)),
     "dhdGetSerialNumber": (c_int, (POINTER(c_ushort), c_byte)),
     "dhdGetStatus": (c_int, (POINTER(c_int), c_byte)),
+    "dhdIsLeftHanded": (c_bool, (c_byte,)),
+    "dhdSetGravityCompensation": (c_int, (c_int, c_byte)),
+    "dhdSetEffectorMass": (c_int, (c_double, c_byte)),
 }
 _POWER, _CONNECTED, _STARTED, _RESET = range(4)
+_GRAVITY: Final = 10
 """Indices of DHD_STATUS_... in the status."""
 
 _STATUS_SIZE: Final = 64
 """Capacity for the status; DHD_MAX_STATUS is 16 in release 3.7, and may be more in a later one."""
 
 _MAX_SERIAL: Final = 0xFFFF
+_MAX_MASS_KG: Final = 5.0
 _WHERE: Final = "Force Dimension device"
 _OPEN_HINT: Final = "Is it plugged in, switched on, and free?"
 _NAME_HINT: Final = "Name another unit: --device forcedimension:SERIAL (touchfield devices --connected)"
 
 
 class ForceDimension(PointDevice):
-    """A device, by its serial number; None is the first device that the library finds free."""
+    """A device.
+
+    Parameters
+    ----------
+    serial : int or None
+        Its serial number; None is the first device that the library finds free.
+    gravity : bool or None
+        Whether the library compensates the weight of the handle; None leaves that as it is.
+    mass_kg : float or None
+        Mass of the handle; None is that which the library assumes.
+    """
 
     title: ClassVar[str] = _WHERE
 
-    def __init__(self, serial: int | None = None) -> None:
+    def __init__(
+        self, serial: int | None = None, gravity: bool | None = None, mass_kg: float | None = None
+    ) -> None:
         self._serial, self._unit = serial, ""
+        self._gravity, self._mass_kg = gravity, mass_kg
         self._lock: UnitLock | None = None
         self._library: Any = None
         self._device: int | None = None
@@ -115,11 +139,21 @@ class ForceDimension(PointDevice):
         self._has_wrist = bool(library.dhdHasWrist(device))
         self._has_gripper = bool(library.dhdHasGripper(device))
         try:
+            self._compensate_gravity()
             self._call("dhdEnableForce", "switch forces on", 1)
             self.put_force_n(0.0, 0.0, 0.0)
         except DeviceError:
             self.close()
             raise
+
+    def _compensate_gravity(self) -> None:
+        """Make the settings of gravity compensation that were given."""
+        mass = () if self._mass_kg is None else (("dhdSetEffectorMass", self._mass_kg),)
+        gravity = () if self._gravity is None else (("dhdSetGravityCompensation", int(self._gravity)),)
+        for function, value in (*mass, *gravity):
+            if not hasattr(self._library, function):
+                raise DeviceError(_WHERE, f"a library without {function}", "a newer SDK")
+            self._call(function, "set the gravity compensation", value)
 
     def readiness(self) -> Readiness:
         """See `PointDevice.readiness`."""
@@ -128,6 +162,19 @@ class ForceDimension(PointDevice):
         status = (c_int * _STATUS_SIZE)()
         self._call("dhdGetStatus", "get status", status)
         return readiness_of(self._unit, status)
+
+    def state(self) -> Readiness:
+        """See `PointDevice.state`."""
+        return self.readiness()
+
+    @property
+    def unit(self) -> str:
+        """See `PointDevice.unit`: the serial number, unless it was given."""
+        return self._unit if self._serial is None else ""
+
+    def use_unit(self, unit: str) -> None:
+        """See `PointDevice.use_unit`."""
+        self._serial = int(unit)
 
     def position_m(self) -> tuple[float, float, float]:
         """Position as the device reports it."""
@@ -249,9 +296,21 @@ def find_units(rest: str = "") -> list[Readiness]:
             continue
         unit, status = serial_number(library, device), (c_int * _STATUS_SIZE)()
         has_status = hasattr(library, "dhdGetStatus") and library.dhdGetStatus(status, device) >= 0
+        settings = settings_of(library, device, status if has_status else None)
         library.dhdClose(device)
-        found.append(readiness_of(unit, status) if has_status else Readiness(unit))
+        state = readiness_of(unit, status) if has_status else Readiness(unit)
+        found.append(replace(state, settings=settings))
     return found
+
+
+def settings_of(library: Any, device: int, status: Any) -> tuple[str, ...]:
+    """Return the settings of an open device as texts; `status` is None if it is not known."""
+    settings = []
+    if hasattr(library, "dhdIsLeftHanded"):
+        settings.append("left-handed" if library.dhdIsLeftHanded(device) else "right-handed")
+    if status is not None:
+        settings.append(f"gravity compensation {'on' if status[_GRAVITY] else 'off'}")
+    return tuple(settings)
 
 
 def quaternion_of_rows(
@@ -283,7 +342,22 @@ def _opener(rest: str, trajectory: Trace | None) -> Opener:
     return partial(ForceDimension, int(rest))
 
 
+_SETTINGS: Final = (
+    DeviceSetting("gravity", "on|off", "whether the library compensates the weight of the handle"),
+    DeviceSetting("mass", "KG", "mass of the handle, kilograms"),
+)
+
+
+def _configure(opener: Opener, values: Mapping[str, str]) -> Opener:
+    options: dict[str, Any] = {}
+    if "gravity" in values:
+        options["gravity"] = on_or_off("gravity", values["gravity"])
+    if "mass" in values:
+        options["mass_kg"] = positive_number("mass", values["mass"], _MAX_MASS_KG)
+    return partial(opener, **options)
+
+
 KIND = DeviceKind(
     "forcedimension", "forcedimension[:SERIAL]", "Force Dimension, by dhd", "omega.3",
-    _opener, DRIVER.checks, find_units=find_units,
+    _opener, DRIVER.checks, find_units=find_units, settings=_SETTINGS, configure=_configure,
 )  # fmt: skip

@@ -13,6 +13,11 @@ A unit is named by its ``device_id``. Its state is the object ``status`` that th
 in the first message (calibrated, power_supply, ready, started, in_use) and that comes with every state. That
 ``in_use`` concerns the sessions of other programs is unverified: it is read before the first command only.
 
+Handedness and gravity compensation are settings of the device, which the service stores. The first message
+states them; they are set by HTTP at the port of the WebSocket (``/inverse3/ID/config/...``, of version 3.5
+and later), as the maker's page on device configuration says. The body of the one for handedness is
+unverified; therefore the first message of a new connection must state the new values.
+
 Metres and newtons are in the device's own axes. Messages of the service are untrusted: their size is bounded,
 and a message that is late, not JSON, incomplete or implausible raises `DeviceError`.
 """
@@ -22,13 +27,24 @@ from __future__ import annotations
 import json
 import math
 import time
-from contextlib import suppress
+from collections.abc import Mapping
+from contextlib import closing, suppress
 from dataclasses import replace
 from functools import partial
+from http.client import HTTPConnection, HTTPException
 from typing import TYPE_CHECKING, Any, ClassVar, Final
+from urllib.parse import quote
 
 from touchfield.devices.drivers.links import service_check, web_socket
-from touchfield.devices.drivers.registry import Check, DeviceKind, Opener, library_check
+from touchfield.devices.drivers.registry import (
+    Check,
+    DeviceKind,
+    DeviceSetting,
+    Opener,
+    library_check,
+    on_or_off,
+    positive_number,
+)
 from touchfield.devices.drivers.unit_lock import UnitLock
 from touchfield.errors import DeviceAbsent, DeviceError, InvalidArgument, import_extra, reason
 from touchfield.options import Address, address
@@ -55,6 +71,8 @@ _NO_ORIENTATION: Final = (math.nan,) * 4
 
 _TITLE: Final = "Haply Inverse3"
 _MAX_ID: Final = 64
+_MAX_FACTOR: Final = 2.0
+_SETTINGS_HINT: Final = "Set it in the service's own program; by HTTP it takes it from version 3.5 on."
 _START_HINT: Final = "Start the Haply Inverse Service, or give its address: --device haply:HOST:PORT"
 
 
@@ -69,13 +87,24 @@ class Haply(PointDevice):
         Time limit for a state, seconds; after it the device counts as gone.
     unit : str or None
         Its ``device_id``; None is the first that the service lists.
+    settings : mapping
+        Entries of the device's ``config`` to set, such as ``{"handedness": "left"}``.
     """
 
     title: ClassVar[str] = _TITLE
     is_paced: ClassVar[bool] = True
 
-    def __init__(self, service: Address = SERVICE, answer_s: float = 0.25, unit: str | None = None) -> None:
+    def __init__(
+        self,
+        service: Address = SERVICE,
+        answer_s: float = 0.25,
+        unit: str | None = None,
+        settings: Mapping[str, Any] | None = None,
+    ) -> None:
         self._service, self._answer_s, self._unit = service, answer_s, unit
+        self._settings = dict(settings or {})
+        self._is_named = unit is not None
+        self._entry: dict[str, Any] = {}
         self._lock: UnitLock | None = None
         self._state = Readiness()
         self._has_commanded = False
@@ -97,16 +126,16 @@ class Haply(PointDevice):
         A device that another program uses gets no command.
         """
         self.close()
-        self._socket = web_socket(
-            self._service, "", self._where, _START_HINT, _OPEN_S, self._answer_s,
-            close_timeout=_CLOSE_S, ping_interval=None, max_queue=_QUEUE,
-        )  # fmt: skip
         try:
-            entry = self._selected(self._message(_OPEN_S))
+            entry = self._connect()
             self._id = entry["device_id"]
+            assert self._socket is not None
             host, port, *_ = self._socket.remote_address
             self._lock = UnitLock(_TITLE, f"{host}:{port}/{self._id}", self._lock_hint)
             self._state = readiness_of(entry)
+            if self._state.is_free is not False:
+                entry = self._configured(entry)
+            self._entry = entry
             self._pending_states, self._has_grip, self._has_commanded = 0, False, False
             command = {"device_id": self._id, "commands": {"set_cursor_force": {"values": "@"}}}
             self._command = json.dumps({"inverse3": [command]}).replace('"@"', '{"x":%r,"y":%r,"z":%r}')
@@ -116,6 +145,48 @@ class Haply(PointDevice):
             self._command = ""
             self.close()
             raise
+
+    def _connect(self) -> dict[str, Any]:
+        """Connect, and return the entry of the device in the first message."""
+        self._socket = web_socket(
+            self._service, "", self._where, _START_HINT, _OPEN_S, self._answer_s,
+            close_timeout=_CLOSE_S, ping_interval=None, max_queue=_QUEUE,
+        )  # fmt: skip
+        return self._selected(self._message(_OPEN_S))
+
+    def _configured(self, entry: dict[str, Any]) -> dict[str, Any]:
+        """Make the settings that the device does not have yet; returns its entry after that.
+
+        Raises `DeviceError` if the service does not take one.
+        """
+        different = different_settings(entry, self._settings)
+        if not different:
+            return entry
+        for name, value in different.items():
+            path = f"/inverse3/{quote(str(self._id), safe='')}/config/{name}"
+            post(self._service, path, value if isinstance(value, dict) else {name: value}, self._where)
+        assert self._socket is not None
+        self._socket.close()
+        entry = self._connect()
+        if entry["device_id"] != self._id:
+            raise DeviceError(self._where, f"no device {self._id} any more", "the same one")
+        for name, value in different_settings(entry, self._settings).items():
+            found = f"that {self._id} did not take {name} = {json.dumps(value)}"
+            raise DeviceError(self._where, found, hint=_SETTINGS_HINT)
+        return entry
+
+    @property
+    def unit(self) -> str:
+        """See `PointDevice.unit`: the id, unless it was given."""
+        return "" if self._is_named else str(self._id)
+
+    def use_unit(self, unit: str) -> None:
+        """See `PointDevice.use_unit`."""
+        self._unit = unit
+
+    def state(self) -> Readiness:
+        """See `PointDevice.state`: that of the latest message."""
+        return replace(readiness_of(self._entry), is_free=None)
 
     def readiness(self) -> Readiness:
         """See `PointDevice.readiness`; a force of zero is sent to get a state."""
@@ -129,7 +200,8 @@ class Haply(PointDevice):
     def position_m(self) -> tuple[float, float, float]:
         """Position of the latest state; waits for a state."""
         message = self._latest_message()
-        state = self._device(message).get("state")
+        self._entry = self._device(message)
+        state = self._entry.get("state")
         cursor = state.get("cursor_position") if isinstance(state, dict) else None
         if not isinstance(cursor, dict):
             raise DeviceError(
@@ -301,7 +373,55 @@ def readiness_of(entry: dict[str, Any]) -> Readiness:
     if is_powered is False:
         hint = "Plug in its power supply."
     is_free = None if is_in_use is None else not is_in_use
-    return Readiness(str(entry["device_id"]), True, is_powered, is_calibrated, is_running, is_free, hint=hint)
+    unit, settings = str(entry["device_id"]), settings_of(entry)
+    return Readiness(unit, True, is_powered, is_calibrated, is_running, is_free, hint=hint, settings=settings)
+
+
+def config_of(entry: dict[str, Any]) -> dict[str, Any]:
+    """Return the settings in the entry of a device; empty if it has none."""
+    config = entry.get("config")
+    return config if isinstance(config, dict) else {}
+
+
+def settings_of(entry: dict[str, Any]) -> tuple[str, ...]:
+    """Return handedness and gravity compensation of a device as texts, as far as it reports them."""
+    config, settings = config_of(entry), []
+    handedness, gravity = config.get("handedness"), config.get("gravity_compensation")
+    if handedness in ("left", "right"):
+        settings.append(f"{handedness}-handed")
+    if isinstance(gravity, dict) and isinstance(gravity.get("enabled"), bool):
+        factor = gravity.get("scaling_factor")
+        is_scaled = gravity["enabled"] and isinstance(factor, (int, float)) and factor != 1
+        text = "on" if gravity["enabled"] else "off"
+        settings.append(f"gravity compensation {text}{f', factor {factor:g}' if is_scaled else ''}")
+    return tuple(settings)
+
+
+def different_settings(entry: dict[str, Any], wanted: Mapping[str, Any]) -> dict[str, Any]:
+    """Return those of the wanted settings that the entry of a device does not state."""
+    config = config_of(entry)
+
+    def has(name: str) -> bool:
+        value, found = wanted[name], config.get(name)
+        if isinstance(value, dict):
+            return isinstance(found, dict) and all(found.get(key) == part for key, part in value.items())
+        return bool(found == value)
+
+    return {name: value for name, value in wanted.items() if not has(name)}
+
+
+def post(service: Address, path: str, content: dict[str, Any], where: str) -> None:
+    """Send a setting to the service by HTTP; raises `DeviceError` if it does not accept it."""
+    body, headers = json.dumps(content), {"Content-Type": "application/json"}
+    try:
+        with closing(HTTPConnection(*service, timeout=_OPEN_S)) as connection:
+            connection.request("POST", path, body, headers)
+            status = connection.getresponse().status
+    except (OSError, HTTPException) as error:
+        found = f"that it did not take a setting ({reason(error)})"
+        raise DeviceError(where, found, hint=_SETTINGS_HINT) from error
+    if not 200 <= status < 300:
+        raise DeviceError(where, f"status {status} for {path}", "a setting that it takes", _SETTINGS_HINT)
 
 
 def checks() -> list[Check]:
@@ -342,7 +462,29 @@ def _opener(rest: str, trajectory: Trace | None) -> Opener:
     return partial(Haply, service, unit=unit)
 
 
+_SETTINGS: Final = (
+    DeviceSetting("gravity", "on|off|FACTOR", "compensation of the weight of the arm; the service stores it"),
+    DeviceSetting("handedness", "left|right", "side of the arm; the service stores it"),
+)
+
+
+def _configure(opener: Opener, values: Mapping[str, str]) -> Opener:
+    config: dict[str, Any] = {}
+    gravity, handedness = values.get("gravity"), values.get("handedness")
+    if gravity is not None and gravity[:1].isdigit():
+        factor = positive_number("gravity", gravity, _MAX_FACTOR)
+        config["gravity_compensation"] = {"enabled": True, "scaling_factor": factor}
+    elif gravity is not None:
+        config["gravity_compensation"] = {"enabled": on_or_off("gravity", gravity), "scaling_factor": 1.0}
+    if handedness not in (None, "left", "right"):
+        raise InvalidArgument("--settings handedness", repr(handedness), "left or right")
+    if handedness is not None:
+        config["handedness"] = handedness
+    options: dict[str, Any] = {"settings": config}
+    return partial(opener, **options)
+
+
 KIND = DeviceKind(
     "haply", "haply[:HOST:PORT][/ID]", "Haply Inverse3, by its service", "haply-inverse3",
-    _opener, checks, find_units=find_units,
+    _opener, checks, find_units=find_units, settings=_SETTINGS, configure=_configure,
 )  # fmt: skip

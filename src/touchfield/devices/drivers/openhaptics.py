@@ -2,14 +2,15 @@
 library OpenHaptics.
 
 The vendor's driver calls a callback in a thread of its own. The callback is C (``c/touch_openhaptics.h``) and
-does not take the interpreter's lock: it begins a frame, reads the position (millimetres), runs one tick of
-the renderer, sets the force and ends the frame.
+does not take the interpreter's lock: it begins a frame, reads the position (millimetres) and the buttons,
+runs one tick of the renderer, sets the force and ends the frame. Once in 64 frames it checks the calibration:
+if that is lost, there is no position, so that the force goes to zero until the device is calibrated again.
 
 Until the renderer is called, frames without force read calibration and position in the driver's thread
 (`_ReadinessFrames`): elsewhere the driver does not update them. A device that has not been calibrated reports
 the constant position of its inkwell, so it is ready only once its position has changed. Names and values are
-those of the maker's headers ``hd.h`` and ``hdDefines.h``; that a unit of another process can be opened beside
-this one, and where the driver's settings list the names of devices, is unverified.
+those of the maker's headers ``hd.h`` and ``hdDefines.h`` (3.00 build 66); that a unit of another process can
+be opened beside this one, and where the driver's settings list the names of devices, is unverified.
 
 Before `close` the servo has ordered the release. `close` waits until the force is zero, sets zero for one
 more frame, and then removes callback, scheduler and device.
@@ -89,8 +90,11 @@ _OPTIONAL: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
     "hdGetIntegerv": (None, (c_uint32, c_void_p)),
     "hdGetString": (c_char_p, (c_uint32,)),
 }
-_CALLBACK_FUNCTIONS: Final = ("hdBeginFrame", "hdEndFrame", "hdGetDoublev", "hdSetDoublev", "hdGetError")
-"""Functions that the callback calls, in the order of `touch_driver`."""
+_CALLBACK_FUNCTIONS: Final = (
+    *("hdBeginFrame", "hdEndFrame", "hdGetDoublev", "hdSetDoublev", "hdGetError"),
+    *("hdGetIntegerv", "hdCheckCalibration", "hdUpdateCalibration"),
+)
+"""Functions that the callback calls, in the order of `touch_driver`; the library may lack the last three."""
 
 
 class _Driver(Structure):
@@ -101,16 +105,22 @@ class _Driver(Structure):
         ("tick", c_void_p),
         *((name, c_void_p) for name in _CALLBACK_FUNCTIONS),
         *((name, c_int64) for name in ("device", "must_stop", "end", "calls", "error")),
+        *((name, c_int64) for name in ("style", "calibration", "frame_ns")),
+        ("buttons", c_void_p),
         ("position_mm", c_double * 3),
         ("force_n", c_double * 3),
     )
 
 
 _FORCE_OUTPUT: Final = 0x4000
-_POSITION_MM, _FORCE_N, _SERIAL_NUMBER, _CALIBRATION_STYLE = 0x2050, 0x2700, 0x2504, 0x2650
+_POSITION_MM, _FORCE_N, _SERIAL_NUMBER, _CALIBRATION_STYLE = 0x2050, 0x2700, 0x2504, 0x2555
 _CALIBRATION_OK, _CALIBRATION_NEEDS_UPDATE = 0x5000, 0x5001
 _STYLES_WITHOUT_HELP: Final = (1 << 1, 1 << 2)
 """HD_CALIBRATION_AUTO and _INKWELL, which need no other action of the user than to use the inkwell."""
+
+_OFFSETS: Final = dict(native.receiver_layout())
+_BUTTONS_OFFSET: Final = _OFFSETS["touch_receiver.grip"] + _OFFSETS["touch_grip.buttons"]
+"""Of the buttons in a receiver, bytes."""
 
 _CALL_AGAIN: Final = 1
 _SETTLED_FRAMES: Final = 3
@@ -126,6 +136,7 @@ _RELEASE_S: Final = 1.0
 _SILENCE_S: Final = 0.5
 _LAST_FRAME_S: Final = 0.5
 _WHERE: Final = "OpenHaptics device"
+_INKWELL_HINT: Final = "Put the pen into its inkwell, or calibrate it with the maker's own tool."
 _FIND_HINT: Final = "Is it plugged in, and set up with the maker's own tool?"
 _NAME_HINT: Final = "Name another unit: --device openhaptics:NAME (touchfield devices --connected)"
 
@@ -273,7 +284,7 @@ class OpenHaptics(PointDevice):
         is_started, has_moved = frames.frames >= _SETTLED_FRAMES, frames.moved_mm > _MOVED_MM
         hint = "Take the pen out of its inkwell and move it."
         if is_calibrated is False:
-            hint = "Put the pen into its inkwell, or calibrate it with the maker's own tool."
+            hint = _INKWELL_HINT
         state = Readiness(
             self._name or "",
             is_calibrated=is_calibrated if is_started else None,
@@ -299,8 +310,11 @@ class OpenHaptics(PointDevice):
             self._frames.end()
         callback, tick, driver_bytes = native.openhaptics_callback()
         assert driver_bytes == sizeof(_Driver)
-        functions = (cast(getattr(self._library, name), c_void_p) for name in _CALLBACK_FUNCTIONS)
+        entries = (getattr(self._library, name, None) for name in _CALLBACK_FUNCTIONS)
+        functions = (None if entry is None else cast(entry, c_void_p) for entry in entries)
         self._driver = _Driver(address, self._tick_address or tick, *functions, self._device)
+        self._driver.style = calibration_style(self._library)
+        self._driver.buttons = address + _BUTTONS_OFFSET
         self._operation = self._library.hdScheduleAsynchronous(
             callback, addressof(self._driver), _HIGHEST_PRIORITY
         )
@@ -325,6 +339,16 @@ class OpenHaptics(PointDevice):
         if now - self._progress[1] > _SILENCE_S:
             found = f"a driver that has not called for {_SILENCE_S:g} s, after {calls} calls"
             raise DeviceError(_WHERE, found, "a call each millisecond", "Is it still plugged in?")
+
+    def state(self) -> Readiness:
+        """See `PointDevice.state`: the calibration, as the callback has checked it last."""
+        calibration = self._driver.calibration
+        is_calibrated = calibration == _CALIBRATION_OK if calibration else None
+        return Readiness(self._name or "", is_calibrated=is_calibrated, hint=_INKWELL_HINT)
+
+    def frame_s(self) -> float:
+        """See `PointDevice.frame_s`."""
+        return 1e-9 * float(self._driver.frame_ns)
 
     def position_m(self) -> tuple[float, float, float]:
         """Not for a device whose driver calls us."""

@@ -12,7 +12,7 @@ are listed. It must be cheap to import: libraries and drivers are loaded when a 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module, metadata, util
@@ -82,6 +82,15 @@ def library_check(name: str, extra: str = "", module: str = "", purpose: str = "
 
 
 @dataclass(frozen=True)
+class DeviceSetting:
+    """A setting of a kind of device: its name, the form of its value, and one line for the user."""
+
+    name: str
+    form: str
+    summary: str
+
+
+@dataclass(frozen=True)
 class DeviceKind:
     """One kind of device.
 
@@ -102,6 +111,10 @@ class DeviceKind:
     # finds the units that are connected and reads their state, without a force; `rest` as for `make`. Raises
     # `TouchfieldError`. None for a device without identity
     find_units: Callable[[str], list[Readiness]] | None = None
+    # settings of a point; ``configure(opener, values)`` returns an opener with some of them, texts
+    # by name, or raises `InvalidArgument`
+    settings: tuple[DeviceSetting, ...] = ()
+    configure: Callable[[Opener, Mapping[str, str]], Opener] | None = None
 
 
 class PointChoice(NamedTuple):
@@ -155,11 +168,12 @@ def _require_kind(text: str, name: str, is_array: bool) -> DeviceKind:
     )
 
 
-def point_device(text: str, trajectory: Trace | None = None) -> PointChoice:
+def point_device(text: str, trajectory: Trace | None = None, settings: str = "") -> PointChoice:
     """Return the point device named by `text`, such as "haply:127.0.0.1:10001".
 
-    The device is not opened. Raises InvalidArgument if there is no such kind, the text after the colon is
-    invalid, or a trajectory is given for a device that a hand moves.
+    `settings` are "NAME=VALUE", with commas between them. The device is not opened. Raises InvalidArgument if
+    there is no such kind, the text after the colon or a setting is invalid, or a trajectory is given for a
+    device that a hand moves.
     """
     name, _, rest = text.strip().partition(":")
     kind = _require_kind(text, name.lower(), is_array=False)
@@ -167,7 +181,44 @@ def point_device(text: str, trajectory: Trace | None = None) -> PointChoice:
         raise InvalidArgument(
             "trajectory", f"one for {kind.name}", "none: there a hand moves", "Take --device sim."
         )
-    return PointChoice(kind.name, kind.make(rest, trajectory), kind.profile, kind.is_simulated)
+    opener: Opener = kind.make(rest, trajectory)
+    values = settings_of(kind, settings)
+    if values and kind.configure is not None:
+        opener = kind.configure(opener, values)
+    return PointChoice(kind.name, opener, kind.profile, kind.is_simulated)
+
+
+def settings_of(kind: DeviceKind, text: str) -> dict[str, str]:
+    """Parse settings such as "gravity=off,handedness=left"; raises InvalidArgument for one not of `kind`."""
+    names = {setting.name: setting for setting in kind.settings}
+    expected = ", ".join(f"{setting.name}={setting.form}" for setting in kind.settings)
+    values: dict[str, str] = {}
+    for part in text.split(",") if text.strip() else ():
+        name, equals, value = (piece.strip() for piece in part.partition("="))
+        if name not in names or not equals or not value or name in values:
+            raise InvalidArgument(
+                "--settings", repr(text[:80]), expected or f"none: {kind.name} has no settings"
+            )
+        values[name] = value
+    return values
+
+
+def on_or_off(name: str, value: str) -> bool:
+    """Parse the setting "on" or "off"; raises InvalidArgument for another text."""
+    if value not in ("on", "off"):
+        raise InvalidArgument(f"--settings {name}", repr(value[:40]), "on or off")
+    return value == "on"
+
+
+def positive_number(name: str, value: str, largest: float) -> float:
+    """Parse a setting, a number above 0 and up to `largest`; raises InvalidArgument for another text."""
+    try:
+        number = float(value)
+    except ValueError:
+        number = 0.0
+    if not 0.0 < number <= largest:
+        raise InvalidArgument(f"--settings {name}", repr(value[:40]), f"a number above 0, up to {largest:g}")
+    return number
 
 
 def is_array_device(text: str) -> bool:

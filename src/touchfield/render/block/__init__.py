@@ -373,6 +373,13 @@ class TickLog:
         self._blocks = deque([joined])
         return joined.copy()
 
+    def take(self) -> NDArray[Any]:
+        """Return the stored rows in order, and store them no longer."""
+        rows = self.rows()
+        self._blocks.clear()
+        self._row_count = 0
+        return rows
+
     def let_go(self) -> None:
         """Read the last rows, and release the memory."""
         self.drain()
