@@ -43,6 +43,7 @@ from touchfield.sources.mesh.surface import RepairedSurface, Surface, close_hole
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Y_AXES, Body, MovingScene, size_note
+from touchfield.sources.thin_walls import MinThickness, ThinWall
 
 _RATE_HZ: Final = 60.0
 _MAX_FRAMES: Final = 100_000
@@ -85,6 +86,8 @@ class AnimatedMeshScene(MovingScene):
         self._motion: tuple[Float64s, Float64s] | None = None
         self._block = lru_cache(maxsize=2)(self._poses)  # a frame may lie at the edge of its block
         self._latest: tuple[int, MeshScene] | None = None
+        self._motions_m: Float64s | None = None  # of the triangles, outwards, of `thickened`
+        self._min_thickness: MinThickness | None = None
         with np.errstate(all="ignore"):
             model = Model(Path(path))
             number = _animation_number(str(path), model.animation_names, animation)
@@ -185,14 +188,22 @@ class AnimatedMeshScene(MovingScene):
         latest = self._latest
         if latest is None or latest[0] != frame:
             surface = self._repaired.surface.with_vertices(self.vertices_m(frame))
-            self._latest = latest = (
-                frame,
-                self._static_scene(replace(self._repaired, surface=surface, notes=())),
-            )
+            scene = self._static_scene(replace(self._repaired, surface=surface, notes=()))
+            scene = scene if self._motions_m is None else scene.grown(self._motions_m)
+            self._latest = latest = frame, scene
         return latest[1]
 
     def _static_scene(self, repaired: RepairedSurface) -> MeshScene:
         return MeshScene(repaired, shell=self.shell, name=self.name)
+
+    def thickened(self, rule: MinThickness) -> tuple[AnimatedMeshScene, tuple[ThinWall, ...]]:
+        """See `Scene.thickened`; the thickness is that of the first frame, so that no wall pulsates."""
+        growth = self._scene(0).growth_of(replace(rule, spacing_m=rule.turned_m))
+        if growth is None:
+            return self, ()
+        other = self._copy()
+        other._motions_m, other._min_thickness = growth.motions_m, rule
+        return other, (ThinWall(self.name, growth.thickness_m, growth.thickened_m),)
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`; with the damping of a moving surface if `profile` has any.
@@ -228,16 +239,17 @@ class AnimatedMeshScene(MovingScene):
         parts, deforms = self._parts
         if not parts:
             return super().bodies()
-        start = self.vertices_m(0)
-        bodies = [
-            Body(
-                f"part {n}", self._static_scene(self._cut(part.has_vertex, start - part.origin_m)), part.track
-            )
-            for n, part in enumerate(parts, 1)
-        ]
+        start, rule = self.vertices_m(0), self._min_thickness
+        bodies = []
+        for n, part in enumerate(parts, 1):
+            scene = self._static_scene(self._cut(part.has_vertex, start - part.origin_m))
+            scene = scene if rule is None else scene.thickened(rule.of_track(part.track))[0]
+            bodies.append(Body(f"part {n}", scene, part.track))
         if deforms.any():
             rest = self._copy()
             rest._vertex_ids, rest._repaired = self._vertex_ids[deforms], self._cut(deforms, start)
+            rest._motions_m = None
+            rest = rest if rule is None else rest.thickened(rule)[0]
             bodies.append(Body("what deforms", rest, PoseTrack.constant(self.frame_count)))
         return tuple(bodies)
 
