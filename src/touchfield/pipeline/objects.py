@@ -66,7 +66,7 @@ def objects_of(scene: Scene, target: Device, mapping: Mapping | None, spec: Enco
 
 
 def is_of_objects(scene: Scene, target: Device, spec: EncodeSpec) -> bool:
-    """True if objects are coded; in the representation "auto" their fields have no samples that could vibrate.
+    """True if objects are coded; "auto" takes voxels for a vibration, which objects have no samples for.
 
     InvalidArgument if objects are requested of an array.
     """

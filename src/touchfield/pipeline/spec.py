@@ -228,7 +228,13 @@ class EncodeSpec:
         unused = () if has_law else ("law", "stiffness_n_per_m")
         other_coders = (name for name in BUILT_IN_CODERS if name != self.coder)
         kept = ("thin",) if self.thin == "keep" else ()  # as in files from before this option
-        for name in (*other_coders, *kept, "extension", *(n for n in _OPTIONAL if values[n] is None), *unused):
+        for name in (
+            *other_coders,
+            *kept,
+            "extension",
+            *(n for n in _OPTIONAL if values[n] is None),
+            *unused,
+        ):
             del values[name]
         del values["source"]["allow_outside"]  # the user decides this each time
         return json.dumps(values, separators=(",", ":"))

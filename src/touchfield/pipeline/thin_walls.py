@@ -46,7 +46,10 @@ def _note(walls: tuple[ThinWall, ...], scale: float, is_kept: bool) -> str:
     texts = []
     for wall in sorted(walls, key=lambda wall: wall.thickness_m)[:_MAX_NAMES]:
         before, after = 1e3 * scale * wall.thickness_m, 1e3 * scale * wall.thickened_m
-        texts.append(f"{wall.name} of {before:.2g} mm " + (f"({after:.3g} mm would hold)" if is_kept else f"is now {after:.3g} mm thick"))
+        texts.append(
+            f"{wall.name} of {before:.2g} mm "
+            + (f"({after:.3g} mm would hold)" if is_kept else f"is now {after:.3g} mm thick")
+        )
     more = f" and {len(walls) - _MAX_NAMES} more" if len(walls) > _MAX_NAMES else ""
     listed = ", ".join(texts) + more
     if is_kept:

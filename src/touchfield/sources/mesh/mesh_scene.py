@@ -131,12 +131,12 @@ class MeshScene(Scene):
         if union is not None:
             is_outer = np.zeros(len(self.surface.triangles), np.bool_)
             is_outer[union.uncut] = is_outer[union.parents] = True
-        return growth_of(self.surface, rule, is_outer)
+        return growth_of(self.surface, self._normals[:, 0], rule, is_outer)
 
     def grown(self, motions_m: Float64s) -> MeshScene:
         """Return this mesh with triangles moved outwards along their normals, by motions float64 [m]."""
         other = copy.copy(self)
-        other.surface = grow(self.surface, motions_m)
+        other.surface = grow(self.surface, self._normals[:, 0], motions_m)
         for name in ("_active", "_union", "_rim_table", "_normals"):
             other.__dict__.pop(name, None)
         return other

@@ -42,7 +42,9 @@ def thickness_m(shape: Shape) -> float:
     if half is not None:
         return 2 * float(min(half))
     solid: Any = shape
-    return 2 * float(min(solid.radius_m, solid.half_length_m) if isinstance(shape, Cylinder) else solid.radius_m)
+    return 2 * float(
+        min(solid.radius_m, solid.half_length_m) if isinstance(shape, Cylinder) else solid.radius_m
+    )
 
 
 def _sides_m(shape: Shape, rule: MinThickness) -> tuple[Float64s, Float64s]:
