@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from gltf_makers import Gltf
 from touchfield.errors import InvalidArgument
 from touchfield.medium import PoseTrack
 from touchfield.pipeline import encode, prepare
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.mesh.mesh_scene import MeshScene
+from touchfield.sources.options import SourceOptions
 from touchfield.sources.physics.body_scene import BodyScene
 from touchfield.sources.scene import Body, Scene
 from touchfield.sources.shapes.analytic_scene import AnalyticScene
@@ -175,3 +178,26 @@ def test_the_spec_of_a_file_from_before_leaves_walls_as_they_were() -> None:
     assert '"thin"' not in EncodeSpec(thin="keep").to_json()
     with pytest.raises(InvalidArgument, match="thin"):
         EncodeSpec(thin="thick")
+
+
+@pytest.mark.parametrize("representation", ["voxel", "object"])
+def test_an_animated_plate_is_thickened_in_all_frames(tmp_path: Path, representation: str) -> None:
+    vertices, triangles = mesh_of(plate(2, 0.0002))
+    gltf = Gltf()
+    node = gltf.put("nodes", mesh=gltf.mesh(vertices, triangles))
+    gltf.animate(node, "translation", [0, 1], [[0, 0, 0], [0, 0, 0.01]])
+    path = gltf.save(tmp_path / "plate.gltf")
+    spec = EncodeSpec(
+        nw=6, mapping="1", representation=representation, frames=(0, 30), source=SourceOptions(rate_hz=30.0)
+    )
+    thick, kept = prepare(path, spec), prepare(path, replace(spec, thin="keep"))
+    name, spacing_m = {"voxel": ("plate.gltf", 0.0025), "object": ("part 1", 0.75 * 0.00109375)}[
+        representation
+    ]
+    found = re.search(rf"{name} of 0.4 mm is now ([\d.]+) mm", thin_note(path, spec))
+    assert found is not None and float(found[1]) == pytest.approx(
+        1e3 * MIN_SAMPLES * spacing_m + 0.2, abs=0.01
+    )
+    for frame in (0, 29):
+        fields = [np.abs(prepared.medium[frame].to_dense()[..., 2]).max() for prepared in (thick, kept)]
+        assert fields[0] > 0.05 and fields[1] < 0.02  # N

@@ -38,7 +38,7 @@ def _min_thickness(mapping: Mapping, spec: EncodeSpec, is_of_objects: bool) -> M
     if is_of_objects:
         shifted, turned = MOVING_SPACING * spacing, turned_spacing_m(MOVING_SPACING * spacing)
     x, y, z = ((a / scale, b / scale, c / scale) for a, b, c in (spacing, shifted, turned))
-    return MinThickness(x, y, z, 2 * SURFACE_N / spec.stiffness_n_per_m / scale)
+    return MinThickness(x, y, z, 2 * SURFACE_N / spec.stiffness_n_per_m / scale, is_of_objects=is_of_objects)
 
 
 def _note(walls: tuple[ThinWall, ...], scale: float, is_kept: bool) -> str:

@@ -40,6 +40,7 @@ class MinThickness:
     turned_m : the same for a body that rotates.
     surfaces_m : depth below both surfaces at which the proxy finds them, together.
     rotation : float64 [3, 3] or None; rotation of the object into the axes of the lattice.
+    is_of_objects : bool; whether a moving body has a lattice of its own.
     """
 
     spacing_m: Triple
@@ -47,6 +48,12 @@ class MinThickness:
     turned_m: Triple
     surfaces_m: float
     rotation: Float64s | None = None
+    is_of_objects: bool = False
+
+    @property
+    def whole_m(self) -> Triple:
+        """Spacing of the samples of a shape that deforms in its place: that of the coarsest axis."""
+        return (max(self.spacing_m),) * 3
 
     def along(self, normals: Float64s) -> Float64s:
         """Return the least thickness along unit normals [..., 3] of the object, metres, float64 [...]."""

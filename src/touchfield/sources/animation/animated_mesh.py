@@ -198,12 +198,17 @@ class AnimatedMeshScene(MovingScene):
 
     def thickened(self, rule: MinThickness) -> tuple[AnimatedMeshScene, tuple[ThinWall, ...]]:
         """See `Scene.thickened`; the thickness is that of the first frame, so that no wall pulsates."""
+        if rule.is_of_objects:
+            other = self._copy()
+            other._min_thickness = rule
+            walls = other._bodies_and_walls()[1]
+            return (other, walls) if walls else (self, ())
         growth = self._scene(0).growth_of(replace(rule, spacing_m=rule.turned_m))
         if growth is None:
             return self, ()
         other = self._copy()
-        other._motions_m, other._min_thickness = growth.motions_m, rule
-        return other, (ThinWall(self.name, growth.thickness_m, growth.thickened_m),)
+        other._motions_m = growth.motions_m
+        return other, (ThinWall(Path(self.name).name, growth.thickness_m, growth.thickened_m),)
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`; with the damping of a moving surface if `profile` has any.
@@ -236,22 +241,28 @@ class AnimatedMeshScene(MovingScene):
 
     def bodies(self) -> tuple[Body, ...]:
         """See `Scene.bodies`: the moving rigid parts, and the deforming rest, if any."""
-        parts, deforms = self._parts
-        if not parts:
-            return super().bodies()
-        start, rule = self.vertices_m(0), self._min_thickness
-        bodies = []
+        return self._bodies_and_walls()[0]
+
+    def _bodies_and_walls(self) -> tuple[tuple[Body, ...], tuple[ThinWall, ...]]:
+        """Return the bodies, thickened if that is requested, and the walls that were too thin."""
+        (parts, deforms), rule = self._parts, self._min_thickness
+        start, bodies, walls = self.vertices_m(0), list[Body](), list[ThinWall]()
         for n, part in enumerate(parts, 1):
-            scene = self._static_scene(self._cut(part.has_vertex, start - part.origin_m))
-            scene = scene if rule is None else scene.thickened(rule.of_track(part.track))[0]
-            bodies.append(Body(f"part {n}", scene, part.track))
-        if deforms.any():
-            rest = self._copy()
-            rest._vertex_ids, rest._repaired = self._vertex_ids[deforms], self._cut(deforms, start)
-            rest._motions_m = None
-            rest = rest if rule is None else rest.thickened(rule)[0]
-            bodies.append(Body("what deforms", rest, PoseTrack.constant(self.frame_count)))
-        return tuple(bodies)
+            name, scene = f"part {n}", self._static_scene(self._cut(part.has_vertex, start - part.origin_m))
+            if rule is not None:
+                scene, thin = scene.thickened(rule.of_track(part.track))
+                walls += [wall._replace(name=name) for wall in thin]
+            bodies.append(Body(name, scene, part.track))
+        if deforms.any() or not parts:
+            rest, name = self._copy(), "what deforms" if parts else "scene"
+            rest._min_thickness = None
+            if parts:
+                rest._vertex_ids, rest._repaired = self._vertex_ids[deforms], self._cut(deforms, start)
+            if rule is not None:
+                rest, thin = rest.thickened(replace(rule, is_of_objects=False, turned_m=rule.whole_m))
+                walls += [wall._replace(name=name) for wall in thin]
+            bodies.append(Body(name, rest, PoseTrack.constant(self.frame_count)))
+        return tuple(bodies), tuple(walls)
 
     def _copy(self) -> AnimatedMeshScene:
         """Return this scene without its cached positions."""

@@ -19,6 +19,7 @@ from __future__ import annotations
 import copy
 import math
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -120,7 +121,7 @@ class MeshScene(Scene):
         growth = self.growth_of(rule)
         if growth is None:
             return self, ()
-        wall = ThinWall(self.name, growth.thickness_m, growth.thickened_m)
+        wall = ThinWall(Path(self.name).name, growth.thickness_m, growth.thickened_m)
         return self.grown(growth.motions_m), (wall,)
 
     def growth_of(self, rule: MinThickness) -> Growth | None:
