@@ -220,8 +220,8 @@ static inline double touch_stiffest_n_per_m(const touch_cells *cells, int64_t br
 }
 
 /* A field is a wall if the force of most samples decreases by K per metre outwards, and is nearly parallel to that of the
-   next sample. A constant pull, for example, is not a wall. The stiffness is that of the steeper samples, because edges,
-   thin walls and the low-pass decrease it. */
+   next sample. A constant pull, for example, is not a wall. Samples in the middle of a thin wall, between its two sides, do
+   not count. The stiffness is that of the steeper samples, because edges, thin walls and the low-pass decrease it. */
 
 #define TOUCH_WALL_SAMPLES 20000            /* looked at, at most */
 #define TOUCH_LARGE_FRACTION 0.98           /* quantile of a "large" force: near the limit, with few samples above */
@@ -229,6 +229,7 @@ static inline double touch_stiffest_n_per_m(const touch_cells *cells, int64_t br
 #define TOUCH_WALL_HIGH 0.85                /* and the limit */
 #define TOUCH_WALL_MIN_COSINE 0.8           /* between the forces of a sample and of the point one sample farther out */
 #define TOUCH_WALL_MAX_RATIO 0.97           /* between the sizes of these two forces */
+#define TOUCH_WALL_MIDDLE_SAMPLES 2         /* behind a sample: a force the other way makes it the middle of a thin wall */
 #define TOUCH_WALL_MIN_FRACTION 0.6         /* of the samples must look like a wall */
 #define TOUCH_WALL_STIFFNESS_FRACTION 0.75  /* quantile of the slopes that is the wall's stiffness */
 #define TOUCH_WALL_MAX_LEVEL_N 0.05
@@ -269,8 +270,16 @@ typedef struct { /* samples of a field that a wall's surface may have */
     const double *spacing_m, *origin_m;
 } touch_wall_field;
 
-/* The slope outwards at sample s of a brick, N/m; 0 where it is not that of a wall. */
-static inline double touch_wall_slope(const touch_wall_field *w, uint64_t brick, int s) {
+typedef enum { TOUCH_NO_WALL, TOUCH_SIDE_OF_WALL, TOUCH_MIDDLE_OF_WALL } touch_wall_part;
+
+/* The force at a point of the field. */
+static inline touch_vector touch_wall_force(const touch_wall_field *w, touch_vector point_m) {
+    touch_cell_point at = touch_locate(w->cells, point_m);
+    return at.corner ? touch_cell_force(at) : touch_zero();
+}
+
+/* What part of a wall sample s of a brick is, and the slope of its force outwards there, N/m. */
+static inline touch_wall_part touch_wall_part_of(const touch_wall_field *w, uint64_t brick, int s, double *slope_n_per_m) {
     touch_vector force = touch_sample_force(w->field->forces_n + TOUCH_BRICK_FLOATS * brick + 3 * s);
     double size = sqrt(touch_dot(force, force));
     touch_vector outwards = touch_vector_of(force.x / size, force.y / size, force.z / size);
@@ -281,11 +290,17 @@ static inline double touch_wall_slope(const touch_wall_field *w, uint64_t brick,
     touch_vector point = touch_vector_of(w->origin_m[0] + w->spacing_m[0] * (8.0 * b[0] + (s >> 6)),
                                          w->origin_m[1] + w->spacing_m[1] * (8.0 * b[1] + (s >> 3 & 7)),
                                          w->origin_m[2] + w->spacing_m[2] * (8.0 * b[2] + (s & 7)));
-    touch_cell_point outer_point = touch_locate(w->cells, touch_add_scaled(point, step_m, outwards));
-    touch_vector outer = outer_point.corner ? touch_cell_force(outer_point) : touch_zero();
+    touch_vector outer = touch_wall_force(w, touch_add_scaled(point, step_m, outwards));
     double outer_size = sqrt(touch_dot(outer, outer));
-    if (!(touch_dot(outer, outwards) >= TOUCH_WALL_MIN_COSINE * outer_size)) return 0.0;
-    return outer_size < TOUCH_WALL_MAX_RATIO * size ? (size - outer_size) / step_m : 0.0;
+    if (touch_dot(outer, outwards) >= TOUCH_WALL_MIN_COSINE * outer_size && outer_size < TOUCH_WALL_MAX_RATIO * size) {
+        *slope_n_per_m = (size - outer_size) / step_m;
+        return TOUCH_SIDE_OF_WALL;
+    }
+    for (int n = 1; n <= TOUCH_WALL_MIDDLE_SAMPLES; n++) {
+        touch_vector behind = touch_wall_force(w, touch_add_scaled(point, -n * step_m, outwards));
+        if (touch_dot(behind, outwards) < 0.0) return TOUCH_MIDDLE_OF_WALL; /* the other side pushes the other way */
+    }
+    return TOUCH_NO_WALL;
 }
 
 /* The sizes of all forces of a field that are not zero; `out` NULL: only their number. */
@@ -319,9 +334,10 @@ static inline touch_field_wall touch_find_wall(const touch_wall_field *w, double
     int64_t every = (on_ramp + TOUCH_WALL_SAMPLES - 1) / TOUCH_WALL_SAMPLES;
     for (uint64_t n = 0; n < 512 * field->bricks; n++) {
         if (!touch_is_on_ramp(field->forces_n + 3 * n, large_n) || seen++ % every) continue;
-        double slope = touch_wall_slope(w, n >> 9, (int)(n & 511));
-        looked_at++;
-        if (slope > 0.0) work[walls++] = slope;
+        double slope = 0.0;
+        touch_wall_part part = touch_wall_part_of(w, n >> 9, (int)(n & 511), &slope);
+        if (part != TOUCH_MIDDLE_OF_WALL) looked_at++;
+        if (part == TOUCH_SIDE_OF_WALL) work[walls++] = slope;
     }
     if (!looked_at || (double)walls < TOUCH_WALL_MIN_FRACTION * (double)looked_at) return wall;
     touch_sort_doubles(work, walls);

@@ -50,6 +50,7 @@ def _scene(*, without: tuple[str, ...] = ()) -> dict[str, Case]:
         "pool": ("mean", "pool", "mean"),
         "cutoff": ("literal", "cutoff", "literal"),
         "law": ("proximity", ".law", "proximity"),
+        "thin": ("keep", ".thin", "keep"),
         "band-m": ("0.003", "band_m", 0.003),
         "surface-damping-n-s-per-m": ("1.5", "surface_damping_n_s_per_m", 1.5),
         "as": ("stl", "source.kind", "stl"),

@@ -301,10 +301,13 @@ def test_a_session_selects_the_proxy_and_notes_it() -> None:
     assert settings[["brake_n_s_per_m", "coupling_n_per_m"]] == selected
     for spec in (RenderSpec(render="field"), RenderSpec(coupling_n_per_m=300.0)):
         plain, notes = _peak_n(medium, spec)
-        assert abs(plain) < 0.5 and not any("proxy" in note for note in notes)
+        assert abs(plain) < 0.5 and not any("a proxy holds" in note for note in notes)
+        assert any(note.startswith("no proxy") for note in notes) == (spec.render == "auto")
     tool, bent = Tool.sphere(0.001, 10), Deformation.at_rest((-0.02,) * 3, (0.02,) * 3)
     for spec in (RenderSpec(tool=tool), RenderSpec(deformation=bent)):  # these render the field itself
-        assert not any("proxy" in note for note in laid_out(medium, spec)[0].notes)
+        notes = laid_out(medium, spec)[0].notes
+        assert not any("a proxy holds" in note for note in notes)
+        assert any(note.startswith("no proxy") for note in notes)
         with pytest.raises(InvalidArgument, match="proxy"):
             replace(spec, render="proxy")
     track = PoseTrack(np.array([UNTURNED]), np.zeros((1, 3)))

@@ -184,6 +184,21 @@ def stiffness_of(memory: Memory) -> float:
     return float(memory.receiver["settings"]["wall_n_per_m"])
 
 
+def test_auto_states_why_it_has_no_proxy() -> None:
+    def note_of(spec: RenderSpec, source: HapticMedium) -> str:
+        player, memory = laid_out(source, spec)
+        assert stiffness_of(memory) == 0
+        return next((note for note in player.notes if note.startswith("no proxy")), "")
+
+    grid = medium().grid
+    pull = ForceField.from_dense(grid, np.tile(np.float32([0, 0, 1]), (*grid.shape, 1)))
+    constant = HapticMedium.from_frames([pull], 20.0, AXES)
+    assert "not those of walls" in note_of(RenderSpec(), constant)
+    assert "coupling" in note_of(RenderSpec(coupling_n_per_m=300.0), medium())
+    assert "tool" in note_of(RenderSpec(tool=Tool.sphere(0.004)), medium())
+    assert note_of(RenderSpec(render="field"), constant) == ""  # requested
+
+
 def test_note_states_the_wall_of_the_proxy_as_rendered() -> None:
     grid = Grid((33, 31, 65), (0.004, 0.006, 0.0025), (-0.064, -0.09, -0.08))
     for max_n, level_n in ((9.0, 0.05), (0.2, 0.02)):  # a tenth of a weak force
@@ -199,6 +214,7 @@ def test_note_states_the_wall_of_the_proxy_as_rendered() -> None:
     assert f"a proxy holds the hand at walls of {found.stiffness_n_per_m:.0f} N/m" in usual.notes
     softer, memory = laid_out(medium(), RenderSpec(wall_n_per_m=123.0))
     assert stiffness_of(memory) == 123 and "a proxy holds the hand at walls of 123 N/m" in softer.notes
+    assert not any(note.startswith("no proxy") for note in usual.notes)
     plain, memory = laid_out(medium(), RenderSpec(render="field"))
     assert stiffness_of(memory) == 0 and not any("proxy" in note for note in plain.notes)
 

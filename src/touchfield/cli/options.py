@@ -91,7 +91,7 @@ FORCE_ROWS: Final = rows_of(EncodeSpec, "Force", "vibration", *COEFFICIENTS)
 SCENE: Final = (
     *rows(_LATTICE, ("nominal", bool, False, "Use the device's nominal lattice in place of 2^nw.")),
     *rows_of(EncodeSpec, _LATTICE, "representation", "fit_frames", "oversample", "pool", "cutoff"),
-    *rows_of(EncodeSpec, "Force", "law", "band_m", "surface_damping_n_s_per_m"),
+    *rows_of(EncodeSpec, "Force", "law", "thin", "band_m", "surface_damping_n_s_per_m"),
     *rows_of(EncodeSpec, _SCENE, "device", "nw", "frames", "mapping", "stiffness_n_per_m", "thickness_m"),
     *rows(_SCENE, ("as", str | None, None, "Kind of the source, where it is not recognised.")),
     *rows_of(SourceOptions, _SCENE),

@@ -16,6 +16,7 @@ from typing import Final
 
 import numpy as np
 
+from touchfield.arrays import Float64s
 from touchfield.devices import Device
 from touchfield.errors import InvalidArgument
 from touchfield.filters.device_filter import device_medium
@@ -38,7 +39,7 @@ _ALLOWED_SAMPLES: Final = 1 << 24
 _NAME_BYTES: Final = 256
 _MARGIN_SAMPLES: Final = 2  # samples around a body, beyond the reach of its force and of the low-pass
 _UNBOUNDED_SAMPLES: Final = 1 << 16  # samples per axis of a lattice that is larger than any filter's reach
-_BODY_SPACING: Final = 0.75
+MOVING_SPACING: Final = 0.75
 """Spacing of a moving body's lattice, as a fraction of the device's spacing.
 
 The receiver interpolates between the samples, which is a second low-pass. The forces of `sample:falling-7`
@@ -53,10 +54,7 @@ def objects_of(scene: Scene, target: Device, mapping: Mapping | None, spec: Enco
     InvalidArgument if objects are requested of an array, or of a stream of voxels.
     """
     is_requested = spec.representation == "object"
-    if is_requested and target.is_array:
-        message = f"representation object works with a point device, not with {target.name}"
-        raise InvalidArgument(f"{message}: an array pools the depth of the whole scene; take voxel or auto")
-    if not is_requested and not _has_automatic_objects(scene, target, spec):
+    if not is_of_objects(scene, target, spec):
         return None
     if isinstance(scene, FixedLatticeScene):
         objects = scene.objects
@@ -67,8 +65,16 @@ def objects_of(scene: Scene, target: Device, mapping: Mapping | None, spec: Enco
     return objects
 
 
-def _has_automatic_objects(scene: Scene, target: Device, spec: EncodeSpec) -> bool:
-    """True if the representation "auto" means objects; their fields have no samples that could vibrate."""
+def is_of_objects(scene: Scene, target: Device, spec: EncodeSpec) -> bool:
+    """True if objects are coded; "auto" takes voxels for a vibration, which objects have no samples for.
+
+    InvalidArgument if objects are requested of an array.
+    """
+    if spec.representation == "object":
+        if not target.is_array:
+            return True
+        message = f"representation object works with a point device, not with {target.name}"
+        raise InvalidArgument(f"{message}: an array pools the depth of the whole scene; take voxel or auto")
     if spec.representation == "voxel" or target.is_array or spec.vibration is not None:
         return False
     return scene.is_of_bodies
@@ -109,12 +115,17 @@ def _object(body: Body, mapping: Mapping) -> HapticObject:
     return HapticObject(name, medium, body.track.scaled(placement.scale, placement.offset_m))
 
 
+def turned_spacing_m(spacing_m: Float64s) -> Float64s:
+    """The spacing of a body that rotates: cubic cells as large as those given, float64 [3]."""
+    return np.full(3, math.exp(np.log(spacing_m).mean()))
+
+
 def _body_lattice(body: Body, mapping: Mapping) -> Grid:
     """The lattice of a moving body: its box, and around it the reach of its force and of the low-pass."""
     never_turns = bool((body.track.quaternions == [1.0, 0.0, 0.0, 0.0]).all())
-    spacing = _BODY_SPACING * np.asarray(mapping.grid.spacing_m)
+    spacing = MOVING_SPACING * np.asarray(mapping.grid.spacing_m)
     if not never_turns:
-        spacing = np.full(3, math.exp(np.log(spacing).mean()))
+        spacing = turned_spacing_m(spacing)
     box = mapping.placement.scale * body.scene.bounds_m()
     low_pass_m = low_pass(mapping.spec.low_pass).half_width * 2 * spacing
     margin = max(0.0, mapping.profile.high_m) + low_pass_m + _MARGIN_SAMPLES * spacing

@@ -5,6 +5,7 @@ The stages are those of the paper (3.1, 3.2, 4.1), each in a module of its own; 
 
 open the source                                    `source`
 place it in the workspace (the mapping M)          `placement`
+thicken walls that the lattice cannot hold         `thin_walls`
 represent it by samples, or by objects             `touchfield.filters.device_filter`, `objects`
 filter it for the hand                             `touchfield.filters.registry`
 add what goes with the force, and what is stated   `touchfield.filters.contact`, `notes`, `provenance`
@@ -28,11 +29,12 @@ from touchfield.medium import Grid, HapticMedium, HapticScene
 from touchfield.medium.grid import Placement
 from touchfield.perception.hand_motion import Forces
 from touchfield.pipeline.notes import notes_of
-from touchfield.pipeline.objects import filter_objects, objects_of
+from touchfield.pipeline.objects import filter_objects, is_of_objects, objects_of
 from touchfield.pipeline.placement import Mapping, mapping_of
 from touchfield.pipeline.source import FixedLatticeScene, Source, scene_of
 from touchfield.pipeline.spec import COEFFICIENTS, SOURCE_FORCES, EncodeSpec
 from touchfield.pipeline.stream import FILTERED
+from touchfield.pipeline.thin_walls import thicken
 from touchfield.sources.scene import Scene
 from touchfield.sources.shapes.analytic_scene import AnalyticScene
 from touchfield.sources.stored import StoredScene
@@ -66,10 +68,15 @@ def prepare(source: Source | ArrayLike, spec: EncodeSpec | None = None, grid: Gr
         if mapping.keeps_lattice and isinstance(scene, StoredScene):
             scene = StoredScene(scene.to_the_bit())
 
-    # 3. represent it by objects, or by samples of the lattice; the device filter is applied as they are made
+    # 3. thicken walls that its lattice cannot hold
+    thin_note, original = "", scene
+    if mapping is not None:
+        scene, thin_note = thicken(scene, mapping, spec, is_of_objects(scene, target, spec))
+
+    # 4. represent it by objects, or by samples of the lattice; the device filter is applied as they are made
     objects = objects_of(scene, target, mapping, spec)
 
-    # 4. filter it for the hand
+    # 5. filter it for the hand
     if objects is not None:
         objects = filter_objects(objects, spec.chain)
         medium = objects.voxelise()
@@ -77,19 +84,22 @@ def prepare(source: Source | ArrayLike, spec: EncodeSpec | None = None, grid: Gr
         samples = device_medium(scene, mapping) if mapping else scene.stored
         medium = filter_and_limit(samples, spec.chain, target.force_max_n)  # type: ignore[arg-type]
 
-    # 5. add what the receiver renders besides the force, and notes
+    # 6. add what the receiver renders besides the force, and notes
     coefficients = {name: value for name in COEFFICIENTS if (value := getattr(spec, name)) is not None}
     medium, objects = replace(medium, **coefficients), objects and replace(objects, **coefficients)
     if spec.vibration is not None:
         medium = add_vibration(medium, VibrationRule.parse(spec.vibration), target.force_max_n)
-    notes = notes_of(scene, mapping, pin_notes, objects, medium, spec)
+    notes = notes_of(scene, mapping, (*pin_notes, *filter(None, (thin_note,))), objects, medium, spec)
 
-    # 6. take the requested frames, and state what made the forces
+    # 7. take the requested frames, and state what made the forces
     if spec.frames is not None:
         start, stop = spec.frames
         stop = len(medium) if stop is None else stop
         medium, objects = medium.between(start, stop), objects and objects.between(start, stop)
-    prepared = Prepared(medium, target, placement, spec, notes, objects, has_law=scene.has_law)
+    is_thickened = scene is not original
+    prepared = Prepared(
+        medium, target, placement, spec, notes, objects, has_law=scene.has_law, is_thickened=is_thickened
+    )
     if objects is not None:
         return prepared
     exact = None
@@ -114,6 +124,7 @@ class Prepared:
     `mapping` makes the frames; it reports progress, and notes once they are made. `reference` is the field
     that the error bound refers to: `SOURCE_FORCES` of `touchfield.pipeline.spec` if nothing changed these,
     else `FILTERED`. `has_law` is True if the force law of the spec made the forces, not the source.
+    `is_thickened` is True if walls that were too thin for the lattice were thickened.
     """
 
     medium: HapticMedium
@@ -126,6 +137,7 @@ class Prepared:
     source: Scene | None = None
     reference: str = FILTERED
     has_law: bool = True
+    is_thickened: bool = False
     mapping: Mapping | None = None
 
     def __repr__(self) -> str:

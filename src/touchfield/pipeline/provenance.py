@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,7 +22,8 @@ if TYPE_CHECKING:
 def file_provenance(source: Source | ArrayLike, prepared: Prepared) -> dict[str, str]:
     """The provenance of a file: version, source and spec; of a source that is a stream also its own."""
     name = str(source) if isinstance(source, str | Path) else "scene"
-    spec = prepared.spec.to_json(prepared.has_law)
+    thin = "thicken" if prepared.is_thickened else "keep"  # what was done: other files do not change
+    spec = replace(prepared.spec, thin=thin).to_json(prepared.has_law)
     shown_name = os.fsencode(Path(name).name).decode("utf-8", "replace")  # a name may be any bytes
     shown_name = re.sub(r"[\0-\x1f\x7f-\x9f]", "\N{REPLACEMENT CHARACTER}", shown_name)
     provenance = {"touchfield": __version__, "source": shown_name[:255], "spec": spec}

@@ -37,6 +37,7 @@ Frames = tuple[int, int | None]
 """Start and stop of a range of frames; stop None is the end."""
 
 REPRESENTATIONS: Final = ("auto", "voxel", "object")
+THIN: Final = ("thicken", "keep")
 COEFFICIENTS: Final = ("friction", "damping_n_s_per_m")
 _OPTIONAL: Final = ("vibration", "fit_frames", *COEFFICIENTS)
 NO_FLOOR_N: Final = 1e-30  # for a measure that needs F_0 above 0: smaller than any force
@@ -101,6 +102,9 @@ class EncodeSpec:
     thickness_m: float | None = option(
         None, "Wall behind the surface, metres that the hand moves; inf is solid."
     )
+    thin: str = option(
+        "thicken", "Walls too thin for the lattice: thicken, or keep (the hand may pass through)."
+    )
     band_m: float = option(0.004, "Reach of the proximity and magnetic laws, metres that the hand moves.")
     surface_damping_n_s_per_m: float = option(0.0, "Drag of a moving surface: b times its velocity is added.")
     representation: str = option("auto", "voxel, object (fields and pose tracks), or auto.")
@@ -127,7 +131,7 @@ class EncodeSpec:
     )
 
     def __post_init__(self) -> None:
-        require_kinds(self, representation=REPRESENTATIONS, coder=CODERS)
+        require_kinds(self, representation=REPRESENTATIONS, thin=THIN, coder=CODERS)
         for name in (*COEFFICIENTS, "surface_damping_n_s_per_m"):
             value = getattr(self, name)
             if value is not None:
@@ -223,7 +227,14 @@ class EncodeSpec:
         values[self.coder] = asdict(self.coding)
         unused = () if has_law else ("law", "stiffness_n_per_m")
         other_coders = (name for name in BUILT_IN_CODERS if name != self.coder)
-        for name in (*other_coders, "extension", *(n for n in _OPTIONAL if values[n] is None), *unused):
+        kept = ("thin",) if self.thin == "keep" else ()  # as in files from before this option
+        for name in (
+            *other_coders,
+            *kept,
+            "extension",
+            *(n for n in _OPTIONAL if values[n] is None),
+            *unused,
+        ):
             del values[name]
         del values["source"]["allow_outside"]  # the user decides this each time
         return json.dumps(values, separators=(",", ":"))
@@ -252,6 +263,7 @@ class EncodeSpec:
                 raise ValueError(f"coder {coder!r} codes no fields")
             coding = spec(**values.pop(coder))
             values[spec_field(coder)] = coding
+            values.setdefault("thin", "keep")
             if values["thickness_m"] is not None:
                 values["thickness_m"] = float(values["thickness_m"])
             for name in ("frames", "fit_frames"):

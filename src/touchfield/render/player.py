@@ -507,6 +507,7 @@ class Session:
             self._yield_bytes,
         )
         self._notes: tuple[str, ...] = ()
+        self._proxy_note = ""
         self._wall = self._wall_of_spec()
         self._stability: Stability | None = None
         self._stiffest_n_per_m = -math.inf
@@ -527,19 +528,28 @@ class Session:
         )
 
     def _wall_of_spec(self) -> Wall | None:
-        """Return the wall of the proxy; None if the field is rendered without a proxy."""
-        spec = self._spec
-        excludes_proxy = spec.coupling_n_per_m or spec.tool is not None
-        if spec.render == "field" or spec.deformation is not None:
+        """Return the wall of the proxy; None if the field is rendered without a proxy.
+
+        If --render auto does without a proxy, `_proxy_note` states why.
+        """
+        spec, reason = self._spec, ""
+        if spec.render == "field":
             return None
-        if spec.render == "auto" and excludes_proxy:
+        if spec.tool is not None:
+            reason = "the proxy is that of a point, not of a tool"
+        elif spec.deformation is not None:
+            reason = "a deformed medium is rendered as stored"
+        elif spec.render == "auto" and spec.coupling_n_per_m:
+            reason = "a coupling was requested"
+        wall = None if reason else self.source.wall()
+        if wall is None and not reason:
+            if spec.render == "proxy":
+                raise InvalidArgument("render", "'proxy' for a field without walls", "field, or auto")
+            reason = "its forces are not those of walls, which grow inwards from a surface"
+        if wall is None:
+            self._proxy_note = f"no proxy, so a hand may pass through thin walls: {reason}"
             return None
-        wall = self.source.wall()
-        if wall is None and spec.render == "proxy":
-            raise InvalidArgument("render", "'proxy' for a field without walls", "field, or auto")
-        if wall is None or spec.wall_n_per_m is None:
-            return wall
-        return replace(wall, stiffness_n_per_m=spec.wall_n_per_m)
+        return wall if spec.wall_n_per_m is None else replace(wall, stiffness_n_per_m=spec.wall_n_per_m)
 
     def media_time_s(self, time_s: float) -> float:
         """Return the media time for a seek.
@@ -582,6 +592,8 @@ class Session:
                 *self._notes,
                 f"a proxy holds the hand at walls of {self._wall.stiffness_n_per_m:.0f} N/m",
             )
+        elif self._proxy_note:
+            self._notes = (*self._notes, self._proxy_note)
         memory.receiver["clock"]["media_s"] = self.orders.start_s
         self._stiffest_n_per_m, self._stability = -math.inf, None
         self._adapt(memory, source.stiffest_n_per_m if self._wall is None else self._wall.stiffness_n_per_m)

@@ -22,6 +22,7 @@ from touchfield.medium import BRICK, ForceField, Grid, HapticMedium, PoseTrack
 from touchfield.medium.field import brick_keys, bricks_of, frozen
 from touchfield.medium.grid import CORNERS
 from touchfield.sources.laws import ForceProfile
+from touchfield.sources.thin_walls import MinThickness, ThinWall
 
 CAMERA_AXES: Final = "x right, y down, z forward"
 UP_Y_AXES: Final = "x right, y up, z towards the viewer"
@@ -172,6 +173,13 @@ class Scene(ABC):
     def late_notes(self) -> tuple[str, ...]:
         """Return notes that are known only after fields were computed; by default none."""
         return ()
+
+    def thickened(self, rule: MinThickness) -> tuple[Scene, tuple[ThinWall, ...]]:
+        """Return this scene with walls that are at least as thick as `rule` requires, and the thinner ones.
+
+        Only solids have walls with two sides: by default nothing changes.
+        """
+        return self, ()
 
     def moved(self, rotation: Float64s, shift_m: Float64s) -> Scene:
         """Return this scene after the rigid motion x -> R x + t.

@@ -43,6 +43,7 @@ from touchfield.sources.mesh.surface import RepairedSurface, Surface, close_hole
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Y_AXES, Body, MovingScene, size_note
+from touchfield.sources.thin_walls import MinThickness, ThinWall
 
 _RATE_HZ: Final = 60.0
 _MAX_FRAMES: Final = 100_000
@@ -85,6 +86,8 @@ class AnimatedMeshScene(MovingScene):
         self._motion: tuple[Float64s, Float64s] | None = None
         self._block = lru_cache(maxsize=2)(self._poses)  # a frame may lie at the edge of its block
         self._latest: tuple[int, MeshScene] | None = None
+        self._motions_m: Float64s | None = None  # of the triangles, outwards, of `thickened`
+        self._min_thickness: MinThickness | None = None
         with np.errstate(all="ignore"):
             model = Model(Path(path))
             number = _animation_number(str(path), model.animation_names, animation)
@@ -185,14 +188,27 @@ class AnimatedMeshScene(MovingScene):
         latest = self._latest
         if latest is None or latest[0] != frame:
             surface = self._repaired.surface.with_vertices(self.vertices_m(frame))
-            self._latest = latest = (
-                frame,
-                self._static_scene(replace(self._repaired, surface=surface, notes=())),
-            )
+            scene = self._static_scene(replace(self._repaired, surface=surface, notes=()))
+            scene = scene if self._motions_m is None else scene.grown(self._motions_m)
+            self._latest = latest = frame, scene
         return latest[1]
 
     def _static_scene(self, repaired: RepairedSurface) -> MeshScene:
         return MeshScene(repaired, shell=self.shell, name=self.name)
+
+    def thickened(self, rule: MinThickness) -> tuple[AnimatedMeshScene, tuple[ThinWall, ...]]:
+        """See `Scene.thickened`; the thickness is that of the first frame, so that no wall pulsates."""
+        if rule.is_of_objects:
+            other = self._copy()
+            other._min_thickness = rule
+            walls = other._bodies_and_walls()[1]
+            return (other, walls) if walls else (self, ())
+        growth = self._scene(0).growth_of(replace(rule, spacing_m=rule.turned_m))
+        if growth is None:
+            return self, ()
+        other = self._copy()
+        other._motions_m = growth.motions_m
+        return other, (ThinWall(Path(self.name).name, growth.thickness_m, growth.thickened_m),)
 
     def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         """See `Scene.field`; with the damping of a moving surface if `profile` has any.
@@ -225,21 +241,28 @@ class AnimatedMeshScene(MovingScene):
 
     def bodies(self) -> tuple[Body, ...]:
         """See `Scene.bodies`: the moving rigid parts, and the deforming rest, if any."""
-        parts, deforms = self._parts
-        if not parts:
-            return super().bodies()
-        start = self.vertices_m(0)
-        bodies = [
-            Body(
-                f"part {n}", self._static_scene(self._cut(part.has_vertex, start - part.origin_m)), part.track
-            )
-            for n, part in enumerate(parts, 1)
-        ]
-        if deforms.any():
-            rest = self._copy()
-            rest._vertex_ids, rest._repaired = self._vertex_ids[deforms], self._cut(deforms, start)
-            bodies.append(Body("what deforms", rest, PoseTrack.constant(self.frame_count)))
-        return tuple(bodies)
+        return self._bodies_and_walls()[0]
+
+    def _bodies_and_walls(self) -> tuple[tuple[Body, ...], tuple[ThinWall, ...]]:
+        """Return the bodies, thickened if that is requested, and the walls that were too thin."""
+        (parts, deforms), rule = self._parts, self._min_thickness
+        start, bodies, walls = self.vertices_m(0), list[Body](), list[ThinWall]()
+        for n, part in enumerate(parts, 1):
+            name, scene = f"part {n}", self._static_scene(self._cut(part.has_vertex, start - part.origin_m))
+            if rule is not None:
+                scene, thin = scene.thickened(rule.of_track(part.track))
+                walls += [wall._replace(name=name) for wall in thin]
+            bodies.append(Body(name, scene, part.track))
+        if deforms.any() or not parts:
+            rest, name = self._copy(), "what deforms" if parts else "scene"
+            rest._min_thickness = None
+            if parts:
+                rest._vertex_ids, rest._repaired = self._vertex_ids[deforms], self._cut(deforms, start)
+            if rule is not None:
+                rest, thin = rest.thickened(replace(rule, is_of_objects=False, turned_m=rule.whole_m))
+                walls += [wall._replace(name=name) for wall in thin]
+            bodies.append(Body(name, rest, PoseTrack.constant(self.frame_count)))
+        return tuple(bodies), tuple(walls)
 
     def _copy(self) -> AnimatedMeshScene:
         """Return this scene without its cached positions."""

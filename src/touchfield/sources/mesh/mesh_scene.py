@@ -19,6 +19,7 @@ from __future__ import annotations
 import copy
 import math
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -30,7 +31,9 @@ from touchfield.medium import ForceField, Grid
 from touchfield.medium.pose_track import checked_rotation
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.mesh.surface import RepairedSurface, Surface, close_holes, from_longest, unit
+from touchfield.sources.mesh.thicken import Growth, grow, growth_of
 from touchfield.sources.scene import UP_Y_AXES, Scene
+from touchfield.sources.thin_walls import MinThickness, ThinWall
 
 if TYPE_CHECKING:
     from touchfield.sources.mesh.kernels.field import Band
@@ -112,6 +115,32 @@ class MeshScene(Scene):
 
     def bounds_m(self) -> Float64s:
         return self.surface.bounds_m
+
+    def thickened(self, rule: MinThickness) -> tuple[MeshScene, tuple[ThinWall, ...]]:
+        """See `Scene.thickened`; open meshes are no solids."""
+        growth = self.growth_of(rule)
+        if growth is None:
+            return self, ()
+        wall = ThinWall(Path(self.name).name, growth.thickness_m, growth.thickened_m)
+        return self.grown(growth.motions_m), (wall,)
+
+    def growth_of(self, rule: MinThickness) -> Growth | None:
+        """Return how far the triangles have to move outwards; None if the mesh is thick enough, or open."""
+        if not self.is_closed:
+            return None
+        is_outer, union = None, self._union
+        if union is not None:
+            is_outer = np.zeros(len(self.surface.triangles), np.bool_)
+            is_outer[union.uncut] = is_outer[union.parents] = True
+        return growth_of(self.surface, self._normals[:, 0], rule, is_outer)
+
+    def grown(self, motions_m: Float64s) -> MeshScene:
+        """Return this mesh with triangles moved outwards along their normals, by motions float64 [m]."""
+        other = copy.copy(self)
+        other.surface = grow(self.surface, self._normals[:, 0], motions_m)
+        for name in ("_active", "_union", "_rim_table", "_normals"):
+            other.__dict__.pop(name, None)
+        return other
 
     def moved(self, rotation: Float64s, shift_m: Float64s) -> MeshScene:
         """See `Scene.moved`; edges, closedness and normals are reused.

@@ -5,7 +5,9 @@ Each body has its own scene and a pose track.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -21,6 +23,7 @@ from touchfield.sources.laws import ForceProfile
 from touchfield.sources.scene import UP_Z_AXES, Body, MovingScene, Scene
 from touchfield.sources.shapes.analytic_scene import AnalyticScene
 from touchfield.sources.shapes.shapes import Plane
+from touchfield.sources.thin_walls import MinThickness, ThinWall
 
 _AT_REST = (0.0,) * 9
 _Part = tuple[ForceField, tuple[float, ...]]  # a body's field, and the motion of its surface
@@ -66,6 +69,19 @@ class BodyScene(MovingScene):
 
     def bodies(self) -> tuple[Body, ...]:
         return self._bodies
+
+    def thickened(self, rule: MinThickness) -> tuple[Scene, tuple[ThinWall, ...]]:
+        """See `Scene.thickened`: each body by itself."""
+        bodies, thin = list[Body](), list[ThinWall]()
+        for body in self._bodies:
+            scene, walls = body.scene.thickened(rule.of_track(body.track))
+            bodies.append(replace(body, scene=scene))
+            thin += [wall._replace(name=body.name) for wall in walls]
+        if not thin:
+            return self, ()
+        other = copy.copy(self)
+        other._bodies, other._static_sum = tuple(bodies), None
+        return other, tuple(thin)
 
     def _box_m(self, start: int, stop: int) -> Float64s:
         """Return the box of all bodies.

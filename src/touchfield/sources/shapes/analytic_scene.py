@@ -40,6 +40,8 @@ from touchfield.sources.poses import read_text
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Y_AXES, Scene, find_bricks_by_sphere
 from touchfield.sources.shapes.shapes import SHAPES, Plane, Shape, checked_triple
+from touchfield.sources.shapes.thicken import thicken_shape, thickness_m
+from touchfield.sources.thin_walls import MinThickness, ThinWall
 
 _MAX_BYTES: Final = 1 << 24
 
@@ -92,6 +94,22 @@ class AnalyticScene(Scene):
         turn, shift = self._motion or (np.eye(3), np.zeros(3))
         other._motion = matrix @ turn, matrix @ shift + checked_triple("shift_m", shift_m)
         return other
+
+    def thickened(self, rule: MinThickness) -> tuple[Scene, tuple[ThinWall, ...]]:
+        """See `Scene.thickened`: plates and rods, each by itself."""
+        rule = rule if self._motion is None else rule.rotated(self._motion[0])
+        shapes, thin = list(self.shapes), []
+        for n, shape in enumerate(self.shapes):
+            thick = thicken_shape(shape, [*self.shapes[:n], *self.shapes[n + 1 :]], rule)
+            if thick is not None:
+                name = f"{type(shape).__name__.lower()} {n + 1}"
+                thin.append(ThinWall(name, thickness_m(shape), thickness_m(thick)))
+                shapes[n] = thick
+        if not thin:
+            return self, ()
+        other = copy.copy(self)
+        other.shapes = tuple(shapes)
+        return other, tuple(thin)
 
     def placed(self, points_m: Float64s) -> Float64s:
         """Apply the motion of `moved` to points of the shapes, metres, float64 [..., 3]."""
