@@ -122,8 +122,12 @@ def cycle(memory: Buffer, x: float, y: float, z: float, now_ns: int) -> Vector:
 def limited(memory: Buffer, x: float, y: float, z: float, dt_s: float) -> Vector:
     """The force that the limits allow where one is wanted, newtons (`touch_limit_output`)."""
 
-def contact_force(memory: Buffer, before: int, after: int, blend: float, x: float, y: float, z: float) -> Vector:
-    """The force of the proxy on a hand at x, y, z metres, newtons, without friction, in one tick (`touch_contact_force`)."""
+def contact_force(
+    memory: Buffer, before: int, after: int, blend: float, x: float, y: float, z: float
+) -> Vector:
+    """The force of the proxy on a hand at x, y, z metres, newtons, without friction, in one tick
+    (`touch_contact_force`).
+    """
 
 def give_order(
     memory: Buffer, generation: int, start_s: float, speed: float, mode: int, is_stopping: int
@@ -171,8 +175,9 @@ def find_wall(
     origin_m: tuple[float, float, float],
     cells: Buffer,
     cell_bricks: int,
-) -> tuple[float, float]:
-    """Stiffness, N/m, and level, N, of the wall in a field; zeros if there is none (`touch_find_wall`).
+) -> tuple[float, float, float]:
+    """Stiffness, N/m, level, N, and a large force, N, of the wall in a field; zeros if there is none
+    (`touch_find_wall`).
 
     Bricks int32 [n, 3] are ascending, forces float32 [n, 8, 8, 8, 3].
     """

@@ -6,8 +6,8 @@ which each panel is a submission of the type "frame": its position (VestFront, V
 intensity 0 to 100) and their duration. A later submission with the same key replaces the one before. The
 duration is at most 500 ms, then the Player switches the dots off: a program that was killed leaves none on.
 
-The Player sends its own state; of that, ConnectedPositions and ConnectedDeviceCount tell whether a vest is there.
-Port, path and these names are those of the maker's sources (bhaptics/haptic-library ``src/hapticsManager.h``,
+The Player sends its own state; of that, ConnectedPositions and ConnectedDeviceCount tell whether a vest is
+there. Port, path and these names are those of the maker's sources (bhaptics/haptic-library ``src/hapticsManager.h``,
 bhaptics/tact-js ``src/PlayerSocket.ts`` and ``src/models/Interfaces.ts``). Under which name a vest is listed
 (Vest, VestFront, VestBack), and when the Player sends its state, is unverified: every name that begins with
 Vest counts, and a Player that sends neither is taken to have a vest. A Player has one vest.

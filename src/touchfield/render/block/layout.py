@@ -35,6 +35,9 @@ MATERIAL_CREST: Final = 4
 RENDER_AUTO: Final = 0
 RENDER_PROXY: Final = 1
 RENDER_FIELD: Final = 2
+NO_WALL: Final = 0
+SIDE_OF_WALL: Final = 1
+MIDDLE_OF_WALL: Final = 2
 
 CELLS: Final = np.dtype(
     [
