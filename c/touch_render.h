@@ -252,9 +252,11 @@ static inline int64_t touch_frame_offset(touch_receiver *receiver, int64_t unrol
     return touch_shared(&entry->frame_offset);
 }
 
-/* The media clock runs again: these frames are there. */
+/* The media clock runs again: these frames are there. Those that come after a seek, or late, begin with a seam. */
 static inline void touch_use_frames(touch_receiver *receiver, double media_s, double clock_s, int64_t unrolled_frame) {
     touch_clock *clock = &receiver->clock;
+    if (clock->used >> TOUCH_FRAME_BITS != clock->generation || clock->feed == TOUCH_STALLED)
+        receiver->state.seam.is_starting = 1;
     if (clock->mode == TOUCH_PLAYING && clock->feed != TOUCH_RUNNING) {
         touch_anchor(clock, media_s, clock_s);
         touch_share(&clock->feed, TOUCH_RUNNING);

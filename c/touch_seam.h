@@ -107,7 +107,9 @@ static inline void touch_start_fade(touch_seam *seam, touch_vector force_n, touc
 static inline touch_vector touch_faded(const touch_seam *seam, touch_vector force, touch_vector more, double max_before) {
     double weight = 0.5 - 0.5 * cos(TOUCH_PI * seam->left_s / TOUCH_BLEND_S);
     double limit = touch_fmax(max_before, touch_norm(force));
-    return touch_clipped(touch_add_scaled(force, weight, more), limit);
+    touch_vector sum = touch_add_scaled(force, weight, more);
+    double size = touch_norm(sum);
+    return size > limit ? touch_scale(limit / size, sum) : sum;
 }
 
 #endif
