@@ -38,10 +38,13 @@
 #define TOUCH_PROXY_ROUNDS 4            /* of a search for the surface */
 #define TOUCH_PROXY_RAMP_SAMPLES 2.0    /* behind the surface, from where on the low-pass leaves a ramp as it is */
 #define TOUCH_PROXY_RAMP_DOUBT 0.05     /* samples: by so much a ramp within the low-pass overestimates */
-#define TOUCH_PROXY_THIN_RATIO 0.3      /* of the stored force to that of the spring: up to this a wall is thin, */
+#define TOUCH_PROXY_THIN_RATIO 0.15      /* of the stored force to that of the spring: up to this a wall is thin, */
 #define TOUCH_PROXY_THIN_WIDTH 0.3      /* and from so much more on it is thick */
 #define TOUCH_PROXY_EDGE_COSINE 0.8     /* between the stored force and that of the spring: up to this it is an edge, */
 #define TOUCH_PROXY_EDGE_WIDTH 0.15     /* and from so much more on a surface */
+#define TOUCH_PROXY_EASE_S 1.0          /* in which the correction at rest may change by a large force of the field */
+#define TOUCH_PROXY_FOLLOW 1.5          /* times what a motion can change a force by: more is a jump of the proxy */
+#define TOUCH_PROXY_LEAK 0.25           /* of what a motion can change a force by: what a jump is given back by */
 
 typedef struct { /* the field at this time, and what defines its surface */
     touch_receiver *receiver;
@@ -335,26 +338,67 @@ static inline double touch_field_share(const touch_isosurface *s, touch_vector s
     return by_size * touch_smooth_step((along / stored - TOUCH_PROXY_EDGE_COSINE) / TOUCH_PROXY_EDGE_WIDTH);
 }
 
+/* What the motion of hand and surface in this tick can change a force of the spring by, N. */
+static inline double touch_explained_force(const touch_isosurface *s, touch_vector hand_m, touch_vector carried_m) {
+    const touch_proxy *proxy = &s->receiver->state.proxy;
+    touch_vector carried = touch_subtract(carried_m, proxy->position_m); /* by a body */
+    double hand_step_m = touch_magnitude(touch_subtract(touch_subtract(hand_m, proxy->hand_m), carried));
+    double surface_step_n = fabs(touch_probe(s, carried_m).force_n - proxy->surface_n);
+    return s->stiffness_n_per_m * hand_step_m + surface_step_n;
+}
+
+/* A vector, shortened by a length. */
+static inline touch_vector touch_shortened(touch_vector v, double length) {
+    double size = touch_magnitude(v);
+    return size > length ? touch_scale(1.0 - length / size, v) : touch_zero();
+}
+
+/* Where the force changes by more than the field at the hand and a motion can do, the proxy has jumped: to another surface, or
+   on or off one. The hand gets the field's own change; the rest is given back with time and with motion. */
+static inline void touch_ease_jump(const touch_isosurface *s, touch_vector force_n, touch_vector stored_n, double motion_n,
+                                   double dt_s) {
+    touch_proxy *proxy = &s->receiver->state.proxy;
+    double at_rest_n = s->large_n * dt_s / TOUCH_PROXY_EASE_S;
+    touch_vector field_n = touch_subtract(stored_n, proxy->stored_n), change_n = touch_subtract(force_n, proxy->force_n);
+    double explained_n = touch_magnitude(field_n) + TOUCH_PROXY_FOLLOW * motion_n + at_rest_n;
+    touch_vector eased = proxy->eased_n;
+    if (touch_magnitude(change_n) > explained_n) eased = touch_add(eased, touch_subtract(change_n, field_n));
+    proxy->eased_n = touch_shortened(eased, TOUCH_PROXY_LEAK * motion_n + at_rest_n);
+}
+
+/* The force of the proxy on the hand, N: that of its spring, or the stored one where this is that of the same wall. */
+static inline touch_vector touch_proxy_force(const touch_isosurface *s, touch_vector hand_m, touch_vector stored_n) {
+    const touch_tick_state *state = &s->receiver->state;
+    touch_vector pull = touch_subtract(state->proxy.position_m, hand_m);
+    double k = 1.0 / (1.0 / s->stiffness_n_per_m + state->compliance_m_per_n); /* softer where the loop would be unstable */
+    double depth = touch_magnitude(pull);
+    touch_vector outwards = touch_scale(1.0 / depth, pull);
+    double ramp_depth = touch_ramp_depth(s, state->proxy.position_m, touch_scale(-1.0, outwards), depth);
+    double force = touch_fmax(0.0, k * (depth + ramp_depth));
+    double share = touch_field_share(s, stored_n, outwards, force);
+    return touch_add(touch_scale(share, stored_n), touch_scale((1.0 - share) * force, outwards));
+}
+
 /* The force on the hand, N, without friction. One tick of the proxy. Friction acts at the proxy, state.proxy.position_m. */
-static inline touch_vector touch_contact_force(touch_receiver *receiver, const touch_instant *t, touch_vector hand_m) {
+static inline touch_vector touch_contact_force(touch_receiver *receiver, const touch_instant *t, touch_vector hand_m,
+                                               double dt_s) {
     const touch_settings *settings = &receiver->settings;
-    const touch_tick_state *state = &receiver->state;
+    touch_proxy *proxy = &receiver->state.proxy;
     touch_isosurface s = {receiver, t, settings->wall_n_per_m, settings->wall_level_n, settings->wall_force_n, 0.0,
                           settings->wall_spacing_m};
     s.max_step_m = 0.5 * touch_fmin(touch_fmin(s.spacing_m.x, s.spacing_m.y), s.spacing_m.z);
-    touch_vector position = state->proxy.is_active ? touch_carried_position(&s) : hand_m;
+    int is_new = !proxy->is_active;
+    touch_vector position = is_new ? hand_m : touch_carried_position(&s);
+    double motion_n = is_new ? 0.0 : touch_explained_force(&s, hand_m, position);
     int is_in_contact = touch_move_proxy(&s, hand_m, &position);
     touch_store_proxy(&s, position, is_in_contact);
     touch_vector stored = touch_force_at(t, hand_m);
-    if (!is_in_contact) return stored;
-    touch_vector pull = touch_subtract(position, hand_m);
-    double k = 1.0 / (1.0 / s.stiffness_n_per_m + state->compliance_m_per_n); /* softer where the loop would be unstable */
-    double depth = touch_magnitude(pull);
-    touch_vector outwards = touch_scale(1.0 / depth, pull);
-    double ramp_depth = touch_ramp_depth(&s, position, touch_scale(-1.0, outwards), depth);
-    double force = touch_fmax(0.0, k * (depth + ramp_depth));
-    double share = touch_field_share(&s, stored, outwards, force);
-    return touch_add(touch_scale(share, stored), touch_scale((1.0 - share) * force, outwards));
+    touch_vector force = is_in_contact ? touch_proxy_force(&s, hand_m, stored) : stored;
+    if (is_new) proxy->eased_n = touch_zero();
+    else touch_ease_jump(&s, force, stored, motion_n, dt_s);
+    proxy->surface_n = touch_probe(&s, position).force_n;
+    proxy->hand_m = hand_m, proxy->force_n = force, proxy->stored_n = stored;
+    return touch_subtract(force, proxy->eased_n);
 }
 
 #endif

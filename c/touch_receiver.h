@@ -183,6 +183,9 @@ typedef struct { /* the proxy, or the other end of the virtual coupling */
     int64_t body;                /* that carries it; -1: none */
     touch_vector body_position_m; /* in the axes of that body */
     double step_m;               /* at which the search of the tick before ended */
+    double surface_n;            /* |F| where it ended */
+    touch_vector stored_n, force_n; /* at the hand; of the proxy */
+    touch_vector eased_n;        /* what jumps of the proxy added to its force and the hand has not got yet */
     touch_vector coupling_step_m, coupling_pull_n, hand_m; double added_n_per_m; /* of the coupling's latest step */
 } touch_proxy;
 

@@ -429,7 +429,7 @@ static inline touch_vector touch_field_force(touch_receiver *receiver, const tou
     touch_tick_state *state = &receiver->state;
     touch_vector force;
     if (settings->wall_n_per_m > 0.0) {
-        force = touch_contact_force(receiver, t, *point_m);
+        force = touch_contact_force(receiver, t, *point_m, dt_s);
     } else if (TOUCH_HAS_EXTRAS && settings->tool_point_count > 0) {
         force = touch_tool_force(receiver, t, *point_m, &state->field_torque_nm);
         touch_desired_torque(receiver);

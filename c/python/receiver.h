@@ -103,7 +103,7 @@ static PyObject *py_contact_force(PyObject *self, PyObject *const *arguments, Py
         return NULL;
     if (check_frames(&view, offsets, 2)) {
         touch_instant t = touch_instant_of(receiver, offsets[0], offsets[1], numbers[0]);
-        result = tuple_of_vector(touch_contact_force(receiver, &t, vector_of(numbers + 1)));
+        result = tuple_of_vector(touch_contact_force(receiver, &t, vector_of(numbers + 1), 1.0 / receiver->settings.rate_hz));
     }
     PyBuffer_Release(&view);
     return result;
