@@ -89,7 +89,8 @@ static inline void touch_stay_in_place(touch_receiver *receiver, const touch_ins
         if (!(touch_norm(carry) <= TOUCH_MAX_CARRY_M)) state->anchor.is_set = 0;
     }
     if (!(receiver->settings.wall_n_per_m > 0.0)) return;
-    for (int n = 0; n < TOUCH_SEAM_SEARCHES; n++) (void)touch_contact_force(receiver, t, state->position_m);
+    for (int n = 0; n < TOUCH_SEAM_SEARCHES; n++) (void)touch_contact_force(receiver, t, state->position_m, 0.0);
+    proxy->eased_n = touch_zero(); /* the fade does that for the whole force */
 }
 
 /* Fade from the force and the torque of the tick before to those of this one. */
