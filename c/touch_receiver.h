@@ -205,6 +205,7 @@ typedef struct { /* over a seam of the medium, from the force before to the forc
     double left_s;               /* of the fade; 0: there is none */
     touch_vector force_n, torque_nm; /* by which force and torque before were larger */
     double max_n, max_nm;        /* |force| and |torque| before */
+    touch_vector hand_m;         /* in the tick before */
 } touch_seam;
 
 typedef struct { /* what one tick leaves for the next */

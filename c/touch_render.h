@@ -484,11 +484,14 @@ static inline touch_vector touch_force_over_seam(touch_receiver *receiver, const
     int is_starting = seam->is_starting || (seam->is_frame_missing != !t);
     state->torque.desired = touch_zero();
     if (t) {
-        if (is_starting) touch_stay_in_place(receiver, t);
+        if (is_starting) {
+            force_before = touch_add(force_before, touch_motion_change(receiver, t));
+            touch_stay_in_place(receiver, t);
+        }
         force = touch_desired_force(receiver, t, dt_s);
     }
     if (is_starting) touch_start_fade(seam, force_before, torque_before, force, state->torque.desired);
-    seam->is_frame_missing = !t;
+    seam->is_frame_missing = !t, seam->hand_m = state->position_m;
     if (!(seam->left_s > 0.0)) return force;
     state->torque.desired = touch_faded(seam, state->torque.desired, seam->torque_nm, seam->max_nm);
     force = touch_faded(seam, force, seam->force_n, seam->max_n);

@@ -42,19 +42,19 @@ static inline double touch_body_shift_m(const touch_instant *t, int64_t body) {
            2.0 * reach_m * sqrt(touch_fmin(near2, far2));
 }
 
-/* The force of the frame before and of the frame after an instant on a hand, and by how much they differ, N. */
+/* The force of the field on a hand at a point, or on a tool there, N. */
+static inline touch_vector touch_hand_force(const touch_receiver *receiver, const touch_instant *t, touch_vector point_m) {
+    touch_vector torque;
+    if (TOUCH_HAS_EXTRAS && receiver->settings.tool_point_count > 0) return touch_tool_force(receiver, t, point_m, &torque);
+    return touch_force_at(t, point_m);
+}
+
+/* By how much the force of the frame after an instant on a hand differs from that of the frame before, N. */
 static inline double touch_force_change_n(const touch_receiver *receiver, const touch_instant *t, touch_vector point_m) {
-    touch_instant frame[2] = {*t, *t};
-    touch_vector force[2], torque;
-    frame[0].after = t->before, frame[1].before = t->after;
-    frame[0].blend = frame[1].blend = 0.0;
-    for (int n = 0; n < 2; n++) {
-        if (TOUCH_HAS_EXTRAS && receiver->settings.tool_point_count > 0)
-            force[n] = touch_tool_force(receiver, frame + n, point_m, &torque);
-        else
-            force[n] = touch_force_at(frame + n, point_m);
-    }
-    return touch_norm(touch_subtract(force[1], force[0]));
+    touch_instant before = *t, after = *t;
+    before.after = t->before, after.before = t->after;
+    before.blend = after.blend = 0.0;
+    return touch_norm(touch_subtract(touch_hand_force(receiver, &after, point_m), touch_hand_force(receiver, &before, point_m)));
 }
 
 /* Whether a medium jumps between the frames of an instant; `own`: from the frame before them to the first of them. */
@@ -91,6 +91,17 @@ static inline void touch_stay_in_place(touch_receiver *receiver, const touch_ins
     if (!(receiver->settings.wall_n_per_m > 0.0)) return;
     for (int n = 0; n < TOUCH_SEAM_SEARCHES; n++) (void)touch_contact_force(receiver, t, state->position_m, 0.0);
     proxy->eased_n = touch_zero(); /* the fade does that for the whole force */
+}
+
+/* By how much the motion of the hand since the tick before changes the force of the field, N, in the device's axes: no
+   part of what changes at a seam. */
+static inline touch_vector touch_motion_change(const touch_receiver *receiver, const touch_instant *t) {
+    const touch_settings *settings = &receiver->settings;
+    const touch_tick_state *state = &receiver->state;
+    if (state->seam.is_frame_missing || !(state->gain > 0.0)) return touch_zero();
+    touch_vector now = touch_hand_force(receiver, t, state->position_m);
+    touch_vector change = touch_subtract(now, touch_hand_force(receiver, t, state->seam.hand_m));
+    return touch_scale(settings->force_scale, touch_rotate_back(&settings->axes, change));
 }
 
 /* Fade from the force and the torque of the tick before to those of this one. */

@@ -159,6 +159,7 @@ static const struct {
     {"touch_seam.torque_nm", offsetof(touch_seam, torque_nm)},
     {"touch_seam.max_n", offsetof(touch_seam, max_n)},
     {"touch_seam.max_nm", offsetof(touch_seam, max_nm)},
+    {"touch_seam.hand_m", offsetof(touch_seam, hand_m)},
     {"touch_tick_state", sizeof(touch_tick_state)},
     {"touch_tick_state.is_started", offsetof(touch_tick_state, is_started)},
     {"touch_tick_state.since_s", offsetof(touch_tick_state, since_s)},

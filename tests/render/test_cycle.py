@@ -88,7 +88,9 @@ def test_speed_and_start(speed: float, start_s: float) -> None:
     media_s = start_s + 39e-3 * speed
     assert desk.media_s == pytest.approx(media_s, abs=1e-9)
     position = math.fmod(media_s * RATE_HZ, 20)
-    is_slow = speed * RATE_HZ <= 20  # from the last frame back to the first; a faster medium jumps (touch_seam.h)
+    is_slow = (
+        speed * RATE_HZ <= 20
+    )  # from the last frame back to the first; a faster medium jumps (touch_seam.h)
     back = 19 * (20 - position) if is_slow else 19.0
     assert desk.played_frame() == pytest.approx(position if position <= 19 else back, abs=1e-4)
 

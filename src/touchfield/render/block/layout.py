@@ -247,6 +247,7 @@ SEAM: Final = np.dtype(
         ("torque_nm", np.float64, (3,)),
         ("max_n", np.float64),
         ("max_nm", np.float64),
+        ("hand_m", np.float64, (3,)),
     ]
 )
 
