@@ -1,4 +1,4 @@
-"""For tests and benchmark of seams: a session that is fed and ticked in simulated time, and a hand on a spring."""
+"""For tests and benchmark of seams: a session in simulated time, and a hand on a spring."""
 
 from __future__ import annotations
 

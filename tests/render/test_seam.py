@@ -1,4 +1,4 @@
-"""Where a medium does not continue, as at the end of a loop or after a seek, the force fades (c/touch_seam.h)."""
+"""Where a medium does not continue, as after a loop or a seek, the force fades (c/touch_seam.h)."""
 
 from __future__ import annotations
 

@@ -334,7 +334,7 @@ class LiveFrames:
         return self._rebuilt[1]
 
     def _note_part(self, index: int, frame: int, fine: _Decoded | None, coarse: _Decoded | None) -> None:
-        """Record which part of the stream frame `index` is from, and whether it continues the previous one."""
+        """Record the part of the stream that a frame is from, and whether it continues the previous one."""
         found = fine or coarse
         part = _Part(fine is not None, -1 if found is None else found.first, frame - index)
         if self._latest_seam[0] != index:
@@ -342,7 +342,7 @@ class LiveFrames:
         self._latest_part = part
 
     def is_seam(self, index: int) -> bool:
-        """Return True if frame `index`, the latest that `__call__` returned, need not continue the previous one.
+        """Return True if frame `index`, the latest returned, need not continue the previous one.
 
         It is the first of a segment or of another layer, or frames are missing before it.
         """
