@@ -7,8 +7,8 @@ elsewhere; then the fixed hand goes back into contact by a seek. Each is rendere
 player's choice ("auto").
 
 A step is |F| of the change from one tick of 1 ms to the next, mN. "field_own" is the largest one of the field
-while the whole medium plays once, without a seam; "band" is the part of the force from 40 to 400 Hz around the end
-of the loop, mN rms.
+while the whole medium plays once, without a seam; "band" is the part of the force from 40 to 400 Hz around
+the end of the loop, mN rms.
 """
 
 from __future__ import annotations

@@ -537,7 +537,9 @@ static inline touch_vector touch_tick(touch_receiver *receiver, int64_t before_o
         state->force.desired = touch_force_over_seam(receiver, &t, dt_s);
         state->gain = gain;
     } else if (state->seam.is_waiting && is_pose_known && state->gain > 0.0) {
+        int is_proxy_active = state->proxy.is_active && settings->wall_n_per_m > 0.0; /* on its side of a wall until then */
         touch_leave_field(state);
+        state->proxy.is_active = is_proxy_active;
         state->force.desired = touch_force_over_seam(receiver, NULL, dt_s);
         if (state->seam.left_s == 0.0) state->gain = 0.0;
     } else {

@@ -122,7 +122,9 @@ def cycle(memory: Buffer, x: float, y: float, z: float, now_ns: int) -> Vector:
 def limited(memory: Buffer, x: float, y: float, z: float, dt_s: float) -> Vector:
     """The force that the limits allow where one is wanted, newtons (`touch_limit_output`)."""
 
-def contact_force(memory: Buffer, before: int, after: int, blend: float, x: float, y: float, z: float) -> Vector:
+def contact_force(
+    memory: Buffer, before: int, after: int, blend: float, x: float, y: float, z: float
+) -> Vector:
     """The force of the proxy on a hand at x, y, z metres, newtons, without friction, in one tick (`touch_contact_force`)."""
 
 def give_order(

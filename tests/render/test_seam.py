@@ -126,6 +126,19 @@ def test_a_plate_that_jumps_leaves_the_proxy_behind() -> None:
     assert played.value("state.proxy.position_m") == pytest.approx([0.001, 0.002, -0.0035], abs=1e-6)
 
 
+@pytest.mark.parametrize("late", [0, 12, 60])
+def test_a_seek_takes_no_proxy_through_a_plate(late: int) -> None:
+    spec = RenderSpec(render="proxy")
+    played = Played(scene(body(PLATE, np.zeros((FRAMES, 3)))), late, start_s=0.1, spec=spec)
+    path = np.interp(np.arange(150), [0, 100, 150], [0.004, -0.0035, -0.0035])
+    before = np.array([played.tick(np.array([0.001, 0.002, z])) for z in path])[-1]
+    assert before[2] > 0.5
+    played.seek(0.1)
+    forces = played.at_rest(np.array([0.001, 0.002, -0.0035]), late + 150)
+    assert forces[-1] == pytest.approx(before, rel=0.1)
+    assert steps_n(forces).max() < 1.1 * np.pi / 2 * np.linalg.norm(before) / FADE
+
+
 @pytest.mark.parametrize("late", [0, 12, 60, 150])
 def test_a_seek_fades_and_brings_the_force_back(late: int) -> None:
     medium = falling()
