@@ -16,6 +16,7 @@
 #ifndef TOUCH_SEAM_H
 #define TOUCH_SEAM_H
 
+#include "touch_friction.h"
 #include "touch_proxy.h"
 #include "touch_segment_blend.h"
 #include "touch_tool.h"
