@@ -38,7 +38,7 @@
 #define TOUCH_PROXY_ROUNDS 4            /* of a search for the surface */
 #define TOUCH_PROXY_RAMP_SAMPLES 2.0    /* behind the surface, from where on the low-pass leaves a ramp as it is */
 #define TOUCH_PROXY_RAMP_DOUBT 0.05     /* samples: by so much a ramp within the low-pass overestimates */
-#define TOUCH_PROXY_THIN_RATIO 0.15      /* of the stored force to that of the spring: up to this a wall is thin, */
+#define TOUCH_PROXY_THIN_RATIO 0.2      /* of the stored force to that of the spring: up to this a wall is thin, */
 #define TOUCH_PROXY_THIN_WIDTH 0.3      /* and from so much more on it is thick */
 #define TOUCH_PROXY_EDGE_COSINE 0.8     /* between the stored force and that of the spring: up to this it is an edge, */
 #define TOUCH_PROXY_EDGE_WIDTH 0.15     /* and from so much more on a surface */
