@@ -36,7 +36,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "render")
 from seam_makers import SPRING_N_PER_M, Played, steps_n
 
 LEAST_N, MOST_N = 0.6, 2.2
-START_S, END_S, AROUND_MS = 1.2, 2.0, (30, 140)
+START_S, END_S, AROUND_MS = 1.2, 2.0, (3, 140)
 TICKS, LATE, MAX_RATIO = 1600, 12, 2.0
 SEEK, BACK_S = 250, 1.25
 """The tick of a seek in contact, and the media time that it goes to; `LATE` ticks later its frames come."""
