@@ -43,8 +43,9 @@
 #define TOUCH_PROXY_EDGE_COSINE 0.8     /* between the stored force and that of the spring: up to this it is an edge, */
 #define TOUCH_PROXY_EDGE_WIDTH 0.15     /* and from so much more on a surface */
 #define TOUCH_PROXY_EASE_S 1.0          /* in which the correction at rest may change by a large force of the field */
-#define TOUCH_PROXY_FOLLOW 1.5          /* times what a motion can change a force by: more is a jump of the proxy */
-#define TOUCH_PROXY_LEAK 0.25           /* of what a motion can change a force by: what a jump is given back by */
+#define TOUCH_PROXY_FOLLOW 3.0          /* times the motion of hand and surface: a step of the proxy that is longer is a jump */
+#define TOUCH_PROXY_MIN_JUMP 0.1        /* of the longest step: a shorter one is none */
+#define TOUCH_PROXY_LEAK 0.25           /* of the spring: what a motion gives back of a jump's force */
 
 typedef struct { /* the field at this time, and what defines its surface */
     touch_receiver *receiver;
@@ -332,19 +333,19 @@ static inline double touch_ramp_depth(const touch_isosurface *s, touch_vector po
    is searched for; so it is rendered. Where the wall is thin or has an edge the stored force is smaller or turned. */
 static inline double touch_field_share(const touch_isosurface *s, touch_vector stored_n, touch_vector outwards, double force_n) {
     double stored = touch_magnitude(stored_n), expected = touch_fmin(force_n, s->large_n);
-    if (!(stored > 0.0 && expected > 0.0)) return 0.0;
-    double along = touch_dot(stored_n, outwards);
-    double by_size = touch_smooth_step((along / expected - TOUCH_PROXY_THIN_RATIO) / TOUCH_PROXY_THIN_WIDTH);
+    if (!(stored > 0.0)) return 0.0;
+    double along = touch_dot(stored_n, outwards), by_size = 1.0;
+    if (expected > 0.0) by_size = touch_smooth_step((along / expected - TOUCH_PROXY_THIN_RATIO) / TOUCH_PROXY_THIN_WIDTH);
     return by_size * touch_smooth_step((along / stored - TOUCH_PROXY_EDGE_COSINE) / TOUCH_PROXY_EDGE_WIDTH);
 }
 
-/* What the motion of hand and surface in this tick can change a force of the spring by, N. */
-static inline double touch_explained_force(const touch_isosurface *s, touch_vector hand_m, touch_vector carried_m) {
+/* How far the hand and the surface moved in this tick, metres, beside the body that carries the proxy. */
+static inline double touch_relative_motion(const touch_isosurface *s, touch_vector hand_m, touch_vector carried_m) {
     const touch_proxy *proxy = &s->receiver->state.proxy;
-    touch_vector carried = touch_subtract(carried_m, proxy->position_m); /* by a body */
+    touch_vector carried = touch_subtract(carried_m, proxy->position_m);
     double hand_step_m = touch_magnitude(touch_subtract(touch_subtract(hand_m, proxy->hand_m), carried));
     double surface_step_n = fabs(touch_probe(s, carried_m).force_n - proxy->surface_n);
-    return s->stiffness_n_per_m * hand_step_m + surface_step_n;
+    return hand_step_m + surface_step_n / s->stiffness_n_per_m;
 }
 
 /* A vector, shortened by a length. */
@@ -353,17 +354,15 @@ static inline touch_vector touch_shortened(touch_vector v, double length) {
     return size > length ? touch_scale(1.0 - length / size, v) : touch_zero();
 }
 
-/* Where the force changes by more than the field at the hand and a motion can do, the proxy has jumped: to another surface, or
-   on or off one. The hand gets the field's own change; the rest is given back with time and with motion. */
-static inline void touch_ease_jump(const touch_isosurface *s, touch_vector force_n, touch_vector stored_n, double motion_n,
-                                   double dt_s) {
+/* Where the proxy moves by more than hand and surface explain, it has jumped: to another surface, or on or off one. The hand
+   gets the field's own change; what the jump changes is given back with time and with motion. */
+static inline void touch_ease_jump(const touch_isosurface *s, int has_jumped, touch_vector force_n, touch_vector stored_n,
+                                   double motion_m, double dt_s) {
     touch_proxy *proxy = &s->receiver->state.proxy;
-    double at_rest_n = s->large_n * dt_s / TOUCH_PROXY_EASE_S;
     touch_vector field_n = touch_subtract(stored_n, proxy->stored_n), change_n = touch_subtract(force_n, proxy->force_n);
-    double explained_n = touch_magnitude(field_n) + TOUCH_PROXY_FOLLOW * motion_n + at_rest_n;
-    touch_vector eased = proxy->eased_n;
-    if (touch_magnitude(change_n) > explained_n) eased = touch_add(eased, touch_subtract(change_n, field_n));
-    proxy->eased_n = touch_shortened(eased, TOUCH_PROXY_LEAK * motion_n + at_rest_n);
+    if (has_jumped) proxy->eased_n = touch_add(proxy->eased_n, touch_subtract(change_n, field_n));
+    double given_n = TOUCH_PROXY_LEAK * s->stiffness_n_per_m * motion_m + s->large_n * dt_s / TOUCH_PROXY_EASE_S;
+    proxy->eased_n = touch_shortened(proxy->eased_n, given_n);
 }
 
 /* The force of the proxy on the hand, N: that of its spring, or the stored one where this is that of the same wall. */
@@ -389,13 +388,16 @@ static inline touch_vector touch_contact_force(touch_receiver *receiver, const t
     s.max_step_m = 0.5 * touch_fmin(touch_fmin(s.spacing_m.x, s.spacing_m.y), s.spacing_m.z);
     int is_new = !proxy->is_active;
     touch_vector position = is_new ? hand_m : touch_carried_position(&s);
-    double motion_n = is_new ? 0.0 : touch_explained_force(&s, hand_m, position);
+    touch_vector carried = position;
+    double motion_m = is_new ? 0.0 : touch_relative_motion(&s, hand_m, carried);
     int is_in_contact = touch_move_proxy(&s, hand_m, &position);
     touch_store_proxy(&s, position, is_in_contact);
     touch_vector stored = touch_force_at(t, hand_m);
     touch_vector force = is_in_contact ? touch_proxy_force(&s, hand_m, stored) : stored;
     if (is_new) proxy->eased_n = touch_zero();
-    else touch_ease_jump(&s, force, stored, motion_n, dt_s);
+    double step_m = touch_magnitude(touch_subtract(position, carried));
+    int has_jumped = step_m > TOUCH_PROXY_FOLLOW * motion_m + TOUCH_PROXY_MIN_JUMP * s.max_step_m;
+    if (!is_new) touch_ease_jump(&s, has_jumped, force, stored, motion_m, dt_s);
     proxy->surface_n = touch_probe(&s, position).force_n;
     proxy->hand_m = hand_m, proxy->force_n = force, proxy->stored_n = stored;
     return touch_subtract(force, proxy->eased_n);
