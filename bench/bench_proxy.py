@@ -1,7 +1,7 @@
 """Compares rendering by a proxy, a point that stays on the surface, with the plain field: contact, accuracy,
 energy, vibration.
 
-    python bench/bench_proxy.py [--quick] [--seconds S] [--walks N] [--lattices N]
+    python bench/bench_proxy.py [--quick] [--seconds S] [--walks N] [--lattices N] [--points N]
 
 A simulated hand of 0.1 kg is rendered with the proxy and with the plain field:
 
@@ -16,8 +16,10 @@ A simulated hand of 0.1 kg is rendered with the proxy and with the plain field:
 * energy: the largest net energy that the hand receives in `--seconds` (60) of random pressing.
 * speed: time of a proxy query while a hand slides over the surface.
 * hum: vibration from 40 to 400 Hz while a hand slides at 50 mm/s.
+* seams: the largest step of the force at the end of a loop, at seeks and at the start of a segment, beside
+  the field's own (``seams.py``), for hands that rest at `--points` points.
 
-`--walks` is the number of paths over the surface in the last two tests.
+`--walks` is the number of paths over the surface in the two tests before the last.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ from typing import Any
 
 import numpy as np
 
+import seams
 from machine import SHARED, Bar, Figures, at_most, bench
 from touchfield.compute.native import native
 from touchfield.medium import ForceField
@@ -277,7 +280,7 @@ def stiffness_of(field: ForceField) -> float:
     return float(wall.stiffness_n_per_m)
 
 
-def measure(seconds: int, walks: int, lattices: int) -> Figures:
+def measure(seconds: int, walks: int, lattices: int, points: int) -> Figures:
     """Measure all figures on the available fields."""
     fields: dict[str, ForceField] = {
         "ball": field_of(BALL),
@@ -295,6 +298,7 @@ def measure(seconds: int, walks: int, lattices: int) -> Figures:
         "energy": energies(0.3, seconds),
         "speed": speeds(fields, walks),
         "hum_mn": hums(fields, walks),
+        "seams_mn": seams.seams(points),
     }
 
 
@@ -317,8 +321,9 @@ def bars(figures: Figures) -> list[Bar]:
             at_most(f"{name}: a query, p99.9", row["p99_9_us"], 5.0, "us")
             for name, row in figures["speed"].items()
         ),
+        *seams.bars(figures["seams_mn"]),
     ]
 
 
 if __name__ == "__main__":
-    bench("proxy", __doc__, measure, bars, seconds=(60, 5), walks=(8, 4), lattices=(3, 1))
+    bench("proxy", __doc__, measure, bars, seconds=(60, 5), walks=(8, 4), lattices=(3, 1), points=(24, 3))

@@ -55,6 +55,7 @@ typedef struct {
     double force_max_n;          /* the sum of forces is clipped to it */
     double force_floor2_n2;      /* square of the force of a body below which it counts as none */
     int64_t deformation_offset;  /* from the first byte of the frame */
+    int64_t is_seam;             /* it need not go on from the frame before, as one of another layer (touch_seam.h) */
 } touch_frame_header;
 
 /* The displacements of the control points of a cubic B-spline, which bend the field. They lie behind it: double
@@ -198,6 +199,18 @@ typedef struct { /* of friction: the point of the surface that the hand stuck to
     touch_vector body_position_m; /* in the axes of that body */
 } touch_stick_anchor;
 
+typedef struct { /* over a seam of the medium, from the force before to the force after (touch_seam.h) */
+    int64_t frame;               /* tag of the frame after the seam that was looked at last */
+    int64_t is_cut;              /* the medium jumps there: the frame before stands until then */
+    int64_t is_starting;         /* this tick is the first one after a seam */
+    int64_t is_waiting;          /* for the frames of a seek */
+    int64_t is_frame_missing;    /* there was none in the tick before */
+    double left_s;               /* of the fade; 0: there is none */
+    touch_vector force_n, torque_nm; /* by which force and torque before were larger */
+    double max_n, max_nm;        /* |force| and |torque| before */
+    touch_vector hand_m;         /* in the tick before */
+} touch_seam;
+
 typedef struct { /* what one tick leaves for the next */
     int64_t is_started;
     double since_s;              /* the latest position */
@@ -212,6 +225,7 @@ typedef struct { /* what one tick leaves for the next */
     double vibration_phase;      /* rad */
     touch_proxy proxy;
     touch_stick_anchor anchor;
+    touch_seam seam;
     double brake_n_s_per_m;      /* on its way to that of the settings */
     double compliance_m_per_n;   /* 1 / K of the virtual coupling, on its way to that of the settings */
     double friction;             /* mu at this point */

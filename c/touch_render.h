@@ -20,10 +20,12 @@
            touch_count_time            jitter, missed ticks, the next deadline
            touch_take_order            play, pause, seek, stop
            touch_find_frames           media clock; the two frames around now, and how far between them (an instant)
+               touch_find_seam             where the medium does not go on from one to the other      touch_seam.h
            touch_tick                  the force:
                touch_store_past_force      for the passivity observer
                touch_move_device           device to field: axes, scale, clutch; passivity observer; velocity
                    touch_smooth_settings       damper in contact and coupling, on their way to the settings     touch_effects.h
+               touch_force_over_seam       the desired force; after a seam with what is left of that before it
                touch_desired_force
                    touch_find_material         the material there, if there are any                 touch_effects.h
                    touch_field_force           one of four:
@@ -53,6 +55,7 @@
 #include "touch_effects.h"
 #include "touch_friction.h"
 #include "touch_proxy.h"
+#include "touch_seam.h"
 #include "touch_shared.h"
 #include "touch_tool.h"
 
@@ -275,9 +278,11 @@ static inline int64_t touch_frame_offset(touch_receiver *receiver, int64_t unrol
     return touch_shared(&entry->frame_offset);
 }
 
-/* The media clock runs again: these frames are there. */
+/* The media clock runs again: these frames are there. Those that come after a seek, or late, begin with a seam. */
 static inline void touch_use_frames(touch_receiver *receiver, double media_s, double clock_s, int64_t unrolled_frame) {
     touch_clock *clock = &receiver->clock;
+    if (clock->used >> TOUCH_FRAME_BITS != clock->generation || clock->feed == TOUCH_STALLED)
+        receiver->state.seam.is_starting = 1;
     if (clock->mode == TOUCH_PLAYING && clock->feed != TOUCH_RUNNING) {
         touch_anchor(clock, media_s, clock_s);
         touch_share(&clock->feed, TOUCH_RUNNING);
@@ -313,6 +318,39 @@ static inline void touch_wait_for_frames(touch_receiver *receiver, double standi
     }
 }
 
+/* Whether an unrolled frame need not go on from the one before. */
+static inline int touch_is_seam(const touch_receiver *receiver, int64_t frame, int64_t frame_offset) {
+    const touch_receiver_layout *layout = &receiver->layout;
+    const char *memory = (const char *)receiver;
+    if (layout->is_loop && frame % layout->frame_count == 0) return 1;
+    return ((const touch_frame_header *)(const void *)(memory + frame_offset))->is_seam != 0;
+}
+
+/* Where the medium jumps to the frame after, show the frame before until then. Whether it jumps is found out in the first tick
+   between the two, when the frame before them is still there: clock.needs has not passed it. */
+static inline void touch_find_seam(touch_receiver *receiver, touch_frames *found, int64_t following) {
+    touch_seam *seam = &receiver->state.seam;
+    int64_t tag = touch_tag(receiver->clock.generation, following);
+    if (seam->is_cut && touch_tag(receiver->clock.generation, found->first_frame) >= seam->frame)
+        seam->is_cut = 0, seam->is_starting = 1;
+    if (following == found->first_frame || !touch_is_seam(receiver, following, found->after_offset)) return;
+    if (seam->frame != tag) {
+        int64_t former_offset = found->first_frame > 0 ? touch_frame_offset(receiver, found->first_frame - 1) : 0;
+        if (!former_offset) former_offset = found->before_offset;
+        touch_instant t = touch_instant_of(receiver, found->before_offset, found->after_offset, 0.5);
+        touch_instant own = touch_instant_of(receiver, former_offset, found->before_offset, 0.5);
+        seam->frame = tag, seam->is_cut = touch_is_jump(receiver, &t, &own);
+    }
+    if (seam->is_cut) found->after_offset = found->before_offset, found->blend = 0.0;
+}
+
+/* Whether a seek waits for its frames, which are still to come. */
+static inline int touch_is_seeking(const touch_receiver *receiver, int is_silent) {
+    const touch_clock *clock = &receiver->clock;
+    if (is_silent || touch_shared(&receiver->orders.has_feed_failed)) return 0;
+    return clock->used >> TOUCH_FRAME_BITS != clock->generation;
+}
+
 /* Advance the media clock, and find the two frames of this instant. */
 static inline touch_frames touch_find_frames(touch_receiver *receiver, double clock_s, int is_silent) {
     touch_clock *clock = &receiver->clock;
@@ -332,6 +370,7 @@ static inline touch_frames touch_find_frames(touch_receiver *receiver, double cl
         found.blend = touch_clamp(media_s * rate_hz - (double)frame, 0.0, 1.0);
     }
     touch_share_double(&clock->media_s, media_s);
+    receiver->state.seam.is_waiting = 0;
     if (clock->mode == TOUCH_PLAYING) receiver->counts.played_ticks++;
     if (clock->mode == TOUCH_IDLE) return none;
     found.first_frame = none.first_frame;
@@ -339,9 +378,11 @@ static inline touch_frames touch_find_frames(touch_receiver *receiver, double cl
     found.after_offset = touch_frame_offset(receiver, following);
     if (!found.before_offset || !found.after_offset || is_silent) {
         touch_wait_for_frames(receiver, before_s, clock_s, is_silent);
+        receiver->state.seam.is_waiting = touch_is_seeking(receiver, is_silent);
         return none;
     }
     touch_use_frames(receiver, media_s, clock_s, found.first_frame);
+    touch_find_seam(receiver, &found, following);
     return found;
 }
 
@@ -460,6 +501,31 @@ static inline touch_vector touch_desired_force(touch_receiver *receiver, const t
     return touch_add(force, settings->gravity_n);
 }
 
+/* The desired force, N, and the torque, in state.torque.desired. `t` is NULL while a seek waits for its frames: a field without
+   a force. In the first tick after a seam the force of the tick before goes on, and then fades into that of the field. */
+static inline touch_vector touch_force_over_seam(touch_receiver *receiver, const touch_instant *t, double dt_s) {
+    touch_tick_state *state = &receiver->state;
+    touch_seam *seam = &state->seam;
+    touch_vector force_before = state->force.desired, torque_before = state->torque.desired;
+    touch_vector force = receiver->settings.gravity_n;
+    int is_starting = seam->is_starting || (seam->is_frame_missing != !t);
+    state->torque.desired = touch_zero();
+    if (t) {
+        if (is_starting) {
+            force_before = touch_add(force_before, touch_motion_change(receiver, t));
+            touch_stay_in_place(receiver, t);
+        }
+        force = touch_desired_force(receiver, t, dt_s);
+    }
+    if (is_starting) touch_start_fade(seam, force_before, torque_before, force, state->torque.desired);
+    seam->is_frame_missing = !t, seam->hand_m = state->position_m;
+    if (!(seam->left_s > 0.0)) return force;
+    state->torque.desired = touch_faded(seam, state->torque.desired, seam->torque_nm, seam->max_nm);
+    force = touch_faded(seam, force, seam->force_n, seam->max_n);
+    seam->left_s = touch_fmax(0.0, seam->left_s - dt_s);
+    return force;
+}
+
 /* -- the force that is put out: ramp and limits ----------------------------------------------------------------------- */
 
 /* The hand leaves the field: no force and no friction act. */
@@ -495,10 +561,17 @@ static inline touch_vector touch_tick(touch_receiver *receiver, int64_t before_o
     if (before_offset && after_offset && is_pose_known) {
         touch_instant t = touch_instant_of(receiver, before_offset, after_offset, blend);
         double gain = touch_fmin(1.0, state->gain + gain_step);
-        state->force.desired = touch_desired_force(receiver, &t, dt_s);
+        state->force.desired = touch_force_over_seam(receiver, &t, dt_s);
         state->gain = gain;
+    } else if (state->seam.is_waiting && is_pose_known && state->gain > 0.0) {
+        int is_proxy_active = state->proxy.is_active && settings->wall_n_per_m > 0.0; /* on its side of a wall until then */
+        touch_leave_field(state);
+        state->proxy.is_active = is_proxy_active;
+        state->force.desired = touch_force_over_seam(receiver, NULL, dt_s);
+        if (state->seam.left_s == 0.0) state->gain = 0.0;
     } else {
         state->gain = touch_fmax(0.0, state->gain - gain_step);
+        state->seam.is_frame_missing = state->gain > 0.0;
         touch_leave_field(state);
         if (state->gain == 0.0) state->force.desired = touch_zero();
     }

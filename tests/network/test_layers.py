@@ -97,6 +97,8 @@ def test_the_coarse_layer_replaces_lost_segments() -> None:
         "fine",
     ]
     assert pair.frames.covered == 2 and pair.frames.lost == 10
+    kinds = [(pair.kind(i), pair.frames.is_seam(i)) for i in (4, 5, 6, 9, 10)]
+    assert [is_seam for _, is_seam in kinds] == [True, True, False, False, True]
 
 
 def test_the_coarse_layer_replaces_late_segments_until_they_arrive() -> None:

@@ -33,6 +33,16 @@ def test_sent_frames_are_played_and_lost_ones_are_empty() -> None:
     assert frames.is_there(14) and not frames.is_there(15)
 
 
+def test_seams_are_where_segments_start_and_frames_are_missing() -> None:
+    frames = frames_of(segment(10), segment(15), Lost(20, 5), segment(25))
+    seams = []
+    for i in range(20):
+        frames(i), frames(i)  # a second query changes nothing
+        seams += [i] if frames.is_seam(i) else []
+    assert seams == [0, 5, 10, 15]
+    assert not frames.is_seam(15), "only the latest frame is known"
+
+
 def test_vibration_belongs_to_its_frame_and_useless_messages_are_counted() -> None:
     index, unit = np.zeros((1, 3), np.int32), np.ones(1, np.float32)
     bands = [VibrationFrame(GRID, index + i, unit, (90 + i) * unit) for i in range(5)]

@@ -88,8 +88,11 @@ def test_speed_and_start(speed: float, start_s: float) -> None:
     media_s = start_s + 39e-3 * speed
     assert desk.media_s == pytest.approx(media_s, abs=1e-9)
     position = math.fmod(media_s * RATE_HZ, 20)
-    expected = position if position <= 19 else 19 * (20 - position)  # from the last frame back to the first
-    assert desk.played_frame() == pytest.approx(expected, abs=1e-4)
+    is_slow = (
+        speed * RATE_HZ <= 20
+    )  # from the last frame back to the first; a faster medium jumps (touch_seam.h)
+    back = 19 * (20 - position) if is_slow else 19.0
+    assert desk.played_frame() == pytest.approx(position if position <= 19 else back, abs=1e-4)
 
 
 def test_a_change_of_speed_is_continuous() -> None:

@@ -3,7 +3,8 @@
 Frame 0 is the first frame of the segment with which the receiver joined. If playback falls behind the
 segments that are kept, it continues with the newest segment. A lost frame has no force; the renderer's slew
 limit makes the force fade out and in again. If a coarse layer is received as well, its frames replace frames
-that are lost or late, and the same limit smooths the change.
+that are lost or late. Where a segment or another layer starts, or after a loss, the frames need not continue
+(`LiveFrames.is_seam`), and the servo fades the force where they do not (``c/touch_seam.h``).
 """
 
 from __future__ import annotations
@@ -85,6 +86,16 @@ class _Decoded(NamedTuple):
         return sum(field.forces_n.nbytes for field in {id(field): field for field in self.fields}.values())
 
 
+class _Part(NamedTuple):
+    """Frames of a stream that continue each other: layer, first frame of the segment, -1 if the frames are
+    lost, and by how much the stream's frame numbers exceed those of the medium.
+    """
+
+    is_fine: bool
+    first: int
+    offset: int
+
+
 class LiveFrames:
     """Frames of a live stream, from events of a `LiveReceiver`; thread-safe.
 
@@ -135,6 +146,8 @@ class LiveFrames:
             raise SourceError("coarse layer", found, f"half of {self.grid.shape} at {head.rate_hz:g} Hz")
         self._report, self._clock_s = report, clock_s
         self._coarse, self._rebuilt = coarse, (-1, ForceField.empty(self.grid))
+        self._latest_part: _Part | None = None
+        self._latest_seam = -1, False
         self._layers: tuple[LiveFrames, ...] = (self,) if coarse is None else (self, coarse)
         self._news: Condition = Condition() if coarse is None else coarse._news
         self._segments: deque[_Decoded] = deque()
@@ -306,16 +319,34 @@ class LiveFrames:
         or the frame is far after the newest.
         """
         frame, segment = self._find_frame(index)
+        coarse = None
+        if segment is None and self._coarse is not None:
+            with self._news:
+                coarse = self._coarse._segment_with(frame)
+        self._note_part(index, frame, segment, coarse)
         if segment is not None:
             return segment.fields[frame - segment.first]
-        with self._news:
-            coarse = self._coarse._segment_with(frame) if self._coarse else None
         if coarse is None:
             return ForceField.empty(self.grid)
         if self._rebuilt[0] != frame:
             self._rebuilt = frame, rebuild_level(coarse.fields[frame - coarse.first], self.grid)
             self.covered += 1
         return self._rebuilt[1]
+
+    def _note_part(self, index: int, frame: int, fine: _Decoded | None, coarse: _Decoded | None) -> None:
+        """Record the part of the stream that a frame is from, and whether it continues the previous one."""
+        found = fine or coarse
+        part = _Part(fine is not None, -1 if found is None else found.first, frame - index)
+        if self._latest_seam[0] != index:
+            self._latest_seam = index, part != self._latest_part
+        self._latest_part = part
+
+    def is_seam(self, index: int) -> bool:
+        """Return True if frame `index`, the latest returned, need not continue the previous one.
+
+        It is the first of a segment or of another layer, or frames are missing before it.
+        """
+        return self._latest_seam == (index, True)
 
     def is_there(self, index: int) -> bool:
         """Return True if `__call__` returns or raises without waiting."""

@@ -320,6 +320,7 @@ class FrameSource(FrameParts):
         self.friction, self.damping_n_s_per_m = medium.friction, medium.damping_n_s_per_m
         self.starts = _segment_starts(medium)
         self._is_there = getattr(getattr(medium, "make_frame", None), "is_there", None)
+        self._is_seam = getattr(getattr(medium, "make_frame", None), "is_seam", None)
         medium, self._blends = with_blends(medium) if is_blended else (medium, ())
         super().__init__(medium, deformation)
         self._stretch = 1.0 if deformation is None else deformation.max_stretch**2
@@ -373,11 +374,13 @@ class FrameSource(FrameParts):
         """Decode a frame."""
         names = [name for name in self.names(frame) if not self.is_shared(name)]
         pools = {name: self.cells(name) for name in names}
+        is_seam = self._is_seam is not None and bool(self._is_seam(frame))
 
         def write(memory: Memory, at: int) -> int:
             offsets = dict(self._offsets)
             at = write_fields(memory, at, pools, offsets)
             self.write(memory, at, frame, offsets)
+            memory.view(layout.FRAME_HEADER, at)["is_seam"] = is_seam
             return at
 
         size_bytes = sum(map(field_bytes, pools.values())) + self.size_bytes

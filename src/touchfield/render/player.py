@@ -194,7 +194,7 @@ class Player:
         self._send_orders(speed=speed)
 
     def seek(self, time_s: float) -> None:
-        """Go to a media time, playing or not; the force is zero until its frames are ready."""
+        """Go to a media time, playing or not; the force fades, to zero if the frames take 0.1 s or more."""
         self._send_orders(seek_s=self._session.media_time_s(time_s))
 
     def _send_orders(self, **changes: Any) -> None:

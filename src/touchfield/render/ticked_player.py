@@ -107,7 +107,7 @@ class TickedPlayer:
         self._session.order(self._memory, mode=layout.PAUSED)
 
     def seek(self, time_s: float) -> None:
-        """Go to a media time, playing or not; the force is zero until its frames are ready.
+        """Go to a media time, playing or not; the force fades, to zero if the frames take 0.1 s or more.
 
         Raises `InvalidArgument` if the time is negative or not finite.
         """

@@ -90,7 +90,7 @@ def write_frame(
     """
     header = memory.view(layout.FRAME_HEADER, offset)
     header["body_count"], header["vibration_offset"] = len(parts), vibration_at
-    header["deformation_offset"], header["force_max_n"] = 0, force_max_n
+    header["deformation_offset"], header["is_seam"], header["force_max_n"] = 0, 0, force_max_n
     floor_n = force_max_n * _FLOOR_FRACTION if math.isfinite(force_max_n) else 0.0
     header["force_floor2_n2"] = floor_n**2
     poses = memory.array(layout.BODY_POSE, offset + layout.FRAME_HEADER.itemsize, len(parts))

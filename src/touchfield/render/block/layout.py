@@ -72,6 +72,7 @@ FRAME_HEADER: Final = np.dtype(
         ("force_max_n", np.float64),
         ("force_floor2_n2", np.float64),
         ("deformation_offset", np.int64),
+        ("is_seam", np.int64),
     ]
 )
 
@@ -241,6 +242,22 @@ STICK_ANCHOR: Final = np.dtype(
     ]
 )
 
+SEAM: Final = np.dtype(
+    [
+        ("frame", np.int64),
+        ("is_cut", np.int64),
+        ("is_starting", np.int64),
+        ("is_waiting", np.int64),
+        ("is_frame_missing", np.int64),
+        ("left_s", np.float64),
+        ("force_n", np.float64, (3,)),
+        ("torque_nm", np.float64, (3,)),
+        ("max_n", np.float64),
+        ("max_nm", np.float64),
+        ("hand_m", np.float64, (3,)),
+    ]
+)
+
 TICK_STATE: Final = np.dtype(
     [
         ("is_started", np.int64),
@@ -259,6 +276,7 @@ TICK_STATE: Final = np.dtype(
         ("vibration_phase", np.float64),
         ("proxy", PROXY),
         ("anchor", STICK_ANCHOR),
+        ("seam", SEAM),
         ("brake_n_s_per_m", np.float64),
         ("compliance_m_per_n", np.float64),
         ("friction", np.float64),
@@ -393,6 +411,7 @@ STRUCTS: Final = {
     "touch_limited": LIMITED,
     "touch_proxy": PROXY,
     "touch_stick_anchor": STICK_ANCHOR,
+    "touch_seam": SEAM,
     "touch_tick_state": TICK_STATE,
     "touch_counts": COUNTS,
     "touch_log_row": LOG_ROW,

@@ -1,0 +1,128 @@
+/* touch_seam.h: where a part of a medium begins that does not go on from the one before: the start of a loop, a seek, frames
+   that were late, another layer of a stream. The force on the hand goes from the one to the other in TOUCH_BLEND_S, as bricks
+   do where a segment starts.
+
+   A pose cannot be blended: a body that is elsewhere after a seam would run there within one frame, through the hand. So the
+   frame before the seam is shown until the frame after it is due. Then what the force was larger by fades out, as a raised
+   cosine w from 1 to 0:
+
+       F = F_after + w (F_before - F_after in the first tick)
+
+   The hand has the stiffness, the proxy and the friction of the field after the seam from the first tick on. Where the field
+   is the same on both sides, nothing is added. |F| is at most the larger one of |F_before| and |F_after|.
+
+   A loop whose end goes on into its start, as a body that turns, has no seam: where the frames differ by at most twice as much
+   as the two before them, they are interpolated as any others are. */
+#ifndef TOUCH_SEAM_H
+#define TOUCH_SEAM_H
+
+#include "touch_friction.h"
+#include "touch_proxy.h"
+#include "touch_segment_blend.h"
+#include "touch_tool.h"
+
+#define TOUCH_SEAM_RATIO 2.0      /* of the changes of two pairs of frames: a larger one is a jump */
+#define TOUCH_SEAM_MIN_M 1e-6     /* of a body's surface: a smaller change is none */
+#define TOUCH_SEAM_MIN_N 1e-3     /* of a force */
+#define TOUCH_MAX_CARRY_M 1e-3    /* in a tick: a body that went farther has jumped, and carries nothing */
+#define TOUCH_SEAM_SEARCHES 8     /* of the proxy in the first tick: one that the new field covers gets out of it */
+
+/* -- whether a medium jumps from a frame to the next ------------------------------------------------------------------- */
+
+/* How far a body's surface moves between the frames of an instant, metres, at most. */
+static inline double touch_body_shift_m(const touch_instant *t, int64_t body) {
+    touch_body_pair b = touch_pair_of(t, body);
+    const double *p = b.before->quaternion, *q = b.after->quaternion;
+    double near2 = 0.0, far2 = 0.0; /* a quaternion and its negative are one rotation */
+    for (int n = 0; n < 4; n++) {
+        near2 += (q[n] - p[n]) * (q[n] - p[n]);
+        far2 += (q[n] + p[n]) * (q[n] + p[n]);
+    }
+    double reach_m = sqrt(touch_fmax(touch_reach2_of(&b), 0.0));
+    return touch_norm(touch_subtract(b.after->position_m, b.before->position_m)) +
+           2.0 * reach_m * sqrt(touch_fmin(near2, far2));
+}
+
+/* The force of the field on a hand at a point, or on a tool there, N. */
+static inline touch_vector touch_hand_force(const touch_receiver *receiver, const touch_instant *t, touch_vector point_m) {
+    touch_vector torque;
+    if (TOUCH_HAS_EXTRAS && receiver->settings.tool_point_count > 0) return touch_tool_force(receiver, t, point_m, &torque);
+    return touch_force_at(t, point_m);
+}
+
+/* By how much the force of the frame after an instant on a hand differs from that of the frame before, N. */
+static inline double touch_force_change_n(const touch_receiver *receiver, const touch_instant *t, touch_vector point_m) {
+    touch_instant before = *t, after = *t;
+    before.after = t->before, after.before = t->after;
+    before.blend = after.blend = 0.0;
+    return touch_norm(touch_subtract(touch_hand_force(receiver, &after, point_m), touch_hand_force(receiver, &before, point_m)));
+}
+
+/* Whether a medium jumps between the frames of an instant; `own`: from the frame before them to the first of them. */
+static inline int touch_is_jump(const touch_receiver *receiver, const touch_instant *t, const touch_instant *own) {
+    const touch_body_pose *poses = (const touch_body_pose *)(const void *)(t->before + 1);
+    int64_t count = poses->is_identity ? 0 : touch_body_count(t);
+    for (int64_t n = 0; n < count; n++) {
+        double own_m = n < touch_body_count(own) ? touch_body_shift_m(own, n) : 0.0;
+        if (touch_body_shift_m(t, n) > TOUCH_SEAM_RATIO * own_m + TOUCH_SEAM_MIN_M) return 1;
+    }
+    if (receiver->layout.frame_rate_hz * receiver->clock.speed <= TOUCH_MAX_UNBLENDED_HZ) return 0;
+    touch_vector point = receiver->state.position_m;
+    double own_n = touch_force_change_n(receiver, own, point);
+    return touch_force_change_n(receiver, t, point) > TOUCH_SEAM_RATIO * own_n + TOUCH_SEAM_MIN_N;
+}
+
+/* -- over a seam ------------------------------------------------------------------------------------------------------- */
+
+/* Leave the proxy where it is if its body has jumped, and the anchor of friction behind. */
+static inline void touch_stay_in_place(touch_receiver *receiver, const touch_instant *t) {
+    touch_tick_state *state = &receiver->state;
+    touch_proxy *proxy = &state->proxy;
+    touch_isosurface s;
+    memset(&s, 0, sizeof s);
+    s.receiver = receiver, s.instant = t;
+    if (proxy->is_active && proxy->body >= 0) {
+        touch_vector carry = touch_subtract(touch_carried_position(&s), proxy->position_m);
+        if (!(touch_norm(carry) <= TOUCH_MAX_CARRY_M)) proxy->body = -1;
+    }
+    if (state->anchor.is_set) {
+        touch_vector carry = touch_subtract(touch_carried_anchor(&state->anchor, t, touch_zero()), state->anchor.position_m);
+        if (!(touch_norm(carry) <= TOUCH_MAX_CARRY_M)) state->anchor.is_set = 0;
+    }
+    if (!(receiver->settings.wall_n_per_m > 0.0)) return;
+    for (int n = 0; n < TOUCH_SEAM_SEARCHES; n++) (void)touch_contact_force(receiver, t, state->position_m, 0.0);
+    proxy->eased_n = touch_zero(); /* the fade does that for the whole force */
+}
+
+/* By how much the motion of the hand since the tick before changes the force of the field, N, in the device's axes: no
+   part of what changes at a seam. */
+static inline touch_vector touch_motion_change(const touch_receiver *receiver, const touch_instant *t) {
+    const touch_settings *settings = &receiver->settings;
+    const touch_tick_state *state = &receiver->state;
+    if (state->seam.is_frame_missing || !(state->gain > 0.0)) return touch_zero();
+    touch_vector now = touch_hand_force(receiver, t, state->position_m);
+    touch_vector change = touch_subtract(now, touch_hand_force(receiver, t, state->seam.hand_m));
+    return touch_scale(settings->force_scale, touch_rotate_back(&settings->axes, change));
+}
+
+/* Fade from the force and the torque of the tick before to those of this one. */
+static inline void touch_start_fade(touch_seam *seam, touch_vector force_n, touch_vector torque_nm, touch_vector new_force_n,
+                                    touch_vector new_torque_nm) {
+    seam->is_starting = 0;
+    seam->left_s = TOUCH_BLEND_S;
+    seam->force_n = touch_subtract(force_n, new_force_n);
+    seam->torque_nm = touch_subtract(torque_nm, new_torque_nm);
+    seam->max_n = touch_norm(force_n);
+    seam->max_nm = touch_norm(torque_nm);
+}
+
+/* A force after a seam with what is left of that before; a torque, too. */
+static inline touch_vector touch_faded(const touch_seam *seam, touch_vector force, touch_vector more, double max_before) {
+    double weight = 0.5 - 0.5 * cos(TOUCH_PI * seam->left_s / TOUCH_BLEND_S);
+    double limit = touch_fmax(max_before, touch_norm(force));
+    touch_vector sum = touch_add_scaled(force, weight, more);
+    double size = touch_norm(sum);
+    return size > limit ? touch_scale(limit / size, sum) : sum;
+}
+
+#endif
