@@ -40,8 +40,8 @@
 #define TOUCH_PROXY_RAMP_DOUBT 0.05     /* samples: by so much a ramp within the low-pass overestimates */
 #define TOUCH_PROXY_THIN_RATIO 0.2      /* of the stored force to that of the spring: up to this a wall is thin, */
 #define TOUCH_PROXY_THIN_WIDTH 0.3      /* and from so much more on it is thick */
-#define TOUCH_PROXY_EDGE_COSINE 0.8     /* between the stored force and that of the spring: up to this it is an edge, */
-#define TOUCH_PROXY_EDGE_WIDTH 0.15     /* and from so much more on a surface */
+#define TOUCH_PROXY_EDGE_COSINE 0.85     /* between the stored force and that of the spring: up to this it is an edge, */
+#define TOUCH_PROXY_EDGE_WIDTH 0.13     /* and from so much more on a surface */
 #define TOUCH_PROXY_EASE_S 1.0          /* in which the correction at rest may change by a large force of the field */
 #define TOUCH_PROXY_FOLLOW 3.0          /* times the motion of hand and surface: a step of the proxy that is longer is a jump */
 #define TOUCH_PROXY_MIN_JUMP 0.1        /* of the longest step: a shorter one is none */
