@@ -37,7 +37,7 @@ def surface_m(kind: str) -> float:
 
 
 def pressed_and_dragged(kind: str, mu: float, depth_m: float, way_m: Vector) -> Vector:
-    """Forces on a hand that is pressed into the block, and then dragged along a way [n, 2], float64 [n, 3]."""
+    """Forces on a hand that is pressed into the block and dragged along a way [n, 2], float64 [n, 3]."""
     heights_m = surface_m(kind) + np.r_[np.linspace(0.002, -depth_m, 150), np.full(50, -depth_m)]
     path = [(*way_m[0], z) for z in heights_m] + [(*point, heights_m[-1]) for point in way_m]
     with player_of(kind, mu) as player:
@@ -59,9 +59,7 @@ def test_drag_of_a_sliding_hand_is_mu_times_the_normal_force(kind: str, mu: floa
         forces_n = pressed_and_dragged(kind, mu, depth_m, way_m)
         drag_n, normal_n = np.linalg.norm(forces_n[:, :2], axis=1), forces_n[:, 2]
         assert (drag_n <= mu * normal_n * (1 + 1e-6)).all()
-        is_sliding = (
-            np.arange(len(way_m)) * speed_m_s * DT_S > 0.006
-        )  # 1000 N/m: at most 4 mm before it slides
+        is_sliding = np.arange(len(way_m)) * speed_m_s * DT_S > 0.006  # a spring of 1000 N/m: up to 4 mm
         assert is_sliding.sum() > 20 and normal_n[-1] > 0.02
         assert drag_n[is_sliding] == pytest.approx(mu * normal_n[is_sliding], rel=0.02)
         against = -(forces_n[is_sliding, :2] @ unit) / drag_n[is_sliding]
@@ -105,14 +103,14 @@ BENCHES = {
 
 
 def rubbed(bench: Bench, mu: float, k: float, c: float, steps: list[tuple[float, ...]]) -> Iterator[Vector]:
-    """The forces of the field and of friction, float64 [2, 3], of a hand that moves by steps from the middle."""
+    """Forces of the field and of friction, float64 [2, 3], on a hand that moves by steps from the middle."""
     bench.restart(RenderSpec(coupling_n_per_m=0.0))
     settings, state = (bench.memory.receiver[name] for name in ("settings", "state"))
     settings["friction"], state["friction"] = mu, mu
     settings["stick_n_per_m"], settings["stick_n_s_per_m"] = k, c
     position = np.zeros(3)
     for x, y, z, dt_s in steps:
-        position = np.clip(position + (x, y, z), -0.15, 0.15)
+        position = np.clip(position + np.array([x, y, z]), -0.15, 0.15)
         bench.tick(*position, dt_s)
         yield np.array([bench.value("state.field_force_n"), bench.value("state.friction_n")])
 
@@ -175,7 +173,7 @@ def test_a_hand_at_rest_feels_a_constant_force(kind: str, mu: float, hand_kg: fl
     The proxy follows the hand in steps of 0.1 um, which are 0.1 mN of the spring.
     """
     goal = np.array([0.0, 0.0, surface_m(kind) - 0.012])
-    position, velocity, forces_n = goal + [0.0, 0.0, 0.013], np.zeros(3), []
+    position, velocity, forces_n = goal + np.array([0.0, 0.0, 0.013]), np.zeros(3), []
     with player_of(kind, mu) as player:
         player.play()
         for n in range(9000 if hand_kg == 1 else 4000):  # a heavy hand swings for longer
@@ -212,7 +210,7 @@ def test_a_hand_that_stops_is_held_by_what_the_spring_holds() -> None:
 def test_friction_never_gives_more_than_its_spring_stored(
     steps: list[tuple[float, ...]], mu: float, k: float
 ) -> None:
-    """Work on the hand and energy of the spring stay below that of the steps in which the force is constant."""
+    """Work and stored energy stay below what a spring gives that is constant within each step, k dx^2 / 2."""
     gained_j = allowed_j = 0.0
     friction_n = np.zeros(3)
     path = [(*step, DT_S) for step in steps]
@@ -242,9 +240,8 @@ def test_a_closed_way_costs_what_slid(kind: str) -> None:
         length_m = np.linalg.norm(steps_m, axis=1).sum()
         reversals = 2 * turns if np.allclose(way_m[:, 1], 0.5 * way_m[:, 0]) else 0
         stuck_m = (2 * reversals + 1) * mu * normal_n / 1000
-        assert (
-            -mu * normal_n * length_m * 1.001 <= power_j.sum() <= -mu * normal_n * (length_m - stuck_m) * 0.98
-        )
+        sliding_n = mu * normal_n
+        assert -1.001 * sliding_n * length_m <= power_j.sum() <= -0.98 * sliding_n * (length_m - stuck_m)
 
 
 def test_a_small_closed_way_gives_nothing() -> None:
