@@ -37,7 +37,6 @@ OPTIONS = {
     "rate_hz": (2000.0, "settings.rate_hz", 2000.0),
     "friction": (0.21, "settings.friction", 0.21),
     "damping_n_s_per_m": (0.31, "settings.damping_n_s_per_m", 0.31),
-    "slip_speed_m_s": (0.0041, "settings.slip_speed_m_s", 0.0041),
     "coupling_n_per_m": (51.0, "settings.coupling_n_per_m", 51.0),
     "passivity": (True, "settings.is_passive", 1.0),
     "scale": (0.61, "settings.scale", 0.61),
@@ -52,6 +51,7 @@ OPTIONS = {
     "continuous_nm": (0.015, "settings.torque_limits.continuous", 0.015),
     "slew_nm_per_s": (1.6, "settings.torque_limits.slew_per_s", 1.6),
 }
+STICK = {"settings.stick_n_per_m", "settings.stick_n_s_per_m"}  # spring and damper of friction's anchor
 TWISTING = replace(OMNI, torque_max_nm=0.2, torque_continuous_nm=0.05)
 
 
@@ -77,7 +77,9 @@ def test_an_option_changes_only_its_setting(name: str) -> None:
             "state.force.limit",
         },  # the slew limit reaches the peak in 5 ms
         "peak_nm": {"settings.torque_limits.slew_per_s", "state.torque.limit"},
-        "rate_hz": {"settings.delay_ticks"},
+        "rate_hz": {"settings.delay_ticks", *STICK},
+        **dict.fromkeys(("scale", "force_scale", "velocity_cutoff_hz"), STICK),
+        "damping_n_s_per_m": {"settings.stick_n_s_per_m"},
         **{key: {"layout.ramp_limit_ns"} for key in ("slew_n_per_s", "slew_nm_per_s", "ramp_s")},
     }.get(name, set())
     assert differing(default, found) - follow == {path}
