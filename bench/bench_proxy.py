@@ -177,12 +177,16 @@ def truth() -> Figures:
                 errors.append(abs(np.linalg.norm(force) / (500 * depth) - 1))
     for mu in (0.2, 0.5, 0.8):
         rig = Held(field_of(BLOCK), mu=mu)
+        stick_n_per_m = rig.value("settings.stick_n_per_m")
+        damper_n_s_per_m = rig.value("settings.stick_n_s_per_m")
         for z in np.linspace(0.02, 0.013, 40):
             rig.tick(np.array([0.0, 0.0, z]))
         for way in np.linspace(0, 0.005, 300):
             rig.tick(np.array([way, 0.3 * way, 0.013]))
             max_friction_n = mu * np.linalg.norm(rig.value("state.field_force_n"))
-            expected_n = min(rig.wall.stiffness_n_per_m * np.hypot(way, 0.3 * way), max_friction_n)
+            pull_n = stick_n_per_m * np.hypot(way, 0.3 * way)
+            pull_n += damper_n_s_per_m * np.linalg.norm(rig.value("state.velocity_m_s")[:2])
+            expected_n = min(pull_n, max_friction_n)
             slips.append(abs(np.linalg.norm(rig.value("state.friction_n")) - expected_n) / max_friction_n)
     return {
         "error": float(np.mean(errors)),

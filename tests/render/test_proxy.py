@@ -121,7 +121,12 @@ def test_a_resting_hand_on_a_rough_surface_gets_no_step() -> None:
 
 @pytest.mark.parametrize("shape", [Box((0, 0, 0), (0.02, 0.02, 0.02)), Sphere((0, 0, 0), 0.02)])
 def test_a_hand_that_slides_off_is_released_once(shape: Box | Sphere) -> None:
+    """From the first to the last contact the force is never zero; after it, it goes to the stored force.
+
+    Outside a surface the stored force oscillates around zero, below the level of the proxy.
+    """
     field, rng = field_of(shape, nw=6 if isinstance(shape, Box) else 7), np.random.default_rng(0)
+    releases = 0
     for _ in range(60):
         rendered = Held(field)
         inwards = rng.normal(size=3)
@@ -130,21 +135,18 @@ def test_a_hand_that_slides_off_is_released_once(shape: Box | Sphere) -> None:
         along /= np.linalg.norm(along)
         path = [(0.036 - 0.019 * weight) * inwards for weight in np.linspace(0, 1, 200)]
         path += [path[-1] + s * along for s in np.arange(0.0, 0.04, 0.00025)]
-        sizes = np.array([np.linalg.norm(rendered.tick(position)) for position in path])
-        is_lost = (sizes[1:-1] == 0) & (sizes[:-2] > 0) & (sizes[2:] > 0)
-        assert not is_lost.any()
-
-
-def test_friction_sticks_then_slips_at_mu_times_the_pressure() -> None:
-    for mu in (0.0, 0.3, 0.7):
-        rendered = Held(field_of(BLOCK), mu=mu)
-        into(rendered, np.array([0.0, 0.0, 0.02]), np.array([0.0, 0.0, 0.013]))
-        for way in np.linspace(0, 0.004, 200):
-            rendered.tick(np.array([way, 0.5 * way, 0.013]))
-            pressure = np.linalg.norm(rendered.value("state.field_force_n"))
-            drag = np.linalg.norm(rendered.value("state.friction_n"))
-            pull = rendered.wall.stiffness_n_per_m * np.hypot(way, 0.5 * way)
-            assert drag == pytest.approx(min(pull, mu * pressure), rel=0.02, abs=0.02)
+        forces, stored = np.array([rendered.tick(position) for position in path]), field.sample_n(path)
+        sizes = np.linalg.norm(forces, axis=1)
+        contact = np.flatnonzero(sizes > rendered.wall.level_n)
+        first, last = contact[0], contact[-1] + 1
+        assert (sizes[first:last] > 0).all()
+        if last > len(path) - 20:  # a corner of the box is longer than the way
+            continue
+        releases += 1
+        eased = np.linalg.norm(forces - stored, axis=1)
+        assert eased[:first].max() < 1e-6 and (np.diff(eased[last:]) <= 1e-7).all()
+        assert eased[last] < rendered.wall.level_n and eased[last + 10 :].max() < 1e-7
+    assert releases > 30
 
 
 def test_random_pressing_adds_no_energy() -> None:
@@ -204,25 +206,6 @@ def test_friction_holds_on_a_body_that_turns(turn_deg: int) -> None:
         assert force @ normal > 1.0 and force @ normal == pytest.approx(np.linalg.norm(force), rel=0.01)
         assert np.linalg.norm(rendered.value("state.friction_n")) < 0.05
         assert np.cross(rendered.proxy_m - place, normal) == pytest.approx(np.zeros(3), abs=1e-4)
-
-
-def test_friction_carries_a_hand_along_with_a_body_that_turns() -> None:
-    """On a hand that stays where it is, friction pulls the way in which the surface passes below it."""
-    halves = np.radians([90, 92, 94, 96, 98]) / 2
-    poses = [((np.cos(a), 0.0, 0.0, np.sin(a)), (0.0, 0.0, 0.0)) for a in halves]
-    rendered = Held(field_of(BALL), mu=0.7, poses=poses)
-    into(rendered, np.array([0.03, 0.0, 0.0]), np.array([0.022, 0.0, 0.0]))
-    for at in np.linspace(0, 4, 101):
-        rendered.at = at
-        rendered.tick(np.array([0.022, 0.0, 0.0]))
-        slip = 0.025 * np.radians(2 * at)
-        drag, pressure = (
-            rendered.value("state.friction_n"),
-            np.linalg.norm(rendered.value("state.field_force_n")),
-        )
-        expected = min(rendered.wall.stiffness_n_per_m * slip, 0.7 * pressure)
-        assert drag[1] == pytest.approx(expected, rel=0.15, abs=0.05)
-        assert abs(drag[2]) < 0.05
 
 
 def test_a_proxy_without_contact_follows_the_hand_without_force() -> None:

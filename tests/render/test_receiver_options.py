@@ -13,13 +13,21 @@ from player_makers import laid_out
 from receiver_values import differing, value_of
 from tick_makers import GRID, OMNI, points, wall
 
+from touchfield.devices import Device
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.render.block import Memory, layout, statistics_of
 from touchfield.render.feeder import Feeder
 from touchfield.render.material import Material, materials_json, read_materials
 from touchfield.render.point_device import BOX_AXES, axes_matrix, axes_notes
-from touchfield.render.spec import RenderSpec, stability_of, stated_n_per_m, wall_of, write_parameters
+from touchfield.render.spec import (
+    RenderSpec,
+    stability_of,
+    stated_n_per_m,
+    wall_of,
+    write_delay,
+    write_parameters,
+)
 from touchfield.render.tool import Tool
 
 AXES = "x right, y up, z back"
@@ -37,7 +45,6 @@ OPTIONS = {
     "rate_hz": (2000.0, "settings.rate_hz", 2000.0),
     "friction": (0.21, "settings.friction", 0.21),
     "damping_n_s_per_m": (0.31, "settings.damping_n_s_per_m", 0.31),
-    "slip_speed_m_s": (0.0041, "settings.slip_speed_m_s", 0.0041),
     "coupling_n_per_m": (51.0, "settings.coupling_n_per_m", 51.0),
     "passivity": (True, "settings.is_passive", 1.0),
     "scale": (0.61, "settings.scale", 0.61),
@@ -52,6 +59,7 @@ OPTIONS = {
     "continuous_nm": (0.015, "settings.torque_limits.continuous", 0.015),
     "slew_nm_per_s": (1.6, "settings.torque_limits.slew_per_s", 1.6),
 }
+STICK = {"settings.stick_n_per_m", "settings.stick_n_s_per_m"}  # spring and damper of friction's anchor
 TWISTING = replace(OMNI, torque_max_nm=0.2, torque_continuous_nm=0.05)
 
 
@@ -77,7 +85,9 @@ def test_an_option_changes_only_its_setting(name: str) -> None:
             "state.force.limit",
         },  # the slew limit reaches the peak in 5 ms
         "peak_nm": {"settings.torque_limits.slew_per_s", "state.torque.limit"},
-        "rate_hz": {"settings.delay_ticks"},
+        "rate_hz": {"settings.delay_ticks", *STICK},
+        **dict.fromkeys(("scale", "force_scale", "velocity_cutoff_hz"), STICK),
+        "damping_n_s_per_m": {"settings.stick_n_s_per_m"},
         **{key: {"layout.ramp_limit_ns"} for key in ("slew_n_per_s", "slew_nm_per_s", "ramp_s")},
     }.get(name, set())
     assert differing(default, found) - follow == {path}
@@ -100,6 +110,36 @@ def test_combined_options_equal_single_ones() -> None:
     assert notes == (
         f"the constant force of {weight:g} N leaves nothing of the limit of 0.81 N to the field",
     )
+
+
+def test_spring_of_friction_is_that_of_a_fingertip_or_what_the_loop_renders_stably() -> None:
+    """K is at most 1000 N/m of the device, and the damper 2 K (T/2 + d) - b, both in units of the field."""
+
+    def stick_of(spec: RenderSpec, device: Device = TWISTING, damping: float = 0.0) -> tuple[float, float]:
+        memory = empty()
+        write_parameters(memory, spec, device, 0.3, damping, AXES)
+        k, c = (float(memory.receiver["settings"][f"stick_n{unit}_per_m"]) for unit in ("", "_s"))
+        return k, c
+
+    slow = [stick_of(RenderSpec(), replace(OMNI, delay_ms=delay)) for delay in (0.0, 1.0, 2.0, 5.0, 20.0)]
+    assert slow[0] == pytest.approx((1000.0, 1.0)) and slow[1] == pytest.approx((1000.0, 3.0))
+    assert slow[2][0] == 1000.0 > slow[3][0] > slow[4][0] > 0
+    for (k, c), delay_s in zip(slow, (0.0, 1e-3, 2e-3, 5e-3, 20e-3), strict=True):
+        assert c == pytest.approx(2 * k * (0.0005 + delay_s))
+    assert stick_of(RenderSpec(rate_hz=2000.0), replace(OMNI, delay_ms=1.0)) == pytest.approx((1000.0, 2.5))
+    k, c = slow[3]
+    delayed = replace(OMNI, delay_ms=5.0)
+    scaled = stick_of(RenderSpec(scale=0.5, force_scale=3.0), delayed)
+    assert scaled == pytest.approx((k / 1.5, c / 1.5))
+    assert stick_of(RenderSpec(), delayed, damping=0.4 * c) == pytest.approx((k, 0.6 * c))
+    assert stick_of(RenderSpec(damping_n_s_per_m=0.3 * c), delayed) == pytest.approx((k, 0.7 * c))
+    assert stick_of(RenderSpec(damping_n_s_per_m=2 * c), delayed) == (pytest.approx(k), 0.0)
+    stiffer, damper = stick_of(RenderSpec(), replace(delayed, damping_n_s_per_m=0.5))
+    assert k < stiffer <= 1000 and damper == pytest.approx(2 * stiffer * 0.0055 - 0.5)
+    memory = empty()
+    write_parameters(memory, RenderSpec(), OMNI, 0.3, 0.0, AXES)
+    write_delay(memory, RenderSpec(), delayed, 0.3, 0.0)  # while a servo ticks
+    assert [value_of(memory, path) for path in sorted(STICK)] == pytest.approx([k, c])
 
 
 def test_torque_limits_are_those_of_a_device_that_states_them() -> None:
