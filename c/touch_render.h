@@ -34,7 +34,8 @@
                        touch_coupling_force        virtual coupling                           touch_effects.h
                        touch_force_at              penalty force at the point                 touch_query.h
                        touch_yield                 creep of a deformed medium, without a proxy         touch_query.h
-                   touch_friction, touch_vibration_force, touch_texture, touch_damped         touch_effects.h
+                       touch_friction_force        dry friction at the proxy or the hand              touch_friction.h
+                   touch_vibration_force, touch_texture, touch_damped         touch_effects.h
                    touch_passivity_controller                                                 touch_effects.h
                    gravity                     the weight of the handle
                ramp                        a gain of 0 to 1, in the time of the settings
