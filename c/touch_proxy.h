@@ -47,6 +47,7 @@
 #define TOUCH_PROXY_EASE_S 1.0          /* in which the correction at rest may change by a large force of the field */
 #define TOUCH_PROXY_FOLLOW 3.0          /* times the motion of hand and surface: a step of the proxy that is longer is a jump */
 #define TOUCH_PROXY_MIN_JUMP 0.1        /* of the longest step: a shorter one is none */
+#define TOUCH_PROXY_STEEP 20.0          /* times the spring: more is no change of force by a motion of the hand */
 #define TOUCH_PROXY_LEAK 0.25           /* of the spring: what a motion gives back of a jump's force */
 
 typedef struct { /* the field at this time, and what defines its surface */
@@ -343,13 +344,20 @@ static inline double touch_field_share(const touch_isosurface *s, touch_vector s
     return by_size * touch_smooth_step((along / stored - TOUCH_PROXY_EDGE_COSINE) / TOUCH_PROXY_EDGE_WIDTH);
 }
 
-/* How far the hand and the surface moved in this tick, metres, beside the body that carries the proxy. */
-static inline double touch_relative_motion(const touch_isosurface *s, touch_vector hand_m, touch_vector carried_m) {
+typedef struct {           /* in a tick, beside the body that carries the proxy */
+    double hand_m;         /* how far the hand moved */
+    double surface_n;      /* by how much |F| changed at the proxy */
+    double total_m;        /* how far hand and surface moved */
+} touch_contact_motion;
+
+static inline touch_contact_motion touch_motion_of(const touch_isosurface *s, touch_vector hand_m, touch_vector carried_m) {
     const touch_proxy *proxy = &s->receiver->state.proxy;
     touch_vector carried = touch_subtract(carried_m, proxy->position_m);
-    double hand_step_m = touch_magnitude(touch_subtract(touch_subtract(hand_m, proxy->hand_m), carried));
-    double surface_step_n = fabs(touch_probe(s, carried_m).force_n - proxy->surface_n);
-    return hand_step_m + surface_step_n / s->stiffness_n_per_m;
+    touch_contact_motion motion;
+    motion.hand_m = touch_magnitude(touch_subtract(touch_subtract(hand_m, proxy->hand_m), carried));
+    motion.surface_n = fabs(touch_probe(s, carried_m).force_n - proxy->surface_n);
+    motion.total_m = motion.hand_m + motion.surface_n / s->stiffness_n_per_m;
+    return motion;
 }
 
 /* A vector, shortened by a length. */
@@ -358,15 +366,24 @@ static inline touch_vector touch_shortened(touch_vector v, double length) {
     return size > length ? touch_scale(1.0 - length / size, v) : touch_zero();
 }
 
-/* Where the proxy moves by more than hand and surface explain, it has jumped: to another surface, or on or off one. The hand
-   gets the field's own change; what the jump changes is given back with time and with motion. */
-static inline void touch_ease_jump(const touch_isosurface *s, double step_m, touch_vector force_n, touch_vector stored_n,
-                                   double motion_m, double dt_s) {
+/* Whether the proxy moved by more than hand and surface explain, to another surface, or on or off one; or the force changed by
+   more than the field's own and a motion of the hand, where the medium changes. */
+static inline int touch_has_jumped(const touch_isosurface *s, const touch_contact_motion *motion, double step_m,
+                                   double field_n, double jump_n) {
+    if (step_m > TOUCH_PROXY_FOLLOW * motion->total_m + TOUCH_PROXY_MIN_JUMP * s->max_step_m) return 1;
+    if (s->instant->before == s->instant->after) return 0; /* the medium stands still */
+    return jump_n > field_n + TOUCH_PROXY_STEEP * s->stiffness_n_per_m * motion->hand_m;
+}
+
+/* Where the proxy jumped, the hand gets the field's own change; the rest is given back with time and with motion. */
+static inline void touch_ease_jump(const touch_isosurface *s, const touch_contact_motion *motion, double step_m,
+                                   touch_vector force_n, touch_vector stored_n, double dt_s) {
     touch_proxy *proxy = &s->receiver->state.proxy;
-    int has_jumped = step_m > TOUCH_PROXY_FOLLOW * motion_m + TOUCH_PROXY_MIN_JUMP * s->max_step_m;
-    touch_vector field_n = touch_subtract(stored_n, proxy->stored_n), change_n = touch_subtract(force_n, proxy->force_n);
-    if (has_jumped) proxy->eased_n = touch_add(proxy->eased_n, touch_subtract(change_n, field_n));
-    double given_n = TOUCH_PROXY_LEAK * s->stiffness_n_per_m * motion_m + s->large_n * dt_s / TOUCH_PROXY_EASE_S;
+    touch_vector field_n = touch_subtract(stored_n, proxy->stored_n);
+    touch_vector jump_n = touch_subtract(touch_subtract(force_n, proxy->force_n), field_n);
+    if (touch_has_jumped(s, motion, step_m, touch_magnitude(field_n), touch_magnitude(jump_n)))
+        proxy->eased_n = touch_add(proxy->eased_n, jump_n);
+    double given_n = TOUCH_PROXY_LEAK * s->stiffness_n_per_m * motion->total_m + s->large_n * dt_s / TOUCH_PROXY_EASE_S;
     proxy->eased_n = touch_shortened(proxy->eased_n, given_n);
 }
 
@@ -394,7 +411,7 @@ static inline touch_vector touch_contact_force(touch_receiver *receiver, const t
     s.max_step_m = 0.5 * touch_fmin(touch_fmin(s.spacing_m.x, s.spacing_m.y), s.spacing_m.z);
     int is_new = !proxy->is_active;
     touch_vector carried = is_new ? hand_m : touch_carried_position(&s), position = carried;
-    double motion_m = is_new ? 0.0 : touch_relative_motion(&s, hand_m, carried);
+    touch_contact_motion motion = touch_motion_of(&s, hand_m, carried);
     int is_in_contact = touch_move_proxy(&s, hand_m, &position);
     touch_store_proxy(&s, position, is_in_contact);
     touch_vector stored = touch_force_at(t, hand_m);
@@ -402,7 +419,7 @@ static inline touch_vector touch_contact_force(touch_receiver *receiver, const t
     if (is_new)
         proxy->eased_n = touch_zero();
     else
-        touch_ease_jump(&s, touch_magnitude(touch_subtract(position, carried)), force, stored, motion_m, dt_s);
+        touch_ease_jump(&s, &motion, touch_magnitude(touch_subtract(position, carried)), force, stored, dt_s);
     proxy->surface_n = touch_probe(&s, position).force_n;
     proxy->hand_m = hand_m;
     proxy->force_n = force;
