@@ -13,21 +13,28 @@ from tick_makers import Bench, constant
 
 import touchfield as tf
 from touchfield.medium import Grid, HapticMedium
+from touchfield.medium.deformation import Deformation
 from touchfield.render.spec import RenderSpec
 from touchfield.render.tool import Tool
 from touchfield.sources.shapes.shapes import Box, Sphere
 
 BLOCK = field_of(Box((0.0, 0.0, 0.0), (0.03, 0.02, 0.015)))
 TOP_M, RADIUS_M, DT_S, TICK_NS = 0.015, 0.005, 1e-3, 1_000_000
-KINDS = ("proxy", "field", "tool")
+KINDS = ("proxy", "field", "tool", "deformed")
+BEND_BOX_M = (-0.03, -0.02, -0.01), (0.03, 0.02, 0.025)
+BENDS = {
+    "deformed": Deformation.at_rest(*BEND_BOX_M),
+    "yielding": Deformation.at_rest(*BEND_BOX_M, compliance_m_per_n=1e-4, relax_s=0.1),
+}
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 
 
 def player_of(kind: str, mu: float) -> tf.TickedPlayer:
-    """A player of the block, by proxy, by the stored field, or with a ball as the tool."""
+    """A player of the block: by proxy, by the stored field, with a ball as the tool, or deformed."""
     medium = HapticMedium(BLOCK.grid, 30.0, 1, lambda i: BLOCK, axes=STRONG.axes)
     tool = Tool.sphere(RADIUS_M) if kind == "tool" else None
-    spec = RenderSpec(friction=mu, render="proxy" if kind == "proxy" else "field", tool=tool)
+    render = "proxy" if kind == "proxy" else "field"
+    spec = RenderSpec(friction=mu, render=render, tool=tool, deformation=BENDS.get(kind))
     return tf.TickedPlayer(medium, STRONG, spec, is_simulated=True)
 
 
@@ -167,7 +174,7 @@ def band_n(forces_n: Vector) -> float:
 
 @pytest.mark.parametrize("hand_kg", [0.05, 0.2, 1.0])
 @pytest.mark.parametrize("mu", [0.1, 0.4])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [*KINDS, "yielding"])
 def test_a_hand_at_rest_feels_a_constant_force(kind: str, mu: float, hand_kg: float) -> None:
     """A hand on a spring of 200 N/m and 2 N s/m, pulled 3 mm along the surface, comes to rest.
 
