@@ -137,12 +137,13 @@ def rubbed(bench: Bench, mu: float, k: float, c: float, steps: list[tuple[float,
 def test_friction_never_leaves_its_cone_and_stays_along_the_surface(
     size_n: float, mu: float, k: float, c: float, steps: list[tuple[float, ...]]
 ) -> None:
+    smallest_n = 1e-322 + 5e-324 * (k + 3e3 * c)  # where a factor or a force is among the smallest numbers
     rounding_n = 1e-322 + 1e-16 * k + 1e-12 * c  # of 0.3 m and 3000 m/s
     for force_n, friction_n in rubbed(BENCHES[size_n], mu, k, c, steps):
         assert np.isfinite(friction_n).all()
         normal = force_n / math.hypot(*force_n)
         pressure_n, size = math.hypot(*force_n), math.hypot(*friction_n)
-        assert size <= mu * pressure_n + 1e-322  # the smallest numbers are rounded by more than 2^-39
+        assert size <= mu * pressure_n + smallest_n
         assert abs(math.fsum(friction_n * normal)) <= 1e-9 * size + rounding_n
 
 
