@@ -18,6 +18,7 @@ A simulated hand of 0.1 kg is rendered with the proxy and with the plain field:
 * hum: vibration from 40 to 400 Hz while a hand slides at 50 mm/s.
 * seams: the largest step of the force at the end of a loop, at seeks and at the start of a segment, beside
   the field's own (``seams.py``), for hands that rest at `--points` points.
+* rests: the same of hands that rest on TUM fr1_rpy and ICL-NUIM while these change (``rests.py``).
 
 `--walks` is the number of paths over the surface in the two tests before the last.
 """
@@ -31,6 +32,7 @@ from typing import Any
 
 import numpy as np
 
+import rests
 import seams
 from machine import SHARED, Bar, Figures, at_most, bench
 from touchfield.compute.native import native
@@ -303,6 +305,7 @@ def measure(seconds: int, walks: int, lattices: int, points: int) -> Figures:
         "speed": speeds(fields, walks),
         "hum_mn": hums(fields, walks),
         "seams_mn": seams.seams(points),
+        "rests_mn": rests.rests(points, min(lattices, 2)),
     }
 
 
@@ -326,6 +329,7 @@ def bars(figures: Figures) -> list[Bar]:
             for name, row in figures["speed"].items()
         ),
         *seams.bars(figures["seams_mn"]),
+        *rests.bars(figures["rests_mn"]),
     ]
 
 

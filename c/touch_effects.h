@@ -3,7 +3,7 @@
 
        velocity                 of the hand in the field, low-passed (after the passivity observer)
        virtual coupling         a spring K between the hand and a proxy in the field (Colgate, Stanley and Brown 1995)
-       friction and damping     Coulomb friction F_t = -mu |F| v_t / |v_t|, and a damper along the force of contact
+       damping                  a damper along the force of contact
        vibration, materials     sines along the force: of the medium, and textures and stick-slip of materials
        passivity                observer and controller in the time domain (Hannaford and Ryu 2002)
        limits                   peak, continuous force by heat, and slew rate
@@ -157,7 +157,7 @@ static inline void touch_smooth_settings(touch_receiver *receiver) {
     state->compliance_m_per_n += weight * (compliance - state->compliance_m_per_n);
 }
 
-/* -- friction and damping --------------------------------------------------------------------------------------------- */
+/* -- damping ---------------------------------------------------------------------------------------------------------- */
 
 /* A force of the field with the damper in contact: along it alone, and never more than it. */
 static inline touch_vector touch_damped(const touch_tick_state *state, touch_vector force_n, touch_vector velocity_m_s) {

@@ -1,12 +1,12 @@
 /* touch_friction.h: dry friction with an anchor, for the proxy, the field, tools and deformed media.
 
-   The anchor is the point of the surface that the hand stuck to last. A spring and a damper pull the hand back to it along the
-   surface. Where they would pull by more than mu |F|, the anchor slides after, so that the spring alone pulls by mu |F|: the model
-   of Hayward and Armstrong (2000), Dahl's with an edge. Friction depends on positions and not on a measured speed, so that a hand
-   at rest is held by a force that does not change. A body that moves carries the anchor.
+   The anchor is the point of the surface that the hand stuck to last. A spring and a damper pull the hand back to it along
+   the surface. Where they would pull by more than mu |F|, the anchor slides after, so that the spring alone pulls by mu |F|:
+   the model of Hayward and Armstrong (2000), Dahl's with an edge. Friction depends on positions and not on a measured speed,
+   so that a hand at rest is held by a force that does not change. A body that moves carries the anchor.
 
-   The spring is as stiff as the loop of the device renders stably (touch_stick_of), and the damper is the one that it needs. Both
-   only take energy out over a cycle: what stretches the spring comes back, and what slides is lost. */
+   The spring is as stiff as the loop of the device renders stably (touch_choose_stick), and the damper is the one that it
+   needs. Both only take energy out over a cycle: what stretches the spring comes back, and what slides is lost. */
 #ifndef TOUCH_FRICTION_H
 #define TOUCH_FRICTION_H
 
@@ -15,10 +15,10 @@
 #define TOUCH_IN_CONE (1.0 - 1.0 / 549755813888.0) /* 1 - 2^-39: rounding never lifts friction out of its cone */
 
 typedef struct { /* one tick of friction */
-    double max_n;                     /* mu |F| */
+    double max_n;                          /* mu |F| */
     double stick_n_per_m, stick_n_s_per_m; /* spring and damper */
-    touch_vector normal;              /* of the surface, F / |F| */
-    touch_vector velocity_m_s;        /* of the hand; of the proxy's end of the spring */
+    touch_vector normal;                   /* of the surface, F / |F| */
+    touch_vector velocity_m_s;             /* of the hand, beside that of the surface */
 } touch_friction_rule;
 
 /* What is left of a vector along the surface. */

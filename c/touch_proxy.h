@@ -12,14 +12,16 @@
            touch_constrained_motion        the motion to the hand, along the constraint planes: one, two or three
            touch_find_surface              a step that ends within a surface is brought back onto it
            touch_add_constraint            its tangent plane constrains the next step
-       touch_ramp_depth                how far the proxy lies below the surface of what was coded, x
        touch_store_proxy               for the next tick
-       touch_field_share               how far the stored force is that of this wall
+       touch_proxy_force               a spring, or the stored force where this is that of the same wall:
+           touch_ramp_depth                how far the proxy lies below the surface of what was coded, x
+           touch_field_share               how far the stored force is that of this wall
+       touch_ease_jump                 where the proxy jumped, its force comes slowly
 
    The force is that of a spring, F = K (|proxy - hand| + x), along proxy - hand. The low-pass of a field makes a ramp of each
-   wall, and x extrapolates that ramp. Where the stored force at the hand agrees with that spring, it is rendered itself; where
-   a wall is thin or has an edge, the spring still stops the hand. Friction acts at the proxy (touch_friction.h). Steps get
-   shorter where those of the tick before went to and fro, so that the proxy comes to rest. */
+   wall, and x extrapolates that ramp. Where the stored force at the hand agrees with that spring, it is rendered itself;
+   where a wall is thin or has an edge, the spring still stops the hand. Friction acts at the proxy (touch_friction.h). Steps
+   get shorter where those of the tick before went to and fro, so that the proxy comes to rest. */
 #ifndef TOUCH_PROXY_H
 #define TOUCH_PROXY_H
 
@@ -40,8 +42,8 @@
 #define TOUCH_PROXY_RAMP_DOUBT 0.05     /* samples: by so much a ramp within the low-pass overestimates */
 #define TOUCH_PROXY_THIN_RATIO 0.2      /* of the stored force to that of the spring: up to this a wall is thin, */
 #define TOUCH_PROXY_THIN_WIDTH 0.3      /* and from so much more on it is thick */
-#define TOUCH_PROXY_EDGE_COSINE 0.8     /* between the stored force and that of the spring: up to this it is an edge, */
-#define TOUCH_PROXY_EDGE_WIDTH 0.15     /* and from so much more on a surface */
+#define TOUCH_PROXY_EDGE_COSINE 0.85     /* between the stored force and that of the spring: up to this it is an edge, */
+#define TOUCH_PROXY_EDGE_WIDTH 0.13     /* and from so much more on a surface */
 #define TOUCH_PROXY_EASE_S 1.0          /* in which the correction at rest may change by a large force of the field */
 #define TOUCH_PROXY_FOLLOW 3.0          /* times the motion of hand and surface: a step of the proxy that is longer is a jump */
 #define TOUCH_PROXY_MIN_JUMP 0.1        /* of the longest step: a shorter one is none */
@@ -328,14 +330,16 @@ static inline double touch_ramp_depth(const touch_isosurface *s, touch_vector po
     return touch_fmin(touch_fmin(depth, sample), 0.5 * depth_m);
 }
 
-/* How far the field itself is the force of this wall, 0 to 1. In a wall that fills its neighbourhood the stored force at the hand
-   is what the proxy's spring approximates, but it changes with time as smoothly as the field does, and not as a surface that
-   is searched for; so it is rendered. Where the wall is thin or has an edge the stored force is smaller or turned. */
-static inline double touch_field_share(const touch_isosurface *s, touch_vector stored_n, touch_vector outwards, double force_n) {
+/* How far the field itself is the force of this wall, 0 to 1. In a wall that fills its neighbourhood the stored force at the
+   hand is what the proxy's spring approximates, but it changes with time as smoothly as the field does, and not as a surface
+   that is searched for; so it is rendered. Where the wall is thin or has an edge the stored force is smaller or turned. */
+static inline double touch_field_share(const touch_isosurface *s, touch_vector stored_n, touch_vector outwards,
+                                       double force_n) {
     double stored = touch_magnitude(stored_n), expected = touch_fmin(force_n, s->large_n);
     if (!(stored > 0.0)) return 0.0;
     double along = touch_dot(stored_n, outwards), by_size = 1.0;
-    if (expected > 0.0) by_size = touch_smooth_step((along / expected - TOUCH_PROXY_THIN_RATIO) / TOUCH_PROXY_THIN_WIDTH);
+    if (expected > 0.0)
+        by_size = touch_smooth_step((along / expected - TOUCH_PROXY_THIN_RATIO) / TOUCH_PROXY_THIN_WIDTH);
     return by_size * touch_smooth_step((along / stored - TOUCH_PROXY_EDGE_COSINE) / TOUCH_PROXY_EDGE_WIDTH);
 }
 
@@ -356,9 +360,10 @@ static inline touch_vector touch_shortened(touch_vector v, double length) {
 
 /* Where the proxy moves by more than hand and surface explain, it has jumped: to another surface, or on or off one. The hand
    gets the field's own change; what the jump changes is given back with time and with motion. */
-static inline void touch_ease_jump(const touch_isosurface *s, int has_jumped, touch_vector force_n, touch_vector stored_n,
+static inline void touch_ease_jump(const touch_isosurface *s, double step_m, touch_vector force_n, touch_vector stored_n,
                                    double motion_m, double dt_s) {
     touch_proxy *proxy = &s->receiver->state.proxy;
+    int has_jumped = step_m > TOUCH_PROXY_FOLLOW * motion_m + TOUCH_PROXY_MIN_JUMP * s->max_step_m;
     touch_vector field_n = touch_subtract(stored_n, proxy->stored_n), change_n = touch_subtract(force_n, proxy->force_n);
     if (has_jumped) proxy->eased_n = touch_add(proxy->eased_n, touch_subtract(change_n, field_n));
     double given_n = TOUCH_PROXY_LEAK * s->stiffness_n_per_m * motion_m + s->large_n * dt_s / TOUCH_PROXY_EASE_S;
@@ -369,12 +374,13 @@ static inline void touch_ease_jump(const touch_isosurface *s, int has_jumped, to
 static inline touch_vector touch_proxy_force(const touch_isosurface *s, touch_vector hand_m, touch_vector stored_n) {
     const touch_tick_state *state = &s->receiver->state;
     touch_vector pull = touch_subtract(state->proxy.position_m, hand_m);
-    double k = 1.0 / (1.0 / s->stiffness_n_per_m + state->compliance_m_per_n); /* softer where the loop would be unstable */
+    /* where the loop needs a softer spring, the stored force would be too stiff */
+    double k = 1.0 / (1.0 / s->stiffness_n_per_m + state->compliance_m_per_n);
     double depth = touch_magnitude(pull);
     touch_vector outwards = touch_scale(1.0 / depth, pull);
     double ramp_depth = touch_ramp_depth(s, state->proxy.position_m, touch_scale(-1.0, outwards), depth);
     double force = touch_fmax(0.0, k * (depth + ramp_depth));
-    double share = touch_field_share(s, stored_n, outwards, force);
+    double share = state->compliance_m_per_n > 0.0 ? 0.0 : touch_field_share(s, stored_n, outwards, force);
     return touch_add(touch_scale(share, stored_n), touch_scale((1.0 - share) * force, outwards));
 }
 
@@ -387,19 +393,20 @@ static inline touch_vector touch_contact_force(touch_receiver *receiver, const t
                           settings->wall_spacing_m};
     s.max_step_m = 0.5 * touch_fmin(touch_fmin(s.spacing_m.x, s.spacing_m.y), s.spacing_m.z);
     int is_new = !proxy->is_active;
-    touch_vector position = is_new ? hand_m : touch_carried_position(&s);
-    touch_vector carried = position;
+    touch_vector carried = is_new ? hand_m : touch_carried_position(&s), position = carried;
     double motion_m = is_new ? 0.0 : touch_relative_motion(&s, hand_m, carried);
     int is_in_contact = touch_move_proxy(&s, hand_m, &position);
     touch_store_proxy(&s, position, is_in_contact);
     touch_vector stored = touch_force_at(t, hand_m);
     touch_vector force = is_in_contact ? touch_proxy_force(&s, hand_m, stored) : stored;
-    if (is_new) proxy->eased_n = touch_zero();
-    double step_m = touch_magnitude(touch_subtract(position, carried));
-    int has_jumped = step_m > TOUCH_PROXY_FOLLOW * motion_m + TOUCH_PROXY_MIN_JUMP * s.max_step_m;
-    if (!is_new) touch_ease_jump(&s, has_jumped, force, stored, motion_m, dt_s);
+    if (is_new)
+        proxy->eased_n = touch_zero();
+    else
+        touch_ease_jump(&s, touch_magnitude(touch_subtract(position, carried)), force, stored, motion_m, dt_s);
     proxy->surface_n = touch_probe(&s, position).force_n;
-    proxy->hand_m = hand_m, proxy->force_n = force, proxy->stored_n = stored;
+    proxy->hand_m = hand_m;
+    proxy->force_n = force;
+    proxy->stored_n = stored;
     return touch_subtract(force, proxy->eased_n);
 }
 

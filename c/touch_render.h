@@ -34,7 +34,8 @@
                        touch_coupling_force        virtual coupling                           touch_effects.h
                        touch_force_at              penalty force at the point                 touch_query.h
                        touch_yield                 creep of a deformed medium, without a proxy         touch_query.h
-                   touch_friction, touch_vibration_force, touch_texture, touch_damped         touch_effects.h
+                       touch_friction_force        dry friction at the proxy or the hand              touch_friction.h
+                   touch_vibration_force, touch_texture, touch_damped         touch_effects.h
                    touch_passivity_controller                                                 touch_effects.h
                    gravity                     the weight of the handle
                ramp                        a gain of 0 to 1, in the time of the settings
@@ -472,6 +473,15 @@ static inline touch_vector touch_field_force(touch_receiver *receiver, const tou
     return force;
 }
 
+/* Where the vibration of the medium acts: at the hand, or, where the hand is behind a thin wall that has none, at the proxy. */
+static inline touch_vector touch_vibrating_point(const touch_receiver *receiver, const touch_instant *t, touch_vector hand_m) {
+    const touch_proxy *proxy = &receiver->state.proxy;
+    double amplitude, frequency;
+    if (!(receiver->settings.wall_n_per_m > 0.0 && proxy->is_active && proxy->is_in_contact)) return hand_m;
+    touch_vibration_at(t, hand_m, &amplitude, &frequency);
+    return amplitude > 0.0 ? hand_m : proxy->position_m;
+}
+
 /* The force before gain and limits, N, in the device's axes: that of the field with friction, damping and vibration, as far
    as the passivity controller lets it, and what carries the weight of the handle. */
 static inline touch_vector touch_desired_force(touch_receiver *receiver, const touch_instant *t, double dt_s) {
@@ -485,7 +495,7 @@ static inline touch_vector touch_desired_force(touch_receiver *receiver, const t
     state->friction_n = friction;
 
     double size = touch_norm(force);
-    double vibration = touch_vibration_force(receiver, t, point, dt_s);
+    double vibration = touch_vibration_force(receiver, t, touch_vibrating_point(receiver, t, point), dt_s);
     if (material) vibration += touch_texture(receiver, material, force, velocity, dt_s);
     touch_vector added = touch_add_scaled(friction, -settings->damping_n_s_per_m, velocity);
     touch_vector vibration_n = touch_vector_of(0.0, 0.0, vibration); /* along the force; upwards where there is none */
@@ -528,10 +538,30 @@ static inline touch_vector touch_force_over_seam(touch_receiver *receiver, const
 
 /* -- the force that is put out: ramp and limits ----------------------------------------------------------------------- */
 
-/* The hand leaves the field: no force and no friction act. */
-static inline void touch_leave_field(touch_tick_state *state) {
-    state->proxy.is_active = state->anchor.is_set = 0;
+/* No force and no friction of the field act in this tick. */
+static inline void touch_skip_field(touch_tick_state *state) {
     state->field_force_n = state->friction_n = state->field_torque_nm = touch_zero();
+}
+
+/* The hand leaves the field: where it was in contact is forgotten. */
+static inline void touch_leave_field(touch_tick_state *state) {
+    touch_skip_field(state);
+    state->proxy.is_active = state->anchor.is_set = 0;
+}
+
+/* What was put out fades with the gain; one missing frame or position leaves proxy and anchor where they are. */
+static inline void touch_ramp_out(touch_tick_state *state, double gain_step) {
+    double before = state->gain;
+    state->gain = touch_fmax(0.0, before - gain_step);
+    state->seam.is_frame_missing = state->gain > 0.0;
+    touch_skip_field(state);
+    if (before > 0.0) {
+        state->force.desired = touch_scale(1.0 / before, state->force.output);
+        state->torque.desired = touch_scale(1.0 / before, state->torque.output);
+    }
+    if (state->gain > 0.0) return;
+    touch_leave_field(state);
+    state->force.desired = touch_zero();
 }
 
 /* Limit force and torque by peak, heat and slew. The force; the torque is in state.torque.output. */
@@ -570,10 +600,7 @@ static inline touch_vector touch_tick(touch_receiver *receiver, int64_t before_o
         state->force.desired = touch_force_over_seam(receiver, NULL, dt_s);
         if (state->seam.left_s == 0.0) state->gain = 0.0;
     } else {
-        state->gain = touch_fmax(0.0, state->gain - gain_step);
-        state->seam.is_frame_missing = state->gain > 0.0;
-        touch_leave_field(state);
-        if (state->gain == 0.0) state->force.desired = touch_zero();
+        touch_ramp_out(state, gain_step);
     }
     if (state->gain == 0.0) state->torque.desired = touch_zero();
     touch_vector force = touch_scale(state->gain, state->force.desired);

@@ -55,7 +55,8 @@ static inline double touch_force_change_n(const touch_receiver *receiver, const 
     touch_instant before = *t, after = *t;
     before.after = t->before, after.before = t->after;
     before.blend = after.blend = 0.0;
-    return touch_norm(touch_subtract(touch_hand_force(receiver, &after, point_m), touch_hand_force(receiver, &before, point_m)));
+    touch_vector force_before = touch_hand_force(receiver, &before, point_m);
+    return touch_norm(touch_subtract(touch_hand_force(receiver, &after, point_m), force_before));
 }
 
 /* Whether a medium jumps between the frames of an instant; `own`: from the frame before them to the first of them. */

@@ -67,16 +67,18 @@ class Played:
     def on_spring(
         self, hand_m: Vector, goal_m: Vector, ticks: int, seeks: Mapping[int, float] | None = None
     ) -> tuple[Vector, Vector]:
-        """Forces on a hand that a spring pulls to a point, and its positions, each float64 [ticks, 3]."""
+        """Forces on a hand that a spring pulls to a point, or to one a tick, and its positions, each float64
+        [ticks, 3].
+        """
         x, v, forces, positions = np.array(hand_m, np.float64), np.zeros(3), [], []
-        for n in range(ticks):
+        for n, goal in enumerate(np.broadcast_to(goal_m, (ticks, 3))):
             if seeks and n in seeks:
                 self.seek(seeks[n])
             force = self.tick(x)
             forces.append(force)
             positions.append(x.copy())
             for _ in range(PARTS):
-                pull = SPRING_N_PER_M * (goal_m - x) - DAMPING_N_S_PER_M * v + force
+                pull = SPRING_N_PER_M * (goal - x) - DAMPING_N_S_PER_M * v + force
                 v = v + pull / HAND_KG * (1e-3 / PARTS)
                 x = x + v * (1e-3 / PARTS)
         return np.array(forces), np.array(positions)

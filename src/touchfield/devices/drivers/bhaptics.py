@@ -8,9 +8,10 @@ duration is at most 500 ms, then the Player switches the dots off: a program tha
 
 The Player sends its own state; of that, ConnectedPositions and ConnectedDeviceCount tell whether a vest is
 there. Port, path and these names are those of the maker's sources (bhaptics/haptic-library
-``src/hapticsManager.h``, bhaptics/tact-js ``src/PlayerSocket.ts`` and ``src/models/Interfaces.ts``). Under which
-name a vest is listed (Vest, VestFront, VestBack), and when the Player sends its state, is unverified: every name
-that begins with Vest counts, and a Player that sends neither is taken to have a vest. A Player has one vest.
+``src/hapticsManager.h``, bhaptics/tact-js ``src/PlayerSocket.ts`` and ``src/models/Interfaces.ts``). Under
+which name a vest is listed (Vest, VestFront, VestBack), and when the Player sends its state, is unverified:
+every name that begins with Vest counts, and a Player that sends neither is taken to have a vest. A Player has
+one vest.
 
 The protocol has 20 dots a side, 4 columns and 5 rows from the top left, for every vest: these are the motors
 of the TactSuit X40. A vest with fewer rows is driven through all 20, so that no motor is missed whichever
