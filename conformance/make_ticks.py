@@ -2,17 +2,19 @@
 
     python conformance/make_ticks.py [NAME ...]
 
-A file is little-endian: the bytes `TICKS001`, then int64: bytes of the receiver's memory, pieces, ticks,
-and numbers of a tick. Then the pieces of the memory that are not zero, each an offset and a size, int64,
-and its bytes. Then the ticks, float64: offset of the frame before and of the one after, blend, position
-(3, m), dt (s), whether it is a release (1) or a tick (0), and the force (3, N). With a tool, the
-orientation of the grip (4) and the torque (3, N m) follow.
+A file is little-endian: the bytes `TICKS002`, then int64: bytes of the receiver's memory, bytes of its first
+struct, `touch_receiver`, the CRC-32 of its layout, pieces, ticks, and numbers of a tick. A reader refuses a
+file of another layout, whose offsets would be others. Then the pieces of the memory that are not zero, each
+an offset and a size, int64, and its bytes. Then the ticks, float64: offset of the frame before and of the one
+after, blend, position (3, m), dt (s), whether it is a release (1) or a tick (0), and the force (3, N). With a
+tool, the orientation of the grip (4) and the torque (3, N m) follow.
 """
 
 from __future__ import annotations
 
 import struct
 import sys
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -41,7 +43,7 @@ from touchfield.render.spec import RenderSpec, write_parameters
 from touchfield.render.tool import Tool, tool_bytes, write_tool
 
 FOLDER: Final = Path(__file__).resolve().parent / "ticks"
-MAGIC: Final = b"TICKS001"
+MAGIC: Final = b"TICKS002"
 TICKS: Final = 150
 MIN_ZERO_BYTES: Final = 64  # a shorter run of zeros is written as it is
 DT_S: Final = 1e-3
@@ -49,6 +51,11 @@ DT_S: Final = 1e-3
 GRID: Final = Grid((5, 5, 5), (0.006,) * 3, (-0.012, -0.012, -0.018))
 AXES: Final = "x right, y up, z towards the user"
 OMNI: Final = device("phantom-omni")
+
+
+def layout_crc() -> int:
+    """CRC-32 of the names and offsets of the receiver's fields."""
+    return zlib.crc32(repr(native.receiver_layout()).encode())
 
 
 def field_of(law: Callable[[Any], Any], grid: Grid = GRID) -> ForceField:
@@ -151,7 +158,8 @@ class Ticks:
         pieces = list(pieces_of(content))
         rows = self.rows()
         with path.open("wb") as out:
-            out.write(MAGIC + struct.pack("<4q", len(content), len(pieces), *rows.shape))
+            header = len(content), layout.RECEIVER.itemsize, layout_crc(), len(pieces), *rows.shape
+            out.write(MAGIC + struct.pack("<6q", *header))
             for offset, piece in pieces:
                 out.write(struct.pack("<2q", offset, len(piece)) + piece)
             out.write(rows.tobytes())
@@ -264,6 +272,21 @@ def proxy() -> Ticks:
     return Ticks(receiver, [frame, frame], pressing())
 
 
+def friction() -> Ticks:
+    """A hand that sticks, slides, turns back, and rests, on a body that then turns and takes it along."""
+    receiver = Receiver(friction=0.5)
+    solid, turn = receiver.field(field_of(wall(300))), np.linspace(0.0, 0.1, 2)
+    frames = [
+        receiver.frame([FramePart(solid, (np.cos(a / 2), 0.0, 0.0, np.sin(a / 2)), (0.002 * a, 0.0, 0.0))])
+        for a in turn
+    ]
+    t = np.arange(100)
+    x = np.interp(t, [0, 15, 40, 55], [-0.006, -0.006, 0.006, 0.003])
+    z = np.interp(t, [0, 15], [0.002, -0.004])
+    position_m = np.stack([x, 0.5 * x, z], axis=1)
+    return Ticks(receiver, frames, position_m, blend=np.interp(t, [80, 100], [0.0, 1.0]))
+
+
 def coupling() -> Ticks:
     receiver = Receiver(RenderSpec(coupling_n_per_m=400.0), friction=0.2)
     frame = receiver.voxels(field_of(wall(900)))
@@ -314,7 +337,7 @@ CASES: Final = {
     case.__name__: case
     for case in (
         *(voxels, blended, bodies, deformation, vibration, material, tool),
-        *(proxy, coupling, passivity, damper, limits, interrupted),
+        *(proxy, friction, coupling, passivity, damper, limits, interrupted),
     )
 }
 

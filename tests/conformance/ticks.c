@@ -1,5 +1,6 @@
 /* The ticks of conformance/ticks, for tests: ticks FILE... compares each force, and torque, with the file. Prints the largest
-   difference of each file, N or N m; exit status 1 if one is above 1e-9, or a file is none. */
+   difference of each file, N or N m; exit status 1 if one is above 1e-9, 2 with a message if a file cannot be read or is of
+   another layout of the receiver. */
 #include "touch_render.h"
 
 #include <stdio.h>
@@ -8,7 +9,7 @@
 #define TOLERANCE 1e-9
 
 typedef struct { /* of a file, behind its eight first bytes */
-    int64_t memory_bytes, pieces, ticks, numbers;
+    int64_t memory_bytes, receiver_bytes, layout_crc, pieces, ticks, numbers;
 } ticks_header;
 
 typedef struct { /* one tick; orientation and torque only with a tool */
@@ -20,23 +21,52 @@ typedef struct { /* one tick; orientation and torque only with a tool */
     touch_vector torque_nm;
 } ticks_row;
 
-enum { NUMBERS = 11, NUMBERS_OF_TOOL = 18 };
+enum { NUMBERS = 11, NUMBERS_OF_TOOL = 18, MAX_MEMORY_BYTES = 1 << 24 };
+
+static const char *file_name = "";
+
+static void refuse(const char *message) {
+    fprintf(stderr, "%s: %s\n", file_name, message);
+    exit(2);
+}
 
 static void get(void *to, size_t bytes, FILE *in) {
-    if (fread(to, 1, bytes, in) != bytes) exit(1);
+    if (fread(to, 1, bytes, in) != bytes) refuse("it ends early");
+}
+
+/* Read the header of a file of this layout. */
+static ticks_header read_header(FILE *in) {
+    char magic[8];
+    ticks_header header;
+    get(magic, sizeof magic, in);
+    if (memcmp(magic, "TICKS002", 8)) refuse("no ticks, or those of another version: run conformance/make_ticks.py");
+    get(&header, sizeof header, in);
+    if (header.receiver_bytes != (int64_t)sizeof(touch_receiver))
+        refuse("a receiver of another size: run conformance/make_ticks.py");
+    if (header.memory_bytes < header.receiver_bytes || header.memory_bytes > MAX_MEMORY_BYTES || header.pieces < 0)
+        refuse("sizes out of range");
+    if (header.numbers != NUMBERS && header.numbers != NUMBERS_OF_TOOL) refuse("rows of an unknown kind");
+    return header;
 }
 
 /* The memory of the receiver before its first tick: zeros, and pieces. */
 static touch_receiver *read_memory(const ticks_header *header, FILE *in) {
     char *memory = (char *)calloc(1, (size_t)header->memory_bytes);
-    if (!memory) exit(1);
+    if (!memory) refuse("no memory");
     for (int64_t n = 0; n < header->pieces; n++) {
         int64_t piece[2]; /* offset, size */
         get(piece, sizeof piece, in);
-        if (piece[0] < 0 || piece[1] < 0 || piece[1] > header->memory_bytes - piece[0]) exit(1);
+        if (piece[0] < 0 || piece[1] < 0 || piece[1] > header->memory_bytes - piece[0])
+            refuse("a piece outside of its memory");
         get(memory + piece[0], (size_t)piece[1], in);
     }
     return (touch_receiver *)(void *)memory;
+}
+
+/* True if a frame begins at an offset, or none is there at this time. */
+static int is_frame(const ticks_header *header, double offset) {
+    return offset == 0.0 || (offset >= (double)header->receiver_bytes &&
+                             offset <= (double)(header->memory_bytes - (int64_t)sizeof(touch_frame_header)));
 }
 
 static double distance(touch_vector a, touch_vector b) {
@@ -56,18 +86,16 @@ static double difference(touch_receiver *receiver, const ticks_row *row, int has
 }
 
 static double check(const char *name) {
-    char magic[8];
-    ticks_header header;
     double largest = 0.0;
     FILE *in = fopen(name, "rb");
-    if (!in) exit(1);
-    get(magic, sizeof magic, in), get(&header, sizeof header, in);
-    if (memcmp(magic, "TICKS001", 8) || header.memory_bytes < (int64_t)sizeof(touch_receiver) || header.pieces < 0) exit(1);
-    if (header.numbers != NUMBERS && header.numbers != NUMBERS_OF_TOOL) exit(1);
+    file_name = name;
+    if (!in) refuse("it cannot be opened");
+    ticks_header header = read_header(in);
     touch_receiver *receiver = read_memory(&header, in);
     for (int64_t n = 0; n < header.ticks; n++) {
         ticks_row row;
         memset(&row, 0, sizeof row), get(&row, (size_t)header.numbers * sizeof(double), in);
+        if (!is_frame(&header, row.before_offset) || !is_frame(&header, row.after_offset)) refuse("no frame at an offset");
         largest = touch_fmax(largest, difference(receiver, &row, header.numbers == NUMBERS_OF_TOOL));
     }
     free(receiver), fclose(in);

@@ -10,10 +10,11 @@ for (const file of files) {
   const { exports: c } = new WebAssembly.Instance(module, { page: Math });
   const data = readFileSync(file);
   const view = new DataView(data.buffer, data.byteOffset, data.length);
-  if (data.toString("latin1", 0, 8) !== "TICKS001") throw new Error(`${file} has no ticks`);
-  const [bytes, pieces, ticks, numbers] = [8, 16, 24, 32].map((at) => Number(view.getBigInt64(at, true)));
+  if (data.toString("latin1", 0, 8) !== "TICKS002") throw new Error(`${file} has no ticks of this version`);
+  const [bytes, own, , pieces, ticks, numbers] = [8, 16, 24, 32, 40, 48].map((at) => Number(view.getBigInt64(at, true)));
+  if (own !== c.receiver_bytes()) throw new Error(`${file} has a receiver of another size`);
   const memory = c.room(bytes);
-  let at = 40;
+  let at = 56;
   for (let n = 0; n < pieces; n++) {
     const [offset, size] = [at, at + 8].map((i) => Number(view.getBigInt64(i, true)));
     if (offset < 0 || offset + size > bytes) throw new Error(`${file} has a piece outside of its memory`);

@@ -7,6 +7,9 @@ extern unsigned char __heap_base;
 static touch_receiver *receiver;
 static double forces[6]; /* N, and N m */
 
+/* Bytes of a receiver, without what lies behind it. */
+EXPORT(receiver_bytes) double receiver_bytes(void) { return (double)sizeof(touch_receiver); }
+
 /* Zeros for a receiver; its address. */
 EXPORT(room) char *room(double bytes) {
     size_t start = ((size_t)&__heap_base + 63) & ~(size_t)63, pages = ((size_t)bytes + start) / 65536 + 1;

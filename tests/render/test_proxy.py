@@ -121,7 +121,7 @@ def test_a_resting_hand_on_a_rough_surface_gets_no_step() -> None:
 
 @pytest.mark.parametrize("shape", [Box((0, 0, 0), (0.02, 0.02, 0.02)), Sphere((0, 0, 0), 0.02)])
 def test_a_hand_that_slides_off_is_released_once(shape: Box | Sphere) -> None:
-    """From the first to the last contact the force is never zero; after it, it goes to the stored force.
+    """From contact to release the force is never zero; before and after, it is the stored force.
 
     Outside a surface the stored force oscillates around zero, below the level of the proxy.
     """
@@ -135,17 +135,18 @@ def test_a_hand_that_slides_off_is_released_once(shape: Box | Sphere) -> None:
         along /= np.linalg.norm(along)
         path = [(0.036 - 0.019 * weight) * inwards for weight in np.linspace(0, 1, 200)]
         path += [path[-1] + s * along for s in np.arange(0.0, 0.04, 0.00025)]
-        forces, stored = np.array([rendered.tick(position) for position in path]), field.sample_n(path)
+        rows = [(rendered.tick(point), rendered.value("state.proxy.is_in_contact")) for point in path]
+        forces, stored = np.array([force for force, _ in rows]), field.sample_n(path)
         sizes = np.linalg.norm(forces, axis=1)
-        contact = np.flatnonzero(sizes > rendered.wall.level_n)
-        first, last = contact[0], contact[-1] + 1
+        first = [bool(is_in_contact) for _, is_in_contact in rows].index(True)
+        last = np.flatnonzero(sizes > rendered.wall.level_n)[-1] + 1
         assert (sizes[first:last] > 0).all()
         if last > len(path) - 20:  # a corner of the box is longer than the way
             continue
         releases += 1
         eased = np.linalg.norm(forces - stored, axis=1)
         assert eased[:first].max() < 1e-6 and (np.diff(eased[last:]) <= 1e-7).all()
-        assert eased[last] < rendered.wall.level_n and eased[last + 10 :].max() < 1e-7
+        assert eased[last] < 2 * rendered.wall.level_n and eased[last + 10 :].max() < 1e-7
     assert releases > 30
 
 

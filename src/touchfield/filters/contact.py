@@ -2,15 +2,18 @@
 damping are stored as numbers with a medium, and the receiver applies them.
 
 The coefficients mu and b are metadata of a medium and change no frame. With the force F of the field at the
-point, and its velocity v, the receiver adds (`filters/kernels/forces.py`, ``c/touch_effects.h``) ::
+point, and its velocity v, the receiver adds (``c/touch_friction.h``, ``c/touch_effects.h``) ::
 
-    n = F / |F|,  v_t = v - (v . n) n,  F_t = -mu |F| v_t / max(|v_t|, v_s),      F_d = -b v
+    n = F / |F|,  s = anchor - point, along the surface,  |s| <= mu |F| / k
+    F_t = k s - c (v - (v . n) n), at most mu |F|,        F_d = -b v
 
-Our addition: below the slip speed v_s friction falls in proportion to v_t; otherwise the force would flip
-from one side to the other as the hand rests. A loop of step dt that moves a mass m is steady if v_s >= mu |F|
-dt / m. Both effects remove energy for all F and v: F_t . v <= 0, F_d . v <= 0, and |F_t| <= mu |F|. Damping
-acts everywhere; friction needs a force. F / |F| is the normal of a sphere to within 0.8 degrees between
-samples, and 3.7 degrees at its rim.
+Friction has an anchor, the point that the hand stuck to last. A spring k pulls the hand back to it, and the
+anchor slides after where the spring would pull by more than mu |F| (Hayward and Armstrong 2000, "A new
+computational model of friction applied to haptic rendering"). F_t depends on positions, so that it is
+constant while the hand rests. k is 1000 N/m of the device, or what its loop renders stably; c is the damper
+that k needs there. Over a cycle friction removes energy: the spring gives back what stretched it, and what
+slides is lost. Damping acts everywhere, with F_d . v <= 0; friction needs a force. F / |F| is the normal of a
+sphere to within 0.8 degrees between samples, and 3.7 degrees at its rim.
 
 Vibration: a sine whose amplitude is a fraction of |F|; its frequency is constant or rises with |F| up to
 F_max. It is applied after the haptic filters and is no filter itself: a filter maps a field to a field.
