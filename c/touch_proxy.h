@@ -396,7 +396,7 @@ static inline touch_vector touch_proxy_force(const touch_isosurface *s, touch_ve
     double depth = touch_magnitude(pull);
     touch_vector outwards = touch_scale(1.0 / depth, pull);
     double ramp_depth = touch_ramp_depth(s, state->proxy.position_m, touch_scale(-1.0, outwards), depth);
-    double force = touch_fmax(0.0, k * (depth + ramp_depth));
+    double force = touch_fmax(touch_fmax(0.0, touch_dot(stored_n, outwards)), k * (depth + ramp_depth));
     double share = state->compliance_m_per_n > 0.0 ? 0.0 : touch_field_share(s, stored_n, outwards, force);
     return touch_add(touch_scale(share, stored_n), touch_scale((1.0 - share) * force, outwards));
 }
