@@ -16,6 +16,7 @@ from touchfield.sources.camera import DepthSequence, InterpolatedSequence, Intri
 from touchfield.sources.depth import layouts
 from touchfield.sources.depth.fused_scene import DRIFT_FACTOR, FusedScene, _World
 from touchfield.sources.depth.intrinsics_file import camera_of, parse_intrinsics
+from touchfield.sources.depth.lens import undistortion
 from touchfield.sources.depth.segmentation import SegmentRule, segmented_bodies
 from touchfield.sources.mesh.mesh_scene import MeshScene
 from touchfield.sources.options import SourceOptions
@@ -62,6 +63,7 @@ def test_note_of_a_camera_scaled_from_another_resolution() -> None:
 
 
 def test_note_of_a_nerfstudio_camera_states_its_distortion() -> None:
+    pytest.importorskip("cv2")
     camera = {"w": 200, "h": 100, "fl_x": 40.0, "fl_y": 42.0, "cx": 90.0, "cy": 48.0, "frames": []}
     plain = parse_intrinsics(json.dumps(camera), "transforms.json", (100, 50))
     assert plain.intrinsics == Intrinsics(20, 21, 44.5, 23.5)
@@ -69,7 +71,10 @@ def test_note_of_a_nerfstudio_camera_states_its_distortion() -> None:
     for key in ("k1", "k2", "p1", "p2"):
         bent = parse_intrinsics(json.dumps(camera | {key: 0.01}), "transforms.json", (100, 50))
         assert bent.intrinsics == plain.intrinsics
-        assert bent.notes[-1] == "The distortion in transforms.json is not corrected."
+        assert bent.distortion is not None and bent.distortion.where == "transforms.json"
+        _, notes = undistortion(bent.lens, (100, 50))
+        assert notes[-1].startswith("The lens distortion in transforms.json (brown: ")
+        assert " is undone: it moves pixels by up to " in notes[-1]
 
 
 def test_note_states_the_file_of_a_camera(tmp_path: Path) -> None:

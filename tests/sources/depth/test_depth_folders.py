@@ -260,7 +260,8 @@ def test_all_forms_of_cameras_are_read(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("1 OPENCV 12 9 20 21 6 4.5 0 0 0 0", "a camera OPENCV of 8 numbers.*Undistort"),
+        ("1 OPENCV 12 9 20 21 6 4.5 0 0 0", "a camera OPENCV of 7 numbers.*Undistort"),
+        ("1 FOV 12 9 20 21 6 4.5 0.9", "a camera FOV of 5 numbers.*Undistort"),
         ("1 PINHOLE 12 12 20 21 6 4.5", "12 x 12 pixels.*aspect"),
         ("1 PINHOLE 12 9 20 21 6 4.5\n2 PINHOLE 12 9 30 21 6 4.5", "2 cameras that differ"),
         ('{"camera_matrix": "none"}', "without numbers"),

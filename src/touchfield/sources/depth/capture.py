@@ -28,6 +28,7 @@ from touchfield.sources.depth.depth_scene import DepthScene
 from touchfield.sources.depth.fused_scene import FusedScene
 from touchfield.sources.depth.intrinsics_file import camera_of
 from touchfield.sources.depth.layouts import required_scale, source_rate
+from touchfield.sources.depth.lens import undistortion
 from touchfield.sources.images.pictures import PICTURE_SUFFIXES, list_files, read_picture, with_suffix
 
 if TYPE_CHECKING:
@@ -204,10 +205,13 @@ class CapturedSequence(DepthSequence):
         scale = required_scale(
             self.name, options.depth_scale or camera.units_per_m or scale, first.dtype.kind == "f"
         )
-        self._metres: Callable[[NDArray[Any]], Float32s] = DepthCode(scale)
+        metres, (undistort, lens_notes) = DepthCode(scale), undistortion(camera.lens, (width, height))
+        self._metres: Callable[[NDArray[Any]], Float32s] = metres
+        if undistort is not None:
+            self._metres = lambda values: undistort(metres(values))
         self.frame_count, self.width, self.height = MAX_CAPTURED_FRAMES, width, height
         self.intrinsics: Intrinsics = camera.intrinsics
-        self.rate_hz, self.notes = source_rate(options), camera.notes
+        self.rate_hz, self.notes = source_rate(options), (*camera.notes, *lens_notes)
         self._latest = self._frames[0] = self._metres(first)
 
     def depth_m(self, frame: int) -> Float32s:

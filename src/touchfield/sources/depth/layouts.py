@@ -42,6 +42,7 @@ from touchfield.sources.camera import (
 )
 from touchfield.sources.depth.frame_poses import POSE_TOLERANCE_S, PosedFrames, drop_unposed, find_poses
 from touchfield.sources.depth.intrinsics_file import CameraFile, camera_of, named_like_intrinsics
+from touchfield.sources.depth.lens import rectified
 from touchfield.sources.images.movies import VIDEO_SUFFIXES, GreyVideo, video_header
 from touchfield.sources.images.pictures import (
     PICTURE_SUFFIXES,
@@ -51,6 +52,7 @@ from touchfield.sources.images.pictures import (
     has_files,
     list_files,
     picture_header,
+    read_picture,
 )
 from touchfield.sources.poses import MAX_TIME_S, nearest_in_time, parse_extrinsics, read_text, split_lines
 from touchfield.sources.registry import SourceKind
@@ -117,6 +119,9 @@ class Layout:
     poses : ``poses(path, paths)`` if the layout has its own form of poses; returns None if there are none.
     is_rotated : See `DepthCode`; the scale is then that of the layout or of the options.
     is_timed : Poses are matched by the times of the pictures.
+    cameras : ``cameras(path, paths, size)`` if the layout has its own form of cameras: that of all pictures,
+        or one for each; `size` is the width and height of the pictures.
+    read : Reads a picture of the layout.
     """
 
     name: str
@@ -129,12 +134,14 @@ class Layout:
     is_rotated: bool = False
     is_timed: bool = False
     is_file: bool = False
+    cameras: Callable[[Path, tuple[Path, ...], tuple[int, int]], tuple[CameraFile, ...]] | None = None
+    read: Callable[[Path], Any] = read_picture
 
     @property
     def kind(self) -> SourceKind:
         return depth_kind(self.name, self.summary, self.recognise, self.read_sequence)
 
-    def read_sequence(self, path: Path, options: SourceOptions) -> CodedSequence:
+    def read_sequence(self, path: Path, options: SourceOptions) -> DepthSequence:
         """Read a sequence in this layout.
 
         Raises `SourceError` if pictures, poses, scale or camera are missing or invalid.
@@ -157,17 +164,13 @@ class Layout:
             posed = layout_poses or find_poses(
                 str(pictures.where), frames_to_pose, options, pictures.pose_folders, times_s
             )
-        frames = pictures.file_frames or PictureFrames(pictures.paths)
+        frames = pictures.file_frames or PictureFrames(pictures.paths, self.read)
         for file, header in zip(frames.paths, frames.headers):
             if header.channels != 1 or header.sample in ("", "uint8", "int8"):
                 mend = "Give the depth pictures, not colour or previews, saved with 16 bits."
                 raise SourceError(str(file), header.wording, "16-bit (or float) grey depth", mend)
-        default = None
-        if frames.size == (640, 480):
-            default = self.camera(path) if callable(self.camera) else self.camera
-        camera = camera_of(
-            str(pictures.where), options.intrinsics, pictures.camera_folders, frames.size, default
-        )
+        cameras = self._cameras(path, pictures, frames.size, options)
+        camera = cameras[0]
         is_metres = bool(frames.headers) and frames.headers[0].sample.startswith("float")
         file_scale = None if self.is_rotated else camera.units_per_m
         scale = required_scale(str(path), options.depth_scale or file_scale or self.units_per_m, is_metres)
@@ -181,7 +184,19 @@ class Layout:
         if sequence.poses is not None:
             sequence.poses.flags.writeable = False
         sequence.notes = (*posed.notes, *pictures.notes, *camera.notes)
-        return sequence
+        lenses = [camera.lens for camera in cameras]
+        return rectified(sequence, [lenses[i] for i in posed.indices] if len(lenses) > 1 else lenses)
+
+    def _cameras(
+        self, path: Path, pictures: PictureSet, size: tuple[int, int], options: SourceOptions
+    ) -> tuple[CameraFile, ...]:
+        """Return the camera of all pictures, or one for each; `size` is the width and height of a picture."""
+        if self.cameras is not None and options.intrinsics is None:
+            return self.cameras(path, pictures.paths, size)
+        default = None
+        if size == (640, 480):
+            default = self.camera(path) if callable(self.camera) else self.camera
+        return (camera_of(str(pictures.where), options.intrinsics, pictures.camera_folders, size, default),)
 
 
 def required_scale(where: str, scale: float | None, is_metres: bool) -> float:
