@@ -34,7 +34,8 @@ _LISTS: Final = tuple(
     re.compile(form, re.IGNORECASE)
     for form in (
         r"groundtruth\.txt", r"trajectory\.log", r"(camera_?|gt_?)?poses?\.txt", r"traj(ectory)?\.txt",
-        r".*(pose|traj|groundtruth).*\.(txt|log|tum)|.*\.gt\.freiburg", r"images\.txt", r"transforms\.json",
+        r".*(pose|traj|groundtruth|odometry).*\.(txt|log|tum|csv|json)|.*\.gt\.freiburg",
+        r"images\.txt", r"transforms\.json",
     )
 )  # fmt: skip
 _LOOSE: Final = 4  # from this index in `_LISTS` on, the name alone does not prove that a file holds poses

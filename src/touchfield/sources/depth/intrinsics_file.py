@@ -33,7 +33,7 @@ INTRINSICS_NAMES: Final = (
     "camera.json",
     "intrinsic/intrinsic_depth.txt", "K.txt", "calibration.txt", "cam_params.json", "camera_info.json",
     "camera_primesense.json", "calibration.json", "cameras.txt", "sparse/0/cameras.txt", "sparse/cameras.txt",
-    "colmap/cameras.txt", "transforms.json", "camera_matrix.csv",
+    "colmap/cameras.txt", "transforms.json",
     *(f"{stem}.{suffix}" for stem in ("camera_info", "camera_intrinsics", "intrinsics", "calibration",
                                       "camera", "calib", "ost", "camchain") for suffix in ("yaml", "yml")),
 )  # fmt: skip

@@ -221,9 +221,9 @@ class RectifiedSequence(DepthSequence):
     def __init__(
         self, source: DepthSequence, lenses: Sequence[Lens], target: Intrinsics, notes: tuple[str, ...] = ()
     ) -> None:
+        for attribute in DepthSequence.__annotations__:
+            setattr(self, attribute, getattr(source, attribute))
         self.source, self._lenses, self.intrinsics = source, tuple(lenses), target
-        self.name, self.frame_count, self.rate_hz = source.name, source.frame_count, source.rate_hz
-        self.width, self.height, self.poses = source.width, source.height, source.poses
         self.is_captured, self.notes = source.is_captured, (*source.notes, *notes)
         self._resampling = lru_cache(maxsize=_CACHED_LENSES)(self._resampling_of)
 
