@@ -105,7 +105,7 @@ def parse_intrinsics(text: str, where: str, size: tuple[int, int] | None = None)
     if text.lstrip().startswith("{"):
         return _from_json(text, where, size)
     if re.search(r"^\s*[A-Za-z][\w.]*\s*:", text, re.MULTILINE):
-        return _from_data(parse_yaml(text, where), where, size)
+        return camera_of_data(parse_yaml(text, where), where, size)
     lines = [line.partition("#")[0] for line in text.splitlines()]
     cameras = {match.groups() for match in map(_COLMAP.fullmatch, lines) if match}
     if len(cameras) > 1:
@@ -178,11 +178,11 @@ def _from_json(text: str, where: str, size: tuple[int, int] | None) -> CameraFil
         raise SourceError(where, f"JSON that cannot be read ({error})", _FORMS) from error
     if not isinstance(data, dict):
         raise SourceError(where, "JSON that is no object", _FORMS)
-    return _from_data(data, where, size)
+    return camera_of_data(data, where, size)
 
 
-def _from_data(data: dict[str, Any], where: str, size: tuple[int, int] | None) -> CameraFile:
-    """Return the camera of the contents of a JSON or YAML file."""
+def camera_of_data(data: dict[str, Any], where: str, size: tuple[int, int] | None) -> CameraFile:
+    """Return the camera of the contents of a JSON or YAML file; see `parse_intrinsics`."""
     scale = _number(data, _SCALES)
     for key in _NESTED:  # Open3D's PinholeCameraParameters, NICE-SLAM's camera
         if isinstance(data.get(key), dict):
@@ -269,6 +269,14 @@ def _matrix_of_json(data: Any, where: str) -> list[float]:
     numbers = [float(v) for v in matrix]
     is_column_major = len(numbers) == 9 and numbers[2] == numbers[5] == 0 and (numbers[6] or numbers[7])
     return [numbers[3 * (i % 3) + i // 3] for i in range(9)] if is_column_major else numbers
+
+
+def scaled_camera(k: Intrinsics, stated: tuple[int, int], where: str, size: tuple[int, int]) -> CameraFile:
+    """Scale a camera for pictures of `stated` pixels, centres at one half, to depth of `size` pixels.
+
+    Raises `SourceError`, which names `where`, if the aspects differ by more than 1 %.
+    """
+    return _scaled([k.fx, k.fy, k.cx, k.cy], stated, where, size)
 
 
 def _scaled(

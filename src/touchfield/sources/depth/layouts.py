@@ -358,7 +358,29 @@ def _read_extrinsics(path: Path, paths: tuple[Path, ...]) -> PosedFrames | None:
 
 
 def _list_threedmatch(path: Path) -> PictureSet:
-    return PictureSet(list_files(path, _FRAME_PNG), path, (path,), (path, path.absolute().parent))
+    """List the frames of a folder, or with a note of the one folder in it that has frames."""
+    folders = _parts_of(path)
+    if len(folders) > 1:
+        names = ", ".join(f"{folder.name}/" for folder in folders[:6])
+        mend = f"Name one: {folders[0]}"
+        raise SourceError(str(path), f"{len(folders)} sequences ({names})", "one", mend)
+    folder = folders[0] if folders else path
+    notes = () if folder == path else (f"The sequence is that of {folder.relative_to(path)}/.",)
+    levels = len(folder.parts) - len(path.parts) + 1
+    camera_folders = (folder, *folder.absolute().parents[:levels])
+    return PictureSet(list_files(folder, _FRAME_PNG), path, (folder,), camera_folders, None, notes)
+
+
+def _parts_of(path: Path) -> tuple[Path, ...]:
+    """Return the folders with frames: a folder itself, else those in it, else those in a folder of its name.
+
+    7-Scenes is unpacked to ``chess/seq-01/frame-...``, or to ``chess/seq-01/seq-01/frame-...``.
+    """
+    if has_files(path, _FRAME_PNG) or not path.is_dir():
+        return (path,)
+    inner = [folder for folder in sorted(path.iterdir()) if folder.is_dir()]
+    inner += [nested for folder in inner if (nested := folder / folder.name).is_dir()]
+    return tuple(folder for folder in inner if has_files(folder, _FRAME_PNG))
 
 
 # -- pictures of no data set -------------------------------------------------------------------------------
@@ -479,7 +501,8 @@ LAYOUTS: Final = (
     Layout(
         "3dmatch", "3DMatch or 7-Scenes sequence: a folder with frame-NNNNNN.depth.png (millimetres) and "
                    ".pose.txt",
-        lambda path: has_files(path, _FRAME_PNG), _list_threedmatch, 1000.0, _SEVEN_SCENES,
+        lambda path: any(has_files(folder, _FRAME_PNG) for folder in _parts_of(path)),
+        _list_threedmatch, 1000.0, _SEVEN_SCENES,
     ),
     Layout(
         "depth-folder",

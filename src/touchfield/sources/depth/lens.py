@@ -42,7 +42,7 @@ _MODELS: Final = {
     "kannalabrandt": "fisheye", "kannalabrandt4": "fisheye", "kannalabrandt8": "fisheye",
     "radialfisheye": "fisheye", "simpleradialfisheye": "fisheye",
 }  # fmt: skip
-_SMALLEST_SHIFT_PX: Final = 0.1
+_SMALLEST_SHIFT_PX: Final = 0.02
 """A distortion that moves no pixel further than this is left: resampling would cost more accuracy."""
 _CACHED_LENSES: Final = 4
 _SLOPE_LIMIT_PX: Final = 5.0  # pixel footprints of depth a pixel; as of `kernels.planes`, which needs numba
@@ -100,8 +100,8 @@ class Resampling:
     """Maps a depth picture to another one, whose pixels show the given positions in the first.
 
     `x_px` and `y_px` float32 [height, width]: positions in the first picture. Between four samples on one
-    surface the inverse depth is interpolated, which is exact on planes; across an edge and next to unknown
-    samples the nearest sample is used.
+    surface, and half a pixel outside the picture, the inverse depth is linear, which is exact on planes;
+    across an edge and next to unknown samples the nearest sample is used.
     """
 
     def __init__(self, x_px: Float32s, y_px: Float32s, focal_px: float) -> None:
@@ -112,8 +112,8 @@ class Resampling:
         self._is_seen: Bools = is_inside & (steps > 0)  # a polynomial may fold over outside the picture
         left = np.clip(np.floor(np.where(self._is_seen, x_px, 0)), 0, width - 2).astype(np.int32)
         top = np.clip(np.floor(np.where(self._is_seen, y_px, 0)), 0, height - 2).astype(np.int32)
-        x = np.clip(np.where(self._is_seen, x_px - left, 0), 0, 1).astype(np.float32)
-        y = np.clip(np.where(self._is_seen, y_px - top, 0), 0, 1).astype(np.float32)
+        x = np.clip(np.where(self._is_seen, x_px - left, 0), -0.5, 1.5).astype(np.float32)
+        y = np.clip(np.where(self._is_seen, y_px - top, 0), -0.5, 1.5).astype(np.float32)
         self._corner = top * width + left
         self._offsets = (0, 1, width, width + 1)
         self._weights = ((1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y)
@@ -196,7 +196,7 @@ def _resampling(lens: Lens, target: Intrinsics, size: tuple[int, int]) -> tuple[
 def undistortion(lens: Lens, size: tuple[int, int]) -> tuple[Resampling | None, tuple[str, ...]]:
     """Return the resampling that undoes the distortion of a lens, and notes for the user.
 
-    It is None without a distortion, for one that moves no pixel by 0.1 px, and for one that is not undone.
+    It is None without a distortion, for one that moves no pixel by 0.02 px, and for one that is not undone.
     """
     if lens.distortion is None:
         return None, ()
