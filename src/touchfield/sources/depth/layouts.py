@@ -65,7 +65,7 @@ if TYPE_CHECKING:
 _ANY_PNG: Final = r".+\.png"
 _STAMPED_PNG: Final = r"\d+(\.\d+)?\.png"
 _FRAME_PNG: Final = r"frame-\d+\.depth\.png"
-_PLAIN: Final = (r".+\.(png|tif|tiff|pgm)", r".+\.npy")
+_PLAIN: Final = (r".+\.(png|tif|tiff|pgm)", r".+\.exr", r".+\.npy")
 _TRAJECTORY: Final = r"trajectory\.log|.*traj(ectory)?\.(log|txt)"
 _COLOUR: Final = r".+\.(jpg|jpeg|png)"
 _TEXT: Final = r".+\.txt"
