@@ -27,6 +27,7 @@ MODULES = (  # in the order in which they are tried: specific kinds before gener
     "shapes.analytic_scene",
     "physics.mjcf",
     "stored",
+    "depth.recorders.ros_bag",
     "recordings.contact_trace",
     "animation.animated_mesh",
     "mesh.mesh_files",
