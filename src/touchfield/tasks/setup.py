@@ -38,6 +38,9 @@ LIBRARIES: Final = (
     ("mujoco-core", "mujoco", "physics", "simulated bodies"),
     ("av", "av", "video", "depth video and video"),
     ("mcap", "mcap", "mcap", "recordings of robots"),
+    ("mcap-ros2-support", "mcap_ros2", "mcap", "ROS 2 bags"),
+    ("opencv-python-headless", "cv2", "camera", "cameras, and lens distortion"),
+    ("openexr", "OpenEXR", "exr", "depth in EXR"),
     ("websockets", "websockets", "devices", "haply and bhaptics"),
     ("pyserial", "serial", "devices", "pin displays on a serial line"),
 )

@@ -210,7 +210,7 @@ def _read_recording(path: Path) -> _Recording:
         name: ("depth" not in name, topics[name] != messages.IMAGE, -len(depth[name]), name) for name in depth
     }
     topic, *left = sorted(depth, key=lambda name: ranks[name])
-    notes = (f"Depth of the topic {topic}, {len(depth[topic])} images.",)
+    notes: tuple[str, ...] = (f"Depth of the topic {topic}, {len(depth[topic])} images.",)
     if left:
         notes += (f"Depth of other topics is not read: {', '.join(left[:4])}.",)
     entries = sorted(depth[topic], key=lambda entry: entry[0])
