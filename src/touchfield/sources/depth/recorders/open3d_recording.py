@@ -30,10 +30,10 @@ def _list_pictures(path: Path) -> PictureSet:
 
 
 def _recognise(path: Path) -> bool:
-    if not (has_files(path / "depth", _FRAME) and has_files(path / "color", _COLOUR)):
-        return False
     files = (path / name for name in _CAMERAS)
-    return any(file.is_file() and '"intrinsic_matrix"' in read_text(file) for file in files)
+    if not any(file.is_file() and '"intrinsic_matrix"' in read_text(file) for file in files):
+        return False
+    return has_files(path / "color", _COLOUR) and has_files(path / "depth", _FRAME)
 
 
 LAYOUT: Final = Layout(

@@ -103,7 +103,8 @@ def _cameras(path: Path, paths: tuple[Path, ...], size: tuple[int, int]) -> tupl
 def _recognise(path: Path) -> bool:
     folder = _keyframes(path)
     names = ("corrected_cameras", "cameras")
-    return has_files(folder / "depth", _FRAME) and any(has_files(folder / n, r"\d+\.json") for n in names)
+    has_cameras = any(has_files(folder / name, r"\d+\.json") for name in names)
+    return has_cameras and has_files(folder / "depth", _FRAME)
 
 
 LAYOUT: Final = Layout(
