@@ -221,10 +221,11 @@ class RectifiedSequence(DepthSequence):
     def __init__(
         self, source: DepthSequence, lenses: Sequence[Lens], target: Intrinsics, notes: tuple[str, ...] = ()
     ) -> None:
-        for attribute in DepthSequence.__annotations__:
-            setattr(self, attribute, getattr(source, attribute))
+        for attribute in (*DepthSequence.__annotations__, *vars(DepthSequence)):
+            if attribute[0] != "_" and not callable(getattr(DepthSequence, attribute, None)):
+                setattr(self, attribute, getattr(source, attribute))
         self.source, self._lenses, self.intrinsics = source, tuple(lenses), target
-        self.is_captured, self.notes = source.is_captured, (*source.notes, *notes)
+        self.notes = (*source.notes, *notes)
         self._resampling = lru_cache(maxsize=_CACHED_LENSES)(self._resampling_of)
 
     def _resampling_of(self, lens: Lens) -> Resampling | None:
