@@ -24,7 +24,7 @@ import numpy as np
 
 from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import SourceError
-from touchfield.files import plain_size, readable
+from touchfield.files import plain_size, readable, record_read
 from touchfield.medium.pose_track import PoseTrack, rotation_matrices, slerp
 
 if TYPE_CHECKING:
@@ -48,6 +48,7 @@ class PoseList(NamedTuple):
     """Poses of a file, float64 [n, 4, 4], their form, and what they are keyed by.
 
     Keys are times in seconds, float64 [n] ascending, frame numbers, int64 [n], or names of pictures.
+    `has_quaternions` says that rotations were read from x, y, z, w.
     """
 
     poses: Float64s
@@ -55,6 +56,7 @@ class PoseList(NamedTuple):
     times_s: Float64s | None = None
     numbers: Int64s | None = None
     names: tuple[str, ...] | None = None
+    has_quaternions: bool = False
 
 
 # -- numbers and matrices ----------------------------------------------------------------------------------
@@ -68,6 +70,7 @@ def read_text(path: Path, max_bytes: int = _MAX_TEXT_BYTES) -> str:
             size = plain_size(path, "a text file")
             if size > max_bytes:
                 raise SourceError(str(path), f"{size} bytes", f"a text file up to {max_bytes} bytes")
+            record_read(path)
             return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise SourceError(
@@ -226,10 +229,10 @@ def parse_poses(text: str, where: str) -> PoseList:
         _refuse(is_odd, where, "numbers that are not finite", "time tx ty tz qx qy qz qw")
         rows = rows[np.argsort(rows[:, 0], kind="stable")]
         poses = poses_of_quaternions(rows[:, 4:], rows[:, 1:4], where)
-        return PoseList(poses, f"time tx ty tz qx qy qz qw, {_FROM_CAMERA}", rows[:, 0])
+        return PoseList(poses, f"time tx ty tz qx qy qz qw, {_FROM_CAMERA}", rows[:, 0], has_quaternions=True)
     if columns == 7:
         poses = poses_of_quaternions(rows[:, 3:], rows[:, :3], where)
-        return PoseList(poses, f"tx ty tz qx qy qz qw, {_FROM_CAMERA}")
+        return PoseList(poses, f"tx ty tz qx qy qz qw, {_FROM_CAMERA}", has_quaternions=True)
     if columns == 4:
         height = 4 if len(rows) % 4 == 0 and bool((rows[3::4] == (0, 0, 0, 1)).all()) else 3
         if len(rows) % height:
