@@ -24,6 +24,7 @@ from touchfield.arrays import Float32s
 from touchfield.errors import InvalidArgument, SourceError, import_extra
 from touchfield.files import read_up_to, standard_input
 from touchfield.sources.camera import DepthCode, DepthSequence
+from touchfield.sources.depth.depth_check import stored_notes
 from touchfield.sources.depth.depth_scene import DepthScene
 from touchfield.sources.depth.fused_scene import FusedScene
 from touchfield.sources.depth.intrinsics_file import camera_of
@@ -31,8 +32,6 @@ from touchfield.sources.depth.layouts import required_scale, source_rate
 from touchfield.sources.images.pictures import PICTURE_SUFFIXES, list_files, read_picture, with_suffix
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from touchfield.sources.camera import Intrinsics
     from touchfield.sources.options import SourceOptions
     from touchfield.sources.scene import Scene
@@ -201,13 +200,12 @@ class CapturedSequence(DepthSequence):
             )
         height, width = first.shape
         camera = camera_of(self.name, options.intrinsics, folders, (width, height))
-        scale = required_scale(
-            self.name, options.depth_scale or camera.units_per_m or scale, first.dtype.kind == "f"
-        )
-        self._metres: Callable[[NDArray[Any]], Float32s] = DepthCode(scale)
+        stated = options.depth_scale or camera.units_per_m
+        self._metres = DepthCode(required_scale(self.name, stated or scale, first.dtype.kind == "f"))
         self.frame_count, self.width, self.height = MAX_CAPTURED_FRAMES, width, height
         self.intrinsics: Intrinsics = camera.intrinsics
         self.rate_hz, self.notes = source_rate(options), camera.notes
+        self.notes += stored_notes([first], self._metres, stated is None)
         self._latest = self._frames[0] = self._metres(first)
 
     def depth_m(self, frame: int) -> Float32s:

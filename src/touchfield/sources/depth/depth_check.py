@@ -25,27 +25,34 @@ UNITS: Final = {
 """Usual numbers of stored units in a metre."""
 ROTATED_FRACTION: Final = 0.97  # of the values, rotated by 3 bits, that have 0 or 1 in their low bits
 PLAIN_FRACTION: Final = 0.5  # below this fraction, the bits are not rotated (a quarter by chance)
-_MIN_VALUES = 64  # different values for a statement on bits
+_MIN_VALUES = 64  # different values for a statement on their low bits,
+_MIN_8_BIT_VALUES = 16  # and on all of them
 _SAMPLED_FRAMES = 3
 
 
 def range_notes(sequence: DepthSequence) -> tuple[str, ...]:
-    """Return the range of depth in a few frames, and what seems wrong with unit or encoding.
-
-    Of a captured sequence, the first frame is used.
-    """
-    keys = [0] if sequence.is_captured else list(sequence.key_frames())
+    """Return the range of depth in a few frames, and what seems wrong with unit or encoding."""
+    keys = list(sequence.key_frames())
     keys = [keys[i * (len(keys) - 1) // (_SAMPLED_FRAMES - 1)] for i in range(_SAMPLED_FRAMES)]
     frames = sorted(set(keys))
     code = sequence.metres if isinstance(sequence, CodedSequence) else None
     if not isinstance(sequence, CodedSequence) or not isinstance(code, DepthCode):
         return range_note([sequence.depth_m(frame) for frame in frames])
-    values = [sequence.frames.values(frame) for frame in frames]
+    return stored_notes([sequence.frames.values(frame) for frame in frames], code, sequence.is_unit_assumed)
+
+
+def stored_notes(values: list[NDArray[Any]], code: DepthCode, is_assumed: bool) -> tuple[str, ...]:
+    """Return the notes of `range_notes` for stored frames.
+
+    `is_assumed` says that no file and no option states the unit.
+    """
     depth_m = [code(frame) for frame in values]
     notes = range_note(depth_m, code.units_per_m)
     stored = np.concatenate([frame[depth > 0] for frame, depth in zip(values, depth_m)])
-    encoding = encoding_note(stored, code)
-    return (*notes, *(encoding or unit_note(depth_m, code.units_per_m, sequence.is_unit_assumed)))
+    different = np.unique(stored) if stored.dtype.kind in "ui" else stored[:0]
+    rotation = rotation_note(stored, code) if len(different) >= _MIN_VALUES else ()
+    bits = eight_bits_note(different, code) if len(different) >= _MIN_8_BIT_VALUES else ()
+    return (*notes, *bits, *(rotation or unit_note(depth_m, code.units_per_m, is_assumed)))
 
 
 def range_note(depth_m: list[Float32s], units_per_m: float | None = None) -> tuple[str, ...]:
@@ -55,7 +62,8 @@ def range_note(depth_m: list[Float32s], units_per_m: float | None = None) -> tup
         return ()
     low, high, median = float(known.min()), float(known.max()), float(np.median(known))
     unit = "" if units_per_m is None else f", at {units_per_m:g} stored units in a metre"
-    return (f"Depth is {low:.3g} to {high:.3g} m, median {median:.3g} m{unit}.",)
+    where = f" in {len(depth_m)} frames" if len(depth_m) > 1 else ""
+    return (f"Depth is {low:.3g} to {high:.3g} m{where}, median {median:.3g} m{unit}.",)
 
 
 def unit_note(depth_m: list[Float32s], units_per_m: float, is_assumed: bool) -> tuple[str, ...]:
@@ -74,34 +82,34 @@ def unit_note(depth_m: list[Float32s], units_per_m: float, is_assumed: bool) -> 
     return (f"A median depth of {median:.3g} m is too {side} for a depth camera indoors: {mend}.",)
 
 
-def encoding_note(stored: NDArray[Any], code: DepthCode) -> tuple[str, ...]:
-    """Return a note if stored values, of one dimension, do not use their bits as `code` assumes."""
-    if stored.dtype.kind not in "ui" or stored.dtype.itemsize < 2 or not len(stored):
-        return ()
-    different = np.unique(stored)
-    if _has_eight_bits(different):
-        step_m = float(np.diff(different).min(initial=int(different[-1]))) / code.units_per_m
-        return (
-            f"The values have 8 bits only, so that depth has steps of {1000 * step_m:.3g} mm: give the "
-            "pictures with all 16 bits.",
-        )
-    if len(different) < _MIN_VALUES:
-        return ()
-    fraction = float(((stored & 7) <= 1).mean())
+def rotation_note(stored: NDArray[Any], code: DepthCode) -> tuple[str, ...]:
+    """Return a note if the bits of stored values, integers [n], are rotated, or not, against `code`.
+
+    Values rotated by 3 have in their low bits the bits from 8192 on, which are mostly 0. Multiples of 16 have
+    been shifted by more than that.
+    """
+    fraction, is_shifted = float(((stored & 7) <= 1).mean()), not bool((stored % 16).any())
     if code.is_rotated and fraction < PLAIN_FRACTION:
         return ("The bits of the values are not rotated, as those of SUN3D are: add --depth-encoding plain.",)
-    is_shifted = not bool((different % 16).any())
-    if not code.is_rotated and fraction >= ROTATED_FRACTION and not is_shifted:
-        return (
-            "The bits of the values seem rotated by 3, as in SUN3D and APC: add --depth-encoding rotated, "
-            "with --depth-scale 1000 (SUN3D) or 10000 (APC).",
-        )
-    return ()
+    if code.is_rotated or fraction < ROTATED_FRACTION or is_shifted:
+        return ()
+    return (
+        "The bits of the values seem rotated by 3, as in SUN3D and APC: add --depth-encoding rotated, with "
+        "--depth-scale 1000 (SUN3D) or 10000 (APC).",
+    )
 
 
-def _has_eight_bits(different: NDArray[Any]) -> bool:
-    """Return True for up to 256 values that are multiples of 256 or 257, or all below 256."""
-    is_picture = 16 <= len(different) <= 256
-    return is_picture and (
-        int(different[-1]) < 256 or not (different % 256).any() or not (different % 257).any()
+def eight_bits_note(different: NDArray[Any], code: DepthCode) -> tuple[str, ...]:
+    """Return a note if the different stored values, ascending integers, are those of 8 bits.
+
+    They are then multiples of 256 or 257, or all below 256.
+    """
+    if len(different) > 256 or (
+        int(different[-1]) > 255 and (different % 256).any() and (different % 257).any()
+    ):
+        return ()
+    step_mm = 1000 * float(np.diff(different).min()) / code.units_per_m
+    return (
+        f"The values have 8 bits only, so that depth has steps of {step_mm:.3g} mm: give the pictures with "
+        "all 16 bits.",
     )

@@ -173,7 +173,8 @@ class Layout:
                 if header.channels == 1 and header.sample == "uint8":
                     mend = (
                         "8 bits hold no depth in metres. Give the pictures with 16 bits, or use one as "
-                        f"relative depth: touchfield encode {file} OUT --relative-depth {file} --near-m N --far-m F."
+                        f"relative depth: touchfield encode {file} OUT --relative-depth {file} "
+                        "--near-m 0.5 --far-m 3."
                     )
                 raise SourceError(str(file), header.wording, "16-bit (or float) grey depth", mend)
         default = None
@@ -449,20 +450,21 @@ def _depth_pictures(folder: Path) -> tuple[Path, ...]:
     return tuple([path for path in paths if "depth" in path.stem.lower()] or paths)
 
 
-def _is_depth(folder: Path) -> bool:
-    """Return True if the first picture of a folder holds depth."""
+def _is_depth(folder: Path, or_8_bits: bool = False) -> bool:
+    """Return True if the first picture of a folder holds depth; optionally also if it is grey with 8 bits."""
     try:
         first = picture_header(_depth_pictures(folder)[0])
     except (SourceError, IndexError):
         return False
-    return first.channels == 1 and first.sample not in ("", "uint8", "int8", "bool")
+    excluded = ("", "int8", "bool") if or_8_bits else ("", "uint8", "int8", "bool")
+    return first.channels == 1 and first.sample not in excluded
 
 
 def _is_plain(path: Path) -> bool:
     if not path.is_dir():
         return False
     if _depth_pictures(path / "depth"):
-        return _is_depth(path / "depth")
+        return _is_depth(path / "depth", or_8_bits=True)  # reading it then reports how to mend 8 bits
 
     def is_named(folder: Path) -> bool:
         return any("depth" in path.stem.lower() for path in (folder, *_depth_pictures(folder)[:1]))

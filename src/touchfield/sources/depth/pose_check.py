@@ -33,12 +33,12 @@ TIE_OFFSET: Final = 5e-4  # plus this
 PART_FRACTION: Final = 0.8  # a smaller fraction is noted as an agreement in part
 WRONG_FRACTION: Final = 0.5  # without a reading that fits, poses are questioned below this fraction
 CHANGED_FRACTION: Final = 0.3  # two pictures differ enough if at most this fraction agrees without motion
-MIN_POINTS: Final = 300  # points that must be compared for a verdict
+MIN_POINTS: Final = 300  # frames that share fewer points see nothing in common
+MIN_POINTS_A_VIEW: Final = 150  # known points of a picture that are needed for a verdict
 _HOPELESS = 0.4  # a reading under which less agrees in the first views is not measured further
 _POINTS = 1500  # points of a picture that are projected
 _ANCHORS = 3
 _CACHED_FRAMES = 4
-_POINTS_AGREE: Final = "points of a frame that lie on what another sees,"
 _DEPTH_FACTORS: Final = (0.1, 0.2, 0.25, 4.0, 5.0, 10.0)  # between the usual depth units
 
 
@@ -52,7 +52,8 @@ class Agreement(NamedTuple):
     def __str__(self) -> str:
         if self.point_count < MIN_POINTS:
             return "the frames see nothing in common"
-        return f"{100 * self.fraction:.0f} %, median error {100 * self.median_error:.2g} % of the depth"
+        error = f"{100 * self.median_error:.2g} % of the depth"
+        return f"{100 * self.fraction:.0f} % of the points, median error {error}"
 
 
 class PoseCheck(NamedTuple):
@@ -98,19 +99,19 @@ def check_poses(sequence: DepthSequence, file_poses: Float64s | None = None) -> 
 
     as_read = measure(poses)
     static = measure(np.tile(np.eye(4), (len(poses), 1, 1)))
-    if max(as_read.point_count, static.point_count) < MIN_POINTS:
+    if static.point_count < MIN_POINTS_A_VIEW * len(views):
         return None
     if as_read.fraction >= RIGHT_FRACTION and as_read.point_count >= MIN_POINTS:
         return PoseCheck(True, as_read, f"Poses and depth agree: {as_read}.")
     form = "agree" if as_read.fraction >= PART_FRACTION else "agree in part"
     other = _readings(sequence, poses if file_poses is None else np.asarray(file_poses, np.float64))
     measured = [(reading, measure(reading.poses, _HOPELESS)) for reading in other]
-    best, wrong = _best_fit(measured, as_read), f"Poses and depth disagree: {_POINTS_AGREE} {as_read}"
+    best, wrong = _best_fit(measured, as_read), f"Poses and depth disagree: {as_read}"
     if best is not None:
         reading, agreement = best
         return PoseCheck(False, as_read, f"{wrong}. With {reading.option} ({reading.meaning}): {agreement}.")
     if as_read.point_count >= MIN_POINTS and as_read.fraction >= WRONG_FRACTION:
-        return PoseCheck(True, as_read, f"Poses and depth {form}: {_POINTS_AGREE} {as_read}.")
+        return PoseCheck(True, as_read, f"Poses and depth {form}: {as_read}.")
     mend = "Check poses, times, camera and --depth-scale, or leave the poses out with --frame camera"
     return PoseCheck(False, as_read, f"{wrong}, and no other reading of the poses fits. {mend}.")
 

@@ -1,5 +1,5 @@
-"""Readings of camera poses. Files seldom state whether a pose maps from the camera, in which axes and in which
-unit: a user may name the reading (``--pose-form``), and `pose_check` tries them."""
+"""Readings of camera poses. Files seldom state whether a pose maps from the camera, in which axes and in
+which unit: a user may name the reading (``--pose-form``), and `pose_check` tries them."""
 
 from __future__ import annotations
 
