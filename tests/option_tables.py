@@ -56,6 +56,8 @@ def _scene(*, without: tuple[str, ...] = ()) -> dict[str, Case]:
         "depth-scale": ("1234", "source.depth_scale", 1234.0),
         "intrinsics": ("60,61,32,24", "source.intrinsics", "60,61,32,24"),
         "poses": ("poses.txt", "source.poses", "poses.txt"),
+        "pose-form": ("wxyz,mm", "source.pose_form", "wxyz,mm"),
+        "depth-encoding": ("rotated", "source.depth_encoding", "rotated"),
         "frame": ("camera", "source.frame", "camera"),
         "world": ("causal", "source.world", "causal"),
         "reading": ("height", "source.reading", "height"),

@@ -29,7 +29,7 @@ import numpy as np
 
 from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import SourceError
-from touchfield.files import plain_size, readable
+from touchfield.files import plain_size, readable, record_read
 from touchfield.medium.pose_track import PoseTrack, rotation_matrices, slerp
 
 if TYPE_CHECKING:
@@ -53,6 +53,7 @@ class PoseList(NamedTuple):
     """Poses of a file, float64 [n, 4, 4], their form, and what they are keyed by.
 
     Keys are times in seconds, float64 [n] ascending, frame numbers, int64 [n], or names of pictures.
+    `has_quaternions` says that rotations were read from x, y, z, w.
     """
 
     poses: Float64s
@@ -60,6 +61,7 @@ class PoseList(NamedTuple):
     times_s: Float64s | None = None
     numbers: Int64s | None = None
     names: tuple[str, ...] | None = None
+    has_quaternions: bool = False
 
 
 # -- numbers and matrices ----------------------------------------------------------------------------------
@@ -73,6 +75,7 @@ def read_text(path: Path, max_bytes: int = _MAX_TEXT_BYTES) -> str:
             size = plain_size(path, "a text file")
             if size > max_bytes:
                 raise SourceError(str(path), f"{size} bytes", f"a text file up to {max_bytes} bytes")
+            record_read(path)
             return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise SourceError(
@@ -238,11 +241,11 @@ def parse_poses(text: str, where: str) -> PoseList:
         rows = rows[np.argsort(rows[:, 0], kind="stable")]
         order, quaternions, positions_m = _split_position(rows[:, 1:])
         poses = poses_of_quaternions(quaternions, positions_m, where)
-        return PoseList(poses, f"time {order}, {_FROM_CAMERA}", rows[:, 0])
+        return PoseList(poses, f"time {order}, {_FROM_CAMERA}", rows[:, 0], has_quaternions=order[0] == "t")
     if columns == 7:
         order, quaternions, positions_m = _split_position(rows)
         poses = poses_of_quaternions(quaternions, positions_m, where)
-        return PoseList(poses, f"{order}, {_FROM_CAMERA}")
+        return PoseList(poses, f"{order}, {_FROM_CAMERA}", has_quaternions=order[0] == "t")
     if columns in (13, 17):
         keys = rows[:, 0]
         _refuse(~(np.abs(keys) < 1e20), where, "a key that is not finite", "a frame number or a time")

@@ -11,10 +11,11 @@ import re
 import struct
 import warnings
 from abc import ABC, abstractmethod
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from copy import copy
+from decimal import Decimal
 from itertools import islice
 from pathlib import Path
 from threading import Lock
@@ -48,21 +49,43 @@ PHOTO_FORMATS: Final = ("PNG", "JPEG", "WEBP", "BMP", "TIFF")
 _ORIENTATION: Final = 0x0112
 _ON_ITS_SIDE: Final = (5, 6, 7, 8)
 _PARTS: Final = re.compile(r"(\d+)")
+_DECIMAL_PARTS: Final = re.compile(r"(\d+(?:\.\d+)?)")
+_FRACTION: Final = re.compile(r"\d\.(\d+)")
 
 
 # -- folders -----------------------------------------------------------------------------------------------
 def list_files(folder: Path, pattern: str) -> tuple[Path, ...]:
     """List the files of a folder whose name matches a regular expression.
 
-    They are in the order of the numbers in their names.
+    They are in the order of the numbers in their names; 0.5 is before 0.56 and 0.6 where they are times, and
+    1.9 before 1.10 where they are counted.
     """
     if not folder.is_dir():
         return ()
     form = re.compile(pattern, re.IGNORECASE)
     with readable(folder, "a folder that can be read"):
         files = [p for p in folder.iterdir() if form.fullmatch(p.name) and not p.name.startswith(".")]
-    natural = {p: [(int(n), "") if n.isdecimal() else (-1, n) for n in _PARTS.split(p.name)] for p in files}
+    numbers = _PARTS if _are_counted([p.stem for p in files]) else _DECIMAL_PARTS
+    natural = {
+        p: [(Decimal(n), "") if n[:1].isdecimal() else (Decimal(-1), n) for n in numbers.split(p.name)]
+        for p in files
+    }
     return tuple(sorted(files, key=natural.__getitem__))
+
+
+def _are_counted(names: Sequence[str]) -> bool:
+    """Return True unless names have decimal fractions of different lengths that are no arithmetic series."""
+    fractions: defaultdict[str, set[str]] = defaultdict(set)
+    for name in names:
+        for match in _FRACTION.finditer(name):
+            fractions[name[: match.start(1)]].add(match[1])
+    for texts in fractions.values():
+        values = sorted(map(int, texts))
+        steps = {after - before for before, after in zip(values, values[1:])}
+        is_series = len(steps) <= 1 and (len(values) > 2 or steps <= {1})
+        if len(set(map(len, texts))) > 1 and not is_series:
+            return False
+    return True
 
 
 def with_suffix(*suffixes: str) -> str:
