@@ -225,7 +225,7 @@ def parse_poses(text: str, where: str) -> PoseList:
     if [len(tokens) for _, tokens in lines[:5]] == [3, 4, 4, 4, 4]:
         rows = _entries(text, 19, where, "entry (3 and a 4x4 matrix)")
         poses, numbers = checked_poses(rows[:, 3:].reshape(-1, 4, 4), where), rows[:, 0]
-        is_frame_number = (numbers >= 0) & (numbers < 2**53) & (numbers % 1 == 0)
+        is_frame_number = (numbers >= 0) & (numbers < 2**53) & (np.floor(numbers) == numbers)
         _refuse(~is_frame_number, where, "no frame number", "a whole number")
         return PoseList(poses, f"a log of 4x4 matrices, {_FROM_CAMERA}", numbers=numbers.astype(np.int64))
     if columns not in (4, 7, 8, 12, 13, 16, 17):
@@ -313,7 +313,7 @@ def _parse_columns(text: str, where: str) -> PoseList | None:
     form = f"columns {' '.join(key for key in keys if key)}, {_FROM_CAMERA}"
     if "frame" in table:
         numbers = table["frame"]
-        is_count = (numbers >= 0) & (numbers < 2**53) & (numbers % 1 == 0)
+        is_count = (numbers >= 0) & (numbers < 2**53) & (np.floor(numbers) == numbers)
         _refuse(~is_count, where, "no frame number", "a whole number")
         return PoseList(poses, form, numbers=numbers.astype(np.int64))
     if "time" in table:
@@ -350,7 +350,7 @@ def _parse_json(text: str, where: str) -> PoseList:
         else:
             return _parse_transforms(data, where)
         columns_first = np.array(stored, np.float64).reshape(len(stored), 4, 4)
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError) as error:
         expected = "frames with file_path and transform_matrix, or Open3D's PinholeCameraTrajectory"
         raise SourceError(where, f"JSON without poses ({error})", expected, IGNORE_POSES) from error
     if not stored:
@@ -375,10 +375,10 @@ def _parse_transforms(data: Any, where: str) -> PoseList:
         matrices = np.array([frame["transform_matrix"] for frame in frames], np.float64).reshape(
             len(frames), 4, 4
         )
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError) as error:
         expected = "frames, each with file_path and transform_matrix"
         raise SourceError(where, f"JSON without poses ({error})", expected, IGNORE_POSES) from error
-    poses = checked_poses(matrices @ np.diag([1.0, -1.0, -1.0, 1.0]), where)
+    poses = checked_poses(matrices, where) @ np.diag([1.0, -1.0, -1.0, 1.0])
     return PoseList(poses, "nerfstudio's: scene from camera in the axes of OpenGL, turned over", names=names)
 
 

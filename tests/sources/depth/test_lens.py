@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, strategies as st
 
 import room_makers as room
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.sources.camera import Intrinsics
+from touchfield.sources.depth.capture import CapturedSequence, GrowingFolder
 from touchfield.sources.depth.intrinsics_file import camera_of, parse_intrinsics
+from touchfield.sources.depth.inverse_depth import read_disparity
 from touchfield.sources.depth.layouts import LAYOUTS
 from touchfield.sources.depth.lens import Lens, Resampling, distortion_of, undistortion
 from touchfield.sources.options import SourceOptions
@@ -217,3 +221,38 @@ def test_edges_are_not_interpolated() -> None:
     assert np.allclose(shifted(plane)[:, :-1], expected[:, :-1], rtol=1e-6)
     plane[5, 7] = 0
     assert shifted(plane)[5, 7] == 0 and shifted(plane)[5, 6] > 0
+
+
+@given(st.text(alphabet="abk:[],-. \n0123456789!%#", max_size=80))
+def test_any_text_is_a_camera_or_refused(text: str) -> None:
+    for head in ("", "fx: 1\n", "K: [1, 0, 1, 0, 1, 1, 0, 0, 1]\nD: "):
+        with contextlib.suppress(SourceError):
+            parse_intrinsics(head + text, "k.yaml")
+
+
+def test_a_watched_folder_is_undistorted(tmp_path: Path) -> None:
+    pytest.importorskip("cv2")
+    name, text, coefficients = FORMS["ros json"]
+    folder = write_room(tmp_path, name, text, room.brown(*coefficients))
+    for file in sorted((folder / "depth").iterdir()):
+        file.rename(folder / file.name)
+    options = SourceOptions(depth_scale=1000)
+    captured = CapturedSequence(GrowingFolder(folder), options, (folder,))
+    flat, pose = captured.depth_m(0), room.poses()[-1]
+    captured.close()
+    assert any("is undone" in note for note in captured.notes)
+    expected, is_known = room.depth_m(pose), flat > 0
+    assert is_known.mean() > 0.9
+    assert np.quantile(np.abs(flat - expected)[is_known], 0.95) < 0.008
+    stored = room.depth_m(pose, distort=room.brown(*coefficients))
+    assert np.quantile(np.abs(stored - expected), 0.95) > 0.05
+
+
+def test_distortion_is_not_undone_in_disparity(tmp_path: Path) -> None:
+    """Matching needs rectified pictures: a distortion beside the map is that of the pictures taken."""
+    disparity = (room.CAMERA[0] * 0.1 / room.depth_m(room.poses()[0])).astype(np.float32)
+    np.save(tmp_path / "disp.npy", disparity)
+    (tmp_path / "camera_info.json").write_text(FORMS["ros json"][1])
+    sequence = read_disparity(tmp_path / "disp.npy", SourceOptions(baseline_m=0.1))
+    assert any("is not undone: a disparity map" in note for note in sequence.notes)
+    assert np.allclose(sequence.depth_m(0), room.depth_m(room.poses()[0]), rtol=1e-5)

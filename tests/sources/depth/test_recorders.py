@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -283,6 +284,35 @@ def test_an_extrinsic_that_is_not_used_is_named(tmp_path: Path) -> None:
     )
     notes = bundlefusion.LAYOUT.read_sequence(folder, SourceOptions()).notes
     assert any("m_calibrationDepthExtrinsic in info.txt is not used" in note for note in notes)
+
+
+TEXTS = [
+    (write_stray, "camera_matrix.csv"), (write_stray, "odometry.csv"),
+    (write_polycam, "corrected_cameras/5000000.json"), (write_nerfstudio, "transforms.json"),
+    (write_bundlefusion, "info.txt"), (write_bundlefusion, "frame-000001.pose.txt"),
+    (write_open3d, "intrinsic.json"), (write_open3d, "trajectory.log"),
+    (write_realsense, "shot0_Depth_metadata.csv"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("write", "name"), TEXTS)
+def test_a_changed_number_is_read_or_refused(
+    tmp_path: Path, write: Callable[[Path], Path], name: str
+) -> None:
+    """Any fault is a `SourceError`, whatever stands where a number was."""
+    folder = write(tmp_path / "r")
+    file = next(iter(sorted(folder.rglob(name))))
+    text = file.read_text()
+    tokens = list(re.finditer(r"-?\d+(\.\d+)?(e-?\d+)?", text))
+    refused = 0
+    for token in tokens[:: max(1, len(tokens) // 12)]:
+        for value in ("nan", "NaN", "-1", "0", "1e400", "9" * 400, "null", "[]", ""):
+            file.write_text(text[: token.start()] + value + text[token.end() :])
+            try:
+                open_source(folder)
+            except SourceError:
+                refused += 1
+    assert refused > 0
 
 
 def test_every_layout_has_one_name() -> None:

@@ -234,7 +234,7 @@ def _distortion_of_data(data: dict[str, Any], name: str) -> Distortion | None:
         stored = stored.get("data", stored)
     if isinstance(stored, list):
         flat = [value for row in stored for value in (row if isinstance(row, list) else [row])]
-        if not all(isinstance(value, int | float) for value in flat):
+        if not all(isinstance(value, int | float) and not abs(value) >= 1e9 for value in flat):
             raise SourceError(name, f"the distortion {str(stored)[:60]}", "numbers")
         return distortion_of(flat, name, model)
     named = stored if isinstance(stored, dict) else data

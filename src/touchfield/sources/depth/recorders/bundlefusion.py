@@ -50,7 +50,8 @@ def _cameras(path: Path, _: tuple[Path, ...], size: tuple[int, int]) -> tuple[Ca
         f"Camera and depth unit ({units_per_m:g} in a metre) are those of {file.name}.",
     )
     extrinsic = info.get("m_calibrationDepthExtrinsic", "")
-    if extrinsic and not np.allclose(floats(extrinsic.split(), str(file)), np.eye(4).ravel(), atol=1e-6):
+    numbers = floats(extrinsic.split(), str(file))
+    if numbers and (len(numbers) != 16 or not np.allclose(numbers, np.eye(4).ravel(), atol=1e-6)):
         notes += (f"m_calibrationDepthExtrinsic in {file.name} is not used: poses are taken as the depth's.",)
     return (CameraFile(camera.intrinsics, units_per_m, notes),)
 

@@ -59,8 +59,11 @@ def _numbers(file: Path, _modified_ns: int) -> dict[str, float]:
     """Return the numbers of a camera file; `_modified_ns` makes a changed file another key."""
     try:
         data: Any = json.loads(read_text(file))
-        return {key: float(data[key]) for key in (*_NUMBERS, *_MATRIX)}
-    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        numbers = {key: float(data[key]) for key in (*_NUMBERS, *_MATRIX)}
+        if not (1 <= numbers["width"] < 1e6 and 1 <= numbers["height"] < 1e6):
+            raise ValueError("no width and height")
+        return numbers
+    except (ValueError, TypeError, KeyError, RecursionError, OverflowError) as error:
         expected = f"JSON with {', '.join(_NUMBERS)} and t_00 to t_23"
         raise SourceError(str(file), f"no camera ({error})", expected, IGNORE_POSES) from error
 

@@ -56,7 +56,11 @@ class RawFrames:
     @staticmethod
     def _header(file: Path) -> PictureHeader:
         metadata = _metadata(file)
-        width, height = (int(value) for value in floats([metadata[key] for key in _KEYS[:2]], str(file)))
+        width, height = floats([metadata[key] for key in _KEYS[:2]], str(file))
+        if not (1 <= width < 1e6 and 1 <= height < 1e6 and width % 1 == height % 1 == 0):
+            found = f"{width:g} x {height:g} pixels"
+            raise SourceError(f"{file.stem}{_SUFFIX}", found, "the width and height of the picture")
+        width, height = int(width), int(height)
         size = file.stat().st_size
         if min(width, height) < 1 or size != 2 * width * height:
             expected = f"{width} x {height} pixels of 2 bytes, as {file.stem}{_SUFFIX} says"

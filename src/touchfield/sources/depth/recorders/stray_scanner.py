@@ -13,11 +13,12 @@ from pathlib import Path
 from typing import Final
 
 from touchfield.errors import SourceError
+from touchfield.sources.depth.frame_poses import PosedFrames, drop_unposed
 from touchfield.sources.depth.intrinsics_file import CameraFile, parse_intrinsics, scaled_camera
 from touchfield.sources.depth.layouts import Layout, PictureSet
 from touchfield.sources.depth.recorders.confidence import confident_reader
 from touchfield.sources.images.pictures import has_files, list_files
-from touchfield.sources.poses import read_text
+from touchfield.sources.poses import IGNORE_POSES, parse_poses, read_text
 
 _COLOUR_SIZE: Final = (1920, 1440)
 _CENTRE_TOLERANCE: Final = 0.15  # of the principal point from the middle of the picture
@@ -29,6 +30,18 @@ def _list_pictures(path: Path) -> PictureSet:
     note = "Depth of low confidence is left out (confidence/)."
     notes = (note,) if has_confidence else ("No confidence/: all depth is used.",)
     return PictureSet(list_files(path / "depth", _FRAME), path, (path,), (path,), notes=notes)
+
+
+def _poses(path: Path, paths: tuple[Path, ...]) -> PosedFrames:
+    file = path / "odometry.csv"
+    listed = parse_poses(read_text(file), str(file))
+    if listed.numbers is None:
+        raise SourceError(str(file), f"poses as {listed.form}", "a column frame", IGNORE_POSES)
+    entries = dict(zip(listed.numbers.tolist(), listed.poses))
+    posed = drop_unposed(str(file), [entries.get(int(picture.stem)) for picture in paths], "no entry")
+    return posed._replace(
+        notes=(*posed.notes, f"Poses of {file.name}: {listed.form}; by the number of the frame.")
+    )
 
 
 def _cameras(path: Path, _: tuple[Path, ...], size: tuple[int, int]) -> tuple[CameraFile, ...]:
@@ -55,6 +68,7 @@ LAYOUT: Final = Layout(
     ),
     _list_pictures,
     1000.0,
+    poses=_poses,
     cameras=_cameras,
     read=confident_reader(lambda path: path.parent.parent / "confidence" / path.name, 1),
 )
