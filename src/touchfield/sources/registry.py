@@ -40,7 +40,7 @@ MODULES = (  # in the order in which they are tried: specific kinds before gener
     "depth.layouts:depth-stack",
     "depth.layouts:depth-folder",
     "depth.inverse_depth:disparity",
-    "terrain.height_scene",
+    "terrain.height_files",
     "depth.layouts:depth-map",
 )
 
