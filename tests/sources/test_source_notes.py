@@ -21,7 +21,9 @@ from touchfield.sources.depth.segmentation import SegmentRule, segmented_bodies
 from touchfield.sources.mesh.mesh_scene import MeshScene
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.scene import size_note
-from touchfield.sources.terrain.height_scene import KIND, PICTURE_RELIEF, HeightScene, degree_m
+from touchfield.sources.terrain.height_files import KIND
+from touchfield.sources.terrain.height_map import PICTURE_RELIEF, degree_m
+from touchfield.sources.terrain.height_scene import HeightScene
 
 TUM = layouts.LAYOUTS[0]
 

@@ -49,7 +49,7 @@ MODULES = (  # in the order in which they are tried: specific kinds before gener
     "depth.layouts:depth-folder",
     "depth.recorders.disparity_npz",
     "depth.inverse_depth:disparity",
-    "terrain.height_scene",
+    "terrain.height_files",
     "depth.layouts:depth-map",
 )
 

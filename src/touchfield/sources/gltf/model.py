@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from touchfield.arrays import Float64s, Int64s
+from touchfield.arrays import Bools, Float64s, Int64s
 from touchfield.medium.pose_track import rotation_matrices, slerp
 from touchfield.sources.gltf.document import HARMLESS, Document, Element
 
@@ -78,6 +78,11 @@ class Animation(NamedTuple):
 
     duration_s: float  # the last time of any of its samplers; it starts at 0
     samplers: Mapping[tuple[int, str], Sampler]
+
+    @property
+    def has_scale(self) -> bool:
+        """True if it changes a scale, which may then mirror a mesh."""
+        return any(path == "scale" for _, path in self.samplers)
 
 
 def _sampler(element: Element, path: str, width: int) -> Sampler:
@@ -364,11 +369,9 @@ class Model:
                 self._pieces.append(_Piece(node, geometry, skin, weights))
         if not self._pieces:
             raise document.root.wrong("no triangle", "a mesh of triangles", "Export it with its faces.")
-        world = self._nodes.world(None, np.zeros(1))[0]
+        self._is_mirrored_at_rest = self._is_mirrored(self._nodes.world(None, np.zeros(1))[0])
         first, faces = 0, []
-        for piece in self._pieces:
-            motions = world[piece.node, :3] if piece.skin is None else self._skin(piece.skin).matrices(world)
-            is_mirrored = np.linalg.det(motions[..., :3]).sum() < 0
+        for piece, is_mirrored in zip(self._pieces, self._is_mirrored_at_rest, strict=True):
             piece_faces = piece.geometry.triangles + first
             faces.append(piece_faces[:, ::-1] if is_mirrored else piece_faces)
             first += len(piece.geometry.vertices)
@@ -380,6 +383,30 @@ class Model:
         if count > 1:
             notes.append(f"Of {count} scenes in the file number {number} is read.")
         self.notes = tuple(notes)
+
+    def _is_mirrored(self, world: Float64s) -> Bools:
+        """Return whether the winding of each piece is reversed by its node or joints, bool [pieces].
+
+        Section 3.7.4: it is if the determinant of the transform is negative. `world` float64 [nodes, 4, 4].
+        """
+        nodes = [piece.node for piece in self._pieces]
+        is_mirrored = np.asarray(np.linalg.det(world[nodes, :3, :3]) < 0)
+        for number, piece in enumerate(self._pieces):
+            if piece.skin is not None:
+                motions = self._skin(piece.skin).matrices(world)
+                is_mirrored[number] = np.linalg.det(motions[..., :3]).sum() < 0
+        return is_mirrored
+
+    def turned_vertices(self, poses: Poses, at: int) -> Bools | None:
+        """Return the vertices whose triangles face the other way than in `triangles`, bool [n].
+
+        They are those of pieces that an animated scale mirrors. None if there are none.
+        """
+        is_turned = self._is_mirrored(poses.world[at]) != self._is_mirrored_at_rest
+        if not is_turned.any():
+            return None
+        counts = [len(piece.geometry.vertices) for piece in self._pieces]
+        return np.asarray(np.repeat(is_turned, counts))
 
     @property
     def is_animated(self) -> bool:
