@@ -111,6 +111,7 @@ _COEFFICIENTS: Final = {
     "friction": case("0.35", "spec.friction", 0.35),
     "damping-n-s-per-m": case("2.5", "spec.damping_n_s_per_m", 2.5),
 }
+_ALLOW_EMPTY: Final = {"allow-empty": case(None, ".allow_empty", True)}
 _BESIDE: Final = {
     "vibration": case("gain=0.1,frequency=150", "spec.vibration", "gain=0.1,frequency=150"),
     **_COEFFICIENTS,
@@ -183,6 +184,7 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "workers": _WORKERS,
         "device-compute": _DEVICE_COMPUTE,
         **_scene(),
+        **_ALLOW_EMPTY,
         **_BESIDE,
         **_coder(),
         "target-bytes": case("5000", "target.bytes", 5000, encode=MISSING, encode_to_target=CALLED),
@@ -200,6 +202,7 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "workers": _WORKERS,
         **_filters(),
         **_scene(),
+        **_ALLOW_EMPTY,
         **_BESIDE,
         **_coder(),
     },
@@ -207,6 +210,7 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "preview": case(_DRAWN, "draw_preview.path", _DRAWN, draw_preview=CALLED),
         "device-compute": _DEVICE_COMPUTE,
         **_scene(),
+        **_ALLOW_EMPTY,
     },
     "plan": {
         **_scene(without=("nw", "nominal")),

@@ -205,7 +205,7 @@ def test_the_spec_round_trips_through_the_provenance() -> None:
 def test_an_empty_scene_is_valid(tmp_path: Path) -> None:
     grid = prepare(ball(), EncodeSpec(nw=3)).medium.grid
     scene = StoredScene(HapticMedium.from_frames([ForceField.empty(grid)] * 2, 30.0))
-    encode(scene, tmp_path / "s.touch", EncodeSpec(nw=3))
+    encode(scene, tmp_path / "s.touch", EncodeSpec(nw=3, allow_empty=True))
     compared = compare(scene, tmp_path / "s.touch")
     assert compared.summary()["supported_voxels"] == 0 and compared.summary()["nmse_db"] is None
     compared.draw(tmp_path / "s.png")

@@ -88,6 +88,7 @@ _LATTICE: Final = "Device and lattice"
 _SCENE: Final = "Scene"
 
 FORCE_ROWS: Final = rows_of(EncodeSpec, "Force", "vibration", *COEFFICIENTS)
+ALLOW_EMPTY: Final = rows_of(EncodeSpec, _SCENE, "allow_empty")
 SCENE: Final = (
     *rows(_LATTICE, ("nominal", bool, False, "Use the device's nominal lattice in place of 2^nw.")),
     *rows_of(EncodeSpec, _LATTICE, "representation", "fit_frames", "oversample", "pool", "cutoff"),

@@ -38,6 +38,7 @@ Frames = tuple[int, int | None]
 
 REPRESENTATIONS: Final = ("auto", "voxel", "object")
 COEFFICIENTS: Final = ("friction", "damping_n_s_per_m")
+_OPTIONAL_OF_SOURCE: Final = ("pose_form", "depth_encoding")  # left out while not given
 _OPTIONAL: Final = ("vibration", "fit_frames", *COEFFICIENTS)
 NO_FLOOR_N: Final = 1e-30  # for a measure that needs F_0 above 0: smaller than any force
 SOURCE_FORCES: Final = "the source's own forces, sample by sample"
@@ -125,6 +126,7 @@ class EncodeSpec:
     damping_n_s_per_m: float | None = option(
         None, "Damping b, which the receiver renders; default: the source's."
     )
+    allow_empty: bool = option(False, "Write a result in which nothing can be felt; otherwise an error.")
 
     def __post_init__(self) -> None:
         require_kinds(self, representation=REPRESENTATIONS, coder=CODERS)
@@ -225,7 +227,10 @@ class EncodeSpec:
         other_coders = (name for name in BUILT_IN_CODERS if name != self.coder)
         for name in (*other_coders, "extension", *(n for n in _OPTIONAL if values[n] is None), *unused):
             del values[name]
-        del values["source"]["allow_outside"]  # the user decides this each time
+        del values["source"]["allow_outside"], values["allow_empty"]  # the user decides these each time
+        for name in _OPTIONAL_OF_SOURCE:
+            if values["source"][name] is None:
+                del values["source"][name]
         return json.dumps(values, separators=(",", ":"))
 
     def changed_options(self) -> dict[str, Any]:
@@ -246,6 +251,7 @@ class EncodeSpec:
         try:
             values = json_of(text)
             values["source"] = SourceOptions(**{**values["source"], "allow_outside": False})
+            values.pop("allow_empty", None)
             coder = values["coder"]
             spec = coder_entry(coder, "PROV spec").spec
             if spec is None:
