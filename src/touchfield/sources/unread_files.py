@@ -69,6 +69,29 @@ _CONVERSIONS: Final[dict[str, tuple[str, str, str]]] = {
 """For each extension: what the file is, the extension to convert it to, and the command."""
 
 
+def without_triangles(path: Path, points: int) -> SourceError:
+    """Return the error for a mesh file that has points but no triangle."""
+    if path.suffix.lower() != ".ply" or not points:
+        return SourceError(str(path), "no triangle", "a mesh of triangles", "Export it with its faces.")
+    name, to = _plain_name(path), "surface.ply"
+    fix = f"Make a surface of it: {_POISSON.format(name=name, to=to)}, then encode {to}"
+    return SourceError(
+        str(path), f"a point cloud: {points} points and no triangle", "a mesh of triangles", fix
+    )
+
+
+def compressed_mesh(path: Path, extension: str) -> SourceError:
+    """Return the error for a glTF file whose mesh is compressed by an extension."""
+    name, to = _plain_name(path), "uncompressed.glb"
+    fix = f"Decode it: npx @gltf-transform/cli copy {name} {to}, then encode {to}"
+    return SourceError(str(path), f"a mesh compressed with {extension!r}", "one that is not", fix)
+
+
+def _plain_name(path: Path) -> str:
+    """The name of a file for a command; a stand-in where a shell would read some characters as commands."""
+    return path.name if _PLAIN.fullmatch(path.name) else f"FILE{path.suffix.lower()}"
+
+
 def unread_file(path: Path) -> SourceError:
     """Return the error for a file that no source recognises.
 
@@ -77,9 +100,7 @@ def unread_file(path: Path) -> SourceError:
     ending = path.suffix.lower()
     if ending in _CONVERSIONS:
         what, to_ending, command = _CONVERSIONS[ending]
-        name = (
-            path.name if _PLAIN.fullmatch(path.name) else f"FILE{ending}"
-        )  # the shell reads other characters
+        name = _plain_name(path)
         to = str(Path(name).with_suffix(to_ending))
         fix = command.format(name=name, to=to)
         then = f", then encode {to}" if ending != ".gz" else ""

@@ -20,12 +20,12 @@ import numpy as np
 
 from touchfield.arrays import Bools, Float64s, Int64s
 from touchfield.medium.pose_track import rotation_matrices, slerp
-from touchfield.sources.gltf.document import HARMLESS, Document, Element
+from touchfield.sources.gltf.document import COMPRESSIONS, HARMLESS, Document, Element
+from touchfield.sources.unread_files import compressed_mesh
 
 _MAX_TRIANGLES: Final = 10_000_000  # or one per byte of the file: a node tree may use one mesh many times
 _MAX_NOTED: Final = 9
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
-_COMPRESSIONS: Final = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
 _WIDTHS: Final = {"translation": 3, "rotation": 4, "scale": 3}
 _INTERPOLATIONS: Final = ("LINEAR", "STEP", "CUBICSPLINE")
 
@@ -210,11 +210,9 @@ def _read_geometry(primitive: Element) -> _Geometry | None:
         return None
     extensions, positions = primitive.get("extensions"), primitive.owner.all("accessors")[position_index]
     has_data = "bufferView" in positions or "sparse" in positions  # otherwise they are zeros
-    for name in _COMPRESSIONS:
+    for name in COMPRESSIONS:
         if extensions is not None and name in extensions and not has_data:
-            raise primitive.wrong(
-                f"a mesh compressed with {name}", "a mesh without it", "Export it uncompressed."
-            )
+            raise compressed_mesh(Path(primitive.file), name)
     vertices = primitive.owner.array(position_index, "VEC3")
     numbers = primitive.unsigned("indices", "SCALAR", len(vertices))
     corners = np.arange(len(vertices)) if numbers is None else numbers[:, 0]
@@ -377,7 +375,7 @@ class Model:
             first += len(piece.geometry.vertices)
         self.triangles = np.concatenate(faces)
         used = [str(name)[:60] for name in document.root.at("extensionsUsed", []).items()]
-        unread = [name for name in used if not name.startswith((*HARMLESS, *_COMPRESSIONS))]
+        unread = [name for name in used if not name.startswith((*HARMLESS, *COMPRESSIONS))]
         notes = [f"Not read, and left out: {', '.join(map(repr, unread[:_MAX_NOTED]))}"] if unread else []
         number, count = document.root.index("scene", "scenes") or 0, len(document.all("scenes"))
         if count > 1:
