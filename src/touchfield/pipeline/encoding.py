@@ -27,7 +27,7 @@ from touchfield.pipeline.preparation import Prepared, prepare
 from touchfield.pipeline.provenance import file_provenance
 from touchfield.pipeline.segments import file_head, silent_frame_notes, write_voxels
 from touchfield.pipeline.source import Source
-from touchfield.pipeline.spec import DEFAULT_F0_N, EncodeSpec
+from touchfield.pipeline.spec import DEFAULT_F0_N, EncodeSpec, spec_with
 from touchfield.pipeline.workers import encode_with_workers, worker_path
 
 
@@ -88,8 +88,11 @@ def encode(
     *,
     grid: Grid | None = None,
     executor: Executor | None = None,
+    **options: Any,
 ) -> Encoded:
     """Turn a source into a ``.touch`` file.
+
+    `options` are options of `spec` by name: ``encode(source, out, nw=6, k=0.2)``.
 
     `source` is a path, a scene, a medium, a field or an array. A medium and a field keep their lattice and
     forces. An array has newtons on `grid`: [nx, ny, nz, 3], or [frame, nx, ny, nz, 3] at 30 frames a second.
@@ -101,11 +104,11 @@ def encode(
     the result can be felt and `spec` does not allow that; no file `out` is then left.
     """
     start_s = time.perf_counter()
-    spec = spec or EncodeSpec()
-    if not (isinstance(out, str | Path) and isinstance(spec, EncodeSpec)):
+    if not (isinstance(out, str | Path) and isinstance(spec, EncodeSpec | None)):
         raise InvalidArgument(
             "out, spec", f"{out!r:.80}, a {type(spec).__name__}", "a path and an EncodeSpec"
         )
+    spec = spec_with(spec, options)
     require_ending(out, "OUT.touch", hint="A field is written by `write_field`.")
     send = sender(str(out)) if is_remote(out) else None
     local_path = Path(out) if send is None else Path(f"{Path(out).name}.unsent")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Final
 
@@ -271,6 +272,34 @@ class EncodeSpec:
             raise CorruptFile(
                 "PROV spec", f"a spec that cannot be read ({error})", "what encode wrote"
             ) from None
+
+
+def spec_with(spec: EncodeSpec | None, options: dict[str, Any]) -> EncodeSpec:
+    """Return a spec, the default one if None, with options changed by name.
+
+    An option is a field of `EncodeSpec`, of its `source`, or of the spec of its coder. InvalidArgument for
+    any other name; it suggests the closest one.
+    """
+    spec = EncodeSpec() if spec is None else spec
+    if not options:
+        return spec
+    if "coder" in options:
+        require_one_of("coder", options["coder"], CODERS)
+        spec = replace(spec, coder=options["coder"])
+    inner = {"source": spec.source, spec_field(spec.coder): spec.coding}
+    names = {name: {f.name for f in fields(part)} for name, part in inner.items()}
+    top_names = {f.name for f in fields(EncodeSpec)}
+    changes: dict[str, dict[str, Any]] = {}
+    for key, value in options.items():
+        place = "" if key in top_names else next((name for name in names if key in names[name]), None)
+        if place is None:
+            close = get_close_matches(key, [*top_names, *(n for group in names.values() for n in group)], 1)
+            hint = f"Is {close[0]} meant?" if close else ""
+            expected = "an option of EncodeSpec, of its source or its coder"
+            raise InvalidArgument(key, repr(value), expected, hint)
+        changes.setdefault(place, {})[key] = value
+    parts = {name: replace(part, **changes[name]) for name, part in inner.items() if name in changes}
+    return replace(spec, **{**changes.get("", {}), **parts})
 
 
 @dataclass(frozen=True)
