@@ -248,7 +248,7 @@ def encode_spec(options: dict[str, Any]) -> EncodeSpec:
         if len(texts) > 1:
             hint = "Filter twice: the .touch file of the first run may be the source of the second."
             raise InvalidArgument(f"--{name} can be given once, not {len(texts)} times", hint=hint)
-        chain.append((name, texts[0]))
+        chain.append((name, field_filters()[name].expand(texts[0])))
     values |= {
         "nw": None if options["nominal"] else options["nw"],
         "frames": frames_of("--frames", options["frames"]),

@@ -92,7 +92,7 @@ class SourceOptions:
     relative_depth: str | None = option(None, "Pictures and videos: the relative depth of each.")
     near_m: float | None = option(None, "Relative depth: metres of its nearest value.")
     far_m: float | None = option(None, "Relative depth: metres of its farthest value.")
-    segment: str | None = option(None, "Depth sequences as objects: the rule of segmentation.")
+    segment: str | None = option(None, "Depth sequences as objects: step=0.03,least=0.2%,at-most=16.")
     baseline_m: float | None = option(None, "Disparity maps: distance between the cameras.")
     disparity_offset_px: float | None = option(None, "Disparity maps: offset of the principal points.")
     allow_outside: bool = option(False, "Models and scene files may name files outside their own folder.")
