@@ -2,9 +2,9 @@
 
 Hands rest 3 mm behind seeded points of the surface of TUM fr1_rpy and ICL-NUIM livingroom1, 24 frames looped.
 They are fixed or on a spring (0.2 kg, 200 N/m, 2 N s/m), and each is rendered by the field and by the
-player's choice ("auto", a proxy). After 0.9 s, when the hand has come to rest, "step" is the largest change of
-the force from one tick of 1 ms to the next, mN, and "band" its part from 40 to 400 Hz, mN rms; both are the
-worst of all points.
+player's choice ("auto", a proxy). After 0.9 s, when the hand has come to rest, "step" is the largest change
+of the force from one tick of 1 ms to the next, mN, and "band" its part from 40 to 400 Hz, mN rms; both are
+the worst of all points.
 """
 
 from __future__ import annotations

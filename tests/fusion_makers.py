@@ -84,3 +84,25 @@ class Room(DepthSequence):
         world_m = self.world(np.asarray(field.grid.to_m(field.positions())))
         depth = np.linalg.norm(field.vectors_n().astype(float), axis=1) / stiffness
         return (depth + distance_m(world_m, self.boxes[frame]))[depth < 0.05]
+
+
+def walk(count: int) -> np.ndarray:
+    """Camera-to-world poses of a hand-held camera that turns about all axes, float64 [count, 4, 4].
+
+    Its steps have different lengths, so that no other reading of the poses gives the same motion.
+    """
+    out = np.tile(np.eye(4), (count, 1, 1))
+    for i, pose in enumerate(out):
+        t = 0.8 * (i / 4) ** 1.3 * 4 / max(4, count - 1)
+        yaw, pitch, roll = 0.25 * np.sin(1.3 * t) - 0.1, 0.2 * np.sin(2.1 * t + 0.5), 0.15 * np.sin(1.7 * t)
+        pose[:3, :3] = rotation(1, yaw) @ rotation(0, pitch) @ rotation(2, roll)
+        pose[:3, 3] = 0.3 * np.sin(1.9 * t), 0.15 * np.sin(2.6 * t) - 0.1, 0.2 * np.sin(0.9 * t) - 0.1
+    return out
+
+
+def rotation(axis: int, angle: float) -> np.ndarray:
+    """Rotation by an angle about an axis, float64 [3, 3]."""
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    out = np.eye(3)
+    out[[i, i, j, j], [i, j, i, j]] = np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)
+    return out

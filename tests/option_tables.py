@@ -57,6 +57,8 @@ def _scene(*, without: tuple[str, ...] = ()) -> dict[str, Case]:
         "depth-scale": ("1234", "source.depth_scale", 1234.0),
         "intrinsics": ("60,61,32,24", "source.intrinsics", "60,61,32,24"),
         "poses": ("poses.txt", "source.poses", "poses.txt"),
+        "pose-form": ("wxyz,mm", "source.pose_form", "wxyz,mm"),
+        "depth-encoding": ("rotated", "source.depth_encoding", "rotated"),
         "frame": ("camera", "source.frame", "camera"),
         "world": ("causal", "source.world", "causal"),
         "reading": ("height", "source.reading", "height"),
@@ -110,6 +112,7 @@ _COEFFICIENTS: Final = {
     "friction": case("0.35", "spec.friction", 0.35),
     "damping-n-s-per-m": case("2.5", "spec.damping_n_s_per_m", 2.5),
 }
+_ALLOW_EMPTY: Final = {"allow-empty": case(None, ".allow_empty", True)}
 _BESIDE: Final = {
     "vibration": case("gain=0.1,frequency=150", "spec.vibration", "gain=0.1,frequency=150"),
     **_COEFFICIENTS,
@@ -182,6 +185,7 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "workers": _WORKERS,
         "device-compute": _DEVICE_COMPUTE,
         **_scene(),
+        **_ALLOW_EMPTY,
         **_BESIDE,
         **_coder(),
         "target-bytes": case("5000", "target.bytes", 5000, encode=MISSING, encode_to_target=CALLED),
@@ -199,6 +203,7 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "workers": _WORKERS,
         **_filters(),
         **_scene(),
+        **_ALLOW_EMPTY,
         **_BESIDE,
         **_coder(),
     },
@@ -206,6 +211,7 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "preview": case(_DRAWN, "draw_preview.path", _DRAWN, draw_preview=CALLED),
         "device-compute": _DEVICE_COMPUTE,
         **_scene(),
+        **_ALLOW_EMPTY,
     },
     "plan": {
         **_scene(without=("nw", "nominal")),

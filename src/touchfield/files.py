@@ -12,6 +12,7 @@ import os
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import IO, Any
 
@@ -44,6 +45,27 @@ def refuse_overwriting(out: str | os.PathLike[str], *sources: str | os.PathLike[
         raise InvalidArgument(
             str(out), "the file that is read", "another name", "Name a new file for the result."
         )
+
+
+_RECORDED: ContextVar[set[Path] | None] = ContextVar("_RECORDED", default=None)
+
+
+@contextmanager
+def recorded_reads() -> Iterator[set[Path]]:
+    """Within the block, collect the resolved paths of the files that `record_read` names."""
+    paths: set[Path] = set()
+    token = _RECORDED.set(paths)
+    try:
+        yield paths
+    finally:
+        _RECORDED.reset(token)
+
+
+def record_read(path: Path) -> None:
+    """Name a file that is read, for `recorded_reads`."""
+    paths = _RECORDED.get()
+    if paths is not None:
+        paths.add(path.resolve())
 
 
 @contextmanager

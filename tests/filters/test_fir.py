@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -253,6 +254,35 @@ def test_text_round_trip() -> None:
     )(field)
 
 
+@pytest.mark.parametrize("boundary", BOUNDARIES)
+@pytest.mark.parametrize("taps", ["1/2/1", "3x1x3:0/1/0/1/4/1/0/1/0"])
+def test_a_field_continues_beyond_its_border_as_an_array_does(boundary: str, taps: str) -> None:
+    field = random_field((11, 9, 10), 3, density=0.5)
+    by_text = FirFilter.parse(f"{taps},boundary={boundary}")
+    weights = by_text.kernel / by_text.kernel.sum()
+    if weights.ndim == 1:
+        weights = weights[:, None, None] * weights[:, None] * weights
+    expected = fir_filter(field.to_dense(), weights, boundary=boundary)
+    np.testing.assert_allclose(by_text(field).to_dense(), expected, atol=1e-6)
+    with pytest.raises(InvalidArgument, match="boundary"):
+        FirFilter.parse(f"{taps},boundary=mirror")
+
+
+@pytest.mark.parametrize("shape", [(3,), (3, 1, 3)])
+def test_taps_of_a_file_become_text(tmp_path: Path, shape: tuple[int, ...]) -> None:
+    """Only the command line reads a file: the text of a stream never names one."""
+    taps = np.random.default_rng(7).random(shape)
+    np.save(tmp_path / "taps.npy", taps)
+    text = FirFilter.expand(f"{tmp_path / 'taps.npy'},normalise=false")
+    np.testing.assert_array_equal(FirFilter.parse(text).kernel, taps)
+    assert not FirFilter.parse(text).normalise and FirFilter.expand("1/2/1") == "1/2/1"
+    with pytest.raises(InvalidArgument, match="--fir taps"):
+        FirFilter.parse(str(tmp_path / "taps.npy"))
+    (tmp_path / "bad.npy").write_bytes(b"no array")
+    with pytest.raises(InvalidArgument, match=r"bad.npy, which cannot be read"):
+        FirFilter.expand(str(tmp_path / "bad.npy"))
+
+
 def test_an_empty_field_stays_empty() -> None:
     empty = ForceField.empty(Grid((8, 8, 8), (1.0,) * 3, (0.0,) * 3))
     assert FirFilter("1/2/1")(empty) == empty
@@ -271,7 +301,7 @@ def test_an_empty_field_stays_empty() -> None:
         ("-1/2/-1", "normalise=false"),
         ("0/0/0,normalise=false", "not zero"),
         ("taps.npy", "numbers with /"),
-        ("1/2/1,anchor=causal", "each of taps, normalise at most once"),
+        ("1/2/1,anchor=causal", "each of taps, normalise, boundary at most once"),
         ("1/2/1,normalise=perhaps", "true or false"),
     ],
 )

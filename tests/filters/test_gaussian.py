@@ -193,6 +193,18 @@ def test_empty_field_stays_empty_and_text_round_trip() -> None:
     assert smooth(empty) == empty
 
 
+@pytest.mark.parametrize("boundary", ["nearest", "reflect", "wrap"])
+def test_a_field_continues_beyond_its_border_as_an_array_does(boundary: str, wavy_field: ForceField) -> None:
+    by_text = GaussianFilter.parse(f"2mm,boundary={boundary}")
+    sigmas = [0.002 / spacing_m for spacing_m in wavy_field.grid.spacing_m]
+    expected = gaussian(wavy_field.to_dense(), sigmas, boundary=boundary)
+    np.testing.assert_allclose(by_text(wavy_field).to_dense(), expected, atol=1e-6)
+    assert GaussianFilter.parse(by_text.text) == by_text
+    assert not np.allclose(expected, GaussianFilter(by_text.sigma_m)(wavy_field).to_dense(), atol=1e-6)
+    with pytest.raises(InvalidArgument, match="boundary"):
+        GaussianFilter(0.001, boundary="mirror")
+
+
 def test_factors_of_separable_and_other_kernels() -> None:
     rng = np.random.default_rng(4)
     rows = [rng.normal(size=n) for n in (3, 5, 2)]
@@ -212,7 +224,7 @@ def test_factors_of_separable_and_other_kernels() -> None:
         ("-2mm", "positive length"),
         ("0mm", "positive length"),
         ("2", "--gaussian sigma: found '2'"),
-        ("2mm,truncate=3", "each of sigma at most once"),
+        ("2mm,truncate=3", "each of sigma, boundary at most once"),
     ],
 )
 def test_invalid_texts_are_refused(text: str, message: str) -> None:

@@ -215,6 +215,21 @@ def test_a_medium_as_a_dataset(monkeypatch: pytest.MonkeyPatch) -> None:
         HapticMedium.from_array(forces, grid, rate_hz=50.0).to_xarray()
 
 
+def test_a_field_as_an_array_with_axes(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("xarray")
+    grid = Grid((5, 4, 3), (0.001, 0.002, 0.003), (0.1, 0.2, 0.3))
+    forces = np.random.default_rng(1).normal(size=(5, 4, 3, 3)).astype(np.float32)
+    field = ForceField.from_dense(grid, forces)
+    data = field.to_xarray()
+    assert data.dims == ("x", "y", "z", "component") and (data.name, data.units) == ("forces_n", "N")
+    np.testing.assert_array_equal(data, forces)
+    assert data.sel(component="y").sel(x=0.102, y=0.204, z=0.303, method="nearest") == forces[2, 2, 1, 1]
+    assert data.z.units == "m"
+    monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "0.0000001")  # 107 bytes, of 720
+    with pytest.raises(InvalidArgument, match="a dense field"):
+        field.to_xarray()
+
+
 def test_descriptions_of_grid_and_field_list_every_axis() -> None:
     grid = Grid((3, 40, 500), (0.001, 0.0025, 0.04), (0.0, 0.0, 0.0))
     assert grid.description == "3 x 40 x 500 samples of 1 x 2.5 x 40 mm"

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from touchfield import pipeline, tasks
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, SourceError
 from touchfield.filters.resample import low_pass
 from touchfield.medium import PoseTrack
 from touchfield.pipeline.spec import DEFAULT_F0_N, EncodeSpec
@@ -198,7 +198,9 @@ def test_objects_too_small_for_the_lattice_are_named(tmp_path: Path) -> None:
         note for note in pipeline.prepare(falling(), SPEC).notes if "Objects without any force" in note
     ]
     alone = BodyScene((Body("grain", grain, track),), 1000.0)
-    spec = replace(SPEC, mapping="1")
+    with pytest.raises(SourceError, match=r"Nothing can be felt: .*try --fit-frames 0:1"):
+        pipeline.encode(alone, tmp_path / "a.touch", SPEC)
+    spec = replace(SPEC, mapping="1", allow_empty=True)
     assert "The result is empty" in pipeline.encode(alone, tmp_path / "a.touch", spec).notes[-1]
     voxels = replace(spec, representation="voxel")
     assert "The result is empty" in pipeline.encode(alone, tmp_path / "a.touch", voxels).notes[-1]

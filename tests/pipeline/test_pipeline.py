@@ -17,6 +17,7 @@ from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.pipeline import compare, encode, prepare
 from touchfield.pipeline.decoding import open_file, write_field
 from touchfield.pipeline.spec import EncodeSpec
+from touchfield.sources.options import SourceOptions
 from touchfield.sources.shapes.analytic_scene import AnalyticScene
 from touchfield.sources.shapes.shapes import Sphere
 from touchfield.sources.stored import StoredScene
@@ -202,10 +203,25 @@ def test_the_spec_round_trips_through_the_provenance() -> None:
             EncodeSpec.from_json(text)
 
 
+def test_options_by_name_are_those_of_the_spec(tmp_path: Path) -> None:
+    """A name is a field of the spec, of its source or of its coder; the bytes are those of the spec."""
+    named, spec = tmp_path / "named.touch", tmp_path / "spec.touch"
+    encode(ball(), named, nw=3, k=0.2, unit_m=0.5, thickness_m=0.01)
+    whole = EncodeSpec(nw=3, thickness_m=0.01, touch=TouchSpec(k=0.2), source=SourceOptions(unit_m=0.5))
+    encode(ball(), spec, whole)
+    assert named.read_bytes() == spec.read_bytes()
+    assert prepare(ball(), whole, nw=4, k=0.3).spec == replace(whole, nw=4, touch=TouchSpec(k=0.3))
+    assert prepare(ball(), coder="paper", nq=5, nw=3).spec.paper.nq == 5
+    with pytest.raises(InvalidArgument, match=r"stiffness: .*Is stiffness_n_per_m meant"):
+        encode(ball(), named, stiffness=300.0)
+    with pytest.raises(InvalidArgument, match=r"nq: .*an option of EncodeSpec"):
+        prepare(ball(), nq=5)
+
+
 def test_an_empty_scene_is_valid(tmp_path: Path) -> None:
     grid = prepare(ball(), EncodeSpec(nw=3)).medium.grid
     scene = StoredScene(HapticMedium.from_frames([ForceField.empty(grid)] * 2, 30.0))
-    encode(scene, tmp_path / "s.touch", EncodeSpec(nw=3))
+    encode(scene, tmp_path / "s.touch", EncodeSpec(nw=3, allow_empty=True))
     compared = compare(scene, tmp_path / "s.touch")
     assert compared.summary()["supported_voxels"] == 0 and compared.summary()["nmse_db"] is None
     compared.draw(tmp_path / "s.png")

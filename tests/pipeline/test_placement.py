@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
 from random_fields import OMNI
+from touchfield.container.records import Head, rows_of
 from touchfield.devices import device
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, SourceError
 from touchfield.filters import (
     Placement,
     device_grid,
 )
+from touchfield.pipeline import encode
+from touchfield.pipeline.placement import MAX_OFFSET_M, MIN_SCALE
 from touchfield.pipeline.preparation import prepare
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.terrain.height_scene import HeightScene
@@ -129,3 +133,25 @@ def test_an_array_has_the_lattice_of_its_actuators() -> None:
     assert grid.shape == (60, 40, 1)
     assert grid.spacing_m == pytest.approx((0.0025, 0.0025, 0.15))
     assert device_grid(pad, depth_m=0.5).spacing_m[2] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("unit_m", "offset", "message"),
+    [
+        (1e-34, 0.0, r"a scene of .* m; .*Check --unit-m"),
+        (1.0, 1e10, r"a scene 1e\+10 m from its origin; expected at most 1e\+09 m.*--unit-m"),
+    ],
+)
+def test_a_size_that_no_file_can_state_is_refused_in_words(
+    tmp_path: Path, unit_m: float, offset: float, message: str
+) -> None:
+    """The limits are those of the format, whose field names do not appear."""
+    corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    lines = [f"v {' '.join(repr(float(unit_m * c + offset)) for c in corner)}" for corner in corners]
+    mesh = tmp_path / "mesh.obj"
+    mesh.write_text("\n".join([*lines, "f 1 3 2", "f 1 2 4", "f 2 3 4", "f 1 4 3"]))
+    with pytest.raises(SourceError, match=message) as caught:
+        encode(mesh, tmp_path / "out.touch", EncodeSpec(nw=3))
+    assert "HEAD" not in str(caught.value)
+    scale, offsets = (row.kind for row in rows_of(Head) if row.name in ("mapping_scale", "mapping_offset_m"))
+    assert f"{MIN_SCALE:g}" in scale.bounds and f"{int(MAX_OFFSET_M)}" in offsets.bounds.replace(",", "")

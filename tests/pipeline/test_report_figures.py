@@ -90,7 +90,7 @@ def test_figures_of_an_encoding(tmp_path: Path, by: str) -> None:
 
 
 def test_an_encoding_without_a_force_has_no_bits_per_voxel(tmp_path: Path) -> None:
-    done = encode(ForceField.empty(GRID), tmp_path / "out.touch", SPEC)
+    done = encode(ForceField.empty(GRID), tmp_path / "out.touch", replace(SPEC, allow_empty=True))
     assert done.supported_voxels == 0 and done.summary()["bits_per_supported_voxel"] is None
     assert "The result is empty: no sample has a force." in done.notes[-1]
 
@@ -100,7 +100,7 @@ def test_note_of_a_frame_below_the_threshold_suggests_a_remedy(tmp_path: Path, h
     """A stiffness is no remedy where the forces come from the source."""
     scene = tmp_path / "ball.toml"
     scene.write_text('[[shape]]\nkind = "sphere"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.02\n')
-    weak = replace(SPEC, nw=4, mapping="crop", touch=replace(SPEC.touch, f0_n=9.0))
+    weak = replace(SPEC, nw=4, mapping="crop", allow_empty=True, touch=replace(SPEC.touch, f0_n=9.0))
     done = encode(scene if has_law else medium()[:2], tmp_path / "out.touch", weak)
     (note_text,) = [note for note in done.notes if "decoded without any force" in note]
     assert note_text.startswith(f"{1 if has_law else 2} of {1 if has_law else 2} frames")

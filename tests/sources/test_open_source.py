@@ -110,6 +110,8 @@ NUMBERS = [
 OTHER = {
     "intrinsics": "1,2,3,4",
     "poses": "a.txt",
+    "pose_form": "inverted",
+    "depth_encoding": "rotated",
     "frame": "camera",
     "world": "causal",
     "reading": "height",
@@ -133,12 +135,14 @@ def test_a_number_that_is_not_above_0_is_refused_by_its_name(name: str) -> None:
 
 def test_every_option_is_a_number_or_a_choice() -> None:
     assert {f.name for f in fields(SourceOptions)} == {*NUMBERS, *OTHER, "kind", "allow_outside"}
-    for name in ("frame", "world", "reading", "shell", "holes", "interpolation"):
+    for name in ("frame", "world", "reading", "shell", "holes", "interpolation", "depth_encoding"):
         assert getattr(SourceOptions(**{name: OTHER[name]}), name) == OTHER[name]
         with pytest.raises(InvalidArgument, match=f"{name}: found 'some'"):
             SourceOptions(**{name: "some"})
     with pytest.raises(InvalidArgument, match="poses: found poses with frame camera"):
         SourceOptions(poses="a.txt", frame="camera")
+    with pytest.raises(InvalidArgument, match="pose_form: found a form of poses with frame camera"):
+        SourceOptions(pose_form="inverted", frame="camera")
 
 
 @pytest.mark.parametrize("name", [*NUMBERS, *OTHER])

@@ -16,11 +16,14 @@ from touchfield.sources.camera import DepthSequence, InterpolatedSequence, Intri
 from touchfield.sources.depth import layouts
 from touchfield.sources.depth.fused_scene import DRIFT_FACTOR, FusedScene, _World
 from touchfield.sources.depth.intrinsics_file import camera_of, parse_intrinsics
+from touchfield.sources.depth.lens import undistortion
 from touchfield.sources.depth.segmentation import SegmentRule, segmented_bodies
 from touchfield.sources.mesh.mesh_scene import MeshScene
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.scene import size_note
-from touchfield.sources.terrain.height_scene import KIND, PICTURE_RELIEF, HeightScene, degree_m
+from touchfield.sources.terrain.height_files import KIND
+from touchfield.sources.terrain.height_map import PICTURE_RELIEF, degree_m
+from touchfield.sources.terrain.height_scene import HeightScene
 
 TUM = layouts.LAYOUTS[0]
 
@@ -62,6 +65,7 @@ def test_note_of_a_camera_scaled_from_another_resolution() -> None:
 
 
 def test_note_of_a_nerfstudio_camera_states_its_distortion() -> None:
+    pytest.importorskip("cv2")
     camera = {"w": 200, "h": 100, "fl_x": 40.0, "fl_y": 42.0, "cx": 90.0, "cy": 48.0, "frames": []}
     plain = parse_intrinsics(json.dumps(camera), "transforms.json", (100, 50))
     assert plain.intrinsics == Intrinsics(20, 21, 44.5, 23.5)
@@ -69,7 +73,10 @@ def test_note_of_a_nerfstudio_camera_states_its_distortion() -> None:
     for key in ("k1", "k2", "p1", "p2"):
         bent = parse_intrinsics(json.dumps(camera | {key: 0.01}), "transforms.json", (100, 50))
         assert bent.intrinsics == plain.intrinsics
-        assert bent.notes[-1] == "The distortion in transforms.json is not corrected."
+        assert bent.distortion is not None and bent.distortion.where == "transforms.json"
+        _, notes = undistortion(bent.lens, (100, 50))
+        assert notes[-1].startswith("The lens distortion in transforms.json (brown: ")
+        assert " is undone: it moves pixels by up to " in notes[-1]
 
 
 def test_note_states_the_file_of_a_camera(tmp_path: Path) -> None:
@@ -198,6 +205,10 @@ def test_note_states_degrees_in_metres_east_and_north(tmp_path: Path) -> None:
 def test_size_note_states_sides_in_order_and_the_unit() -> None:
     assert size_note(np.array([1.0, 2.5, 30.0]), None) == (
         "Coordinates taken as metres: 1 x 2.5 x 30 m; give --unit-m if they are not."
+    )
+    assert size_note(np.array([1.0, 2.5, 40.0]), None) == (
+        "Coordinates taken as metres: 1 x 2.5 x 40 m; give --unit-m if they are not: "
+        "--unit-m 0.001, for millimetres, makes them 0.001 x 0.0025 x 0.04 m."
     )
     assert size_note(np.array([1.0, 2.5, 30.0]), 0.01, " in the first frame") == (
         "One unit is 0.01 m: 1 x 2.5 x 30 m in the first frame."

@@ -51,7 +51,7 @@ def media_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         tf.encode(body(kind, 0.06), folder / "deeper" / f"{kind}-large.touch")
     intact = (folder / "sphere.touch").read_bytes()
     (folder / "cut.touch").write_bytes(intact[:-200])
-    tf.encode(tf.ForceField.empty(GRID), folder / "still.touch")
+    tf.encode(tf.ForceField.empty(GRID), folder / "still.touch", allow_empty=True)
     (folder / "notes.txt").write_text("no medium")
     return folder
 

@@ -13,6 +13,7 @@ import typer
 from touchfield import pipeline, tasks
 from touchfield.cli.main import Options, Source, Stream, command
 from touchfield.cli.options import (
+    ALLOW_EMPTY,
     CODER,
     FORCE_ROWS,
     SCENE,
@@ -37,6 +38,7 @@ from touchfield.compute.executors import executor_of
 from touchfield.container.remote import is_remote
 from touchfield.errors import InvalidArgument, require_ending
 from touchfield.files import refuse_overwriting
+from touchfield.pipeline.empty_result import felt_medium
 from touchfield.tasks.plan import Plan, Trial
 
 
@@ -46,7 +48,7 @@ from touchfield.tasks.plan import Plan, Trial
     "encode depth-folder room.touch --frames 0:90 --k 0.2",
     "encode sample:terrain small.touch --target-bytes 60000",
 )
-@with_options(SCENE, FORCE_ROWS, CODER, TARGET)
+@with_options(SCENE, ALLOW_EMPTY, FORCE_ROWS, CODER, TARGET)
 def encode(
     options: Options,
     source: Source,
@@ -89,7 +91,7 @@ def encode(
 
 
 @command("Make", "filter room.touch soft.touch --gaussian sigma=2mm --report", name="filter")
-@with_options(filter_rows(), FORCE_ROWS, SCENE, CODER)
+@with_options(filter_rows(), FORCE_ROWS, SCENE, ALLOW_EMPTY, CODER)
 def filter_(
     options: Options,
     source: Source,
@@ -124,7 +126,7 @@ def filter_(
         else:
             prepared = pipeline.prepare(source, spec)
             summary, notes = prepared.summary(), prepared.notes
-            out = pipeline.write_field(out, prepared.medium, report, prepared.placement)
+            out = pipeline.write_field(out, felt_medium(prepared), report, prepared.placement)
     summary["filters"] = "; ".join(f"{step.name} {step.text}" for step in spec.chain) or "none"
     if not measured:
         return Answer(summary, str(out), notes)
@@ -137,7 +139,7 @@ def filter_(
 
 
 @command("Make", "field scan.ply --preview look.png", "field scan.ply field.npz --nw 6")
-@with_options(SCENE)
+@with_options(SCENE, ALLOW_EMPTY)
 def field(
     options: Options,
     source: Source,
@@ -160,7 +162,9 @@ def field(
             tasks.view.draw_preview(prepared, preview)
             summary["preview"] = str(preview)
         if out is not None:
-            summary["file"] = str(pipeline.write_field(out, prepared.medium, report, prepared.placement))
+            summary["file"] = str(
+                pipeline.write_field(out, felt_medium(prepared), report, prepared.placement)
+            )
     return Answer({**summary, **prepared.summary()}, str(out or preview), (*prepared.notes, *prepared.learnt))
 
 

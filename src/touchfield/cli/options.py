@@ -88,6 +88,7 @@ _LATTICE: Final = "Device and lattice"
 _SCENE: Final = "Scene"
 
 FORCE_ROWS: Final = rows_of(EncodeSpec, "Force", "vibration", *COEFFICIENTS)
+ALLOW_EMPTY: Final = rows_of(EncodeSpec, _SCENE, "allow_empty")
 SCENE: Final = (
     *rows(_LATTICE, ("nominal", bool, False, "Use the device's nominal lattice in place of 2^nw.")),
     *rows_of(EncodeSpec, _LATTICE, "representation", "fit_frames", "oversample", "pool", "cutoff"),
@@ -247,7 +248,7 @@ def encode_spec(options: dict[str, Any]) -> EncodeSpec:
         if len(texts) > 1:
             hint = "Filter twice: the .touch file of the first run may be the source of the second."
             raise InvalidArgument(f"--{name} can be given once, not {len(texts)} times", hint=hint)
-        chain.append((name, texts[0]))
+        chain.append((name, field_filters()[name].expand(texts[0])))
     values |= {
         "nw": None if options["nominal"] else options["nw"],
         "frames": frames_of("--frames", options["frames"]),

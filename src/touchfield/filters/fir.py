@@ -22,7 +22,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from touchfield.arrays import Float64s, Int64s
 from touchfield.compute.threads import for_chunks, worker_count
-from touchfield.errors import InvalidArgument, require_one_of
+from touchfield.errors import InvalidArgument, reason, require_one_of
+from touchfield.files import require_plain
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.separable import (
     BOUNDARIES,
@@ -36,7 +37,7 @@ from touchfield.filters.separable import (
     reach_of,
 )
 from touchfield.medium import BRICK, ForceField
-from touchfield.medium.budget import zero_forces
+from touchfield.medium.budget import require_memory, zero_forces
 from touchfield.medium.field import bricks_of, frozen, numbers_of, padded_blocks
 
 if TYPE_CHECKING:
@@ -135,6 +136,19 @@ def direct_sums(
     )
 
 
+def filter_dense(
+    field: ForceField, taps: Float64s | list[Float64s], origins: list[int], boundary: str
+) -> ForceField:
+    """Filter a field as a dense array that continues beyond its border as `boundary` says.
+
+    `InvalidArgument` if the array exceeds `memory_budget_bytes`, or a sum is beyond float32.
+    """
+    require_memory("boundary", "a dense field", 24 * field.grid.voxel_count, "Take boundary=zero.")
+    return ForceField.from_dense(
+        field.grid, without_overflow(direct_sums(field.to_dense(), taps, origins, boundary), "forces")
+    )
+
+
 _Along = tuple[Int64s, Int64s, NDArray[Any], tuple[int, int, int]]
 """Runs, indices, weights and sizes of an axis: see `touchfield.filters.kernels.separable.sums_along`."""
 
@@ -193,18 +207,41 @@ class FirFilter(FieldFilter):
     taps : str; the taps of one axis, ``1/2/1``, applied along all three but those of a single sample; or a
         box of taps in raster order after its shape, ``3x1x3:0/1/0/1/-4/1/0/1/0``.
     normalise : bool; scale the taps to unit sum, so that a constant field stays itself.
+    boundary : str, optional; how the field continues beyond its border, "zero" (default), "nearest",
+        "reflect" or "wrap" (`touchfield.filters.separable`); all but "zero" filter a dense copy.
     Raises `InvalidArgument` if the taps cannot be read, are not finite, even, or of sum zero and to be
     normalised; on use, if the kernel is larger than the field, or a sum is beyond float32.
     """
 
     name: ClassVar[str] = "fir"
-    summary: ClassVar[str] = "equation 4 with these taps: 1/2/1, or -1/2/-1,normalise=false"
+    summary: ClassVar[str] = "equation 4 with these taps: 1/2/1, or -1/2/-1,normalise=false, or TAPS.npy"
     example: ClassVar[str] = "1/2/1"
 
     taps: str
     normalise: bool = True
+    boundary: str | None = None
+
+    @classmethod
+    def expand(cls, text: str) -> str:
+        """Replace NAME.npy, float [n] or [nx, ny, nz], by its taps as text.
+
+        `InvalidArgument` if it cannot be read.
+        """
+        first, comma, more = text.partition(",")
+        name = first.strip().removeprefix("taps=")
+        if not name.lower().endswith(".npy"):
+            return text
+        require_plain(name, "a .npy file")
+        try:
+            taps = np.asarray(np.load(name, allow_pickle=False), np.float64)
+        except (OSError, ValueError, TypeError) as error:
+            found = f"{name}, which cannot be read ({reason(error)})"
+            raise InvalidArgument("--fir taps", found, "a .npy file of numbers") from error
+        shape = "x".join(map(str, taps.shape))
+        return f"{shape}:{'/'.join(map(repr, taps.ravel().tolist()))}{comma}{more}"
 
     def __post_init__(self) -> None:
+        require_one_of("--fir boundary", self.boundary or "zero", BOUNDARIES)
         total = float(self.kernel.sum())
         nothing = abs(total) <= 1e-12 * float(np.abs(self.kernel).sum())
         if (self.normalise and nothing) or not self.kernel.any():
@@ -261,7 +298,10 @@ class FirFilter(FieldFilter):
         """See `FieldFilter`."""
         axes = self._axes(field.grid)
         with np.errstate(over="ignore", invalid="ignore"):  # taps beyond float32
-            if self._rows or not len(field.bricks):
+            if self.boundary not in (None, "zero"):
+                taps = [a.taps for a in axes] if self._rows else self._weights
+                result = filter_dense(field, taps, [a.reach for a in axes], self.boundary)
+            elif self._rows or not len(field.bricks):
                 result = filter_field(field, axes)[0]
             else:
                 result = self._summed(field, axes)

@@ -14,7 +14,7 @@ reflect  c b a | a b c d | d c b, about the edge of the cell
 wrap     b c d | a b c d | a b c
 ======== =====================================================
 
-Fields use "zero": there is no force beyond the grid. The others are for arrays.
+Fields use "zero" by default: there is no force beyond the grid. Another continuation needs a dense copy.
 """
 
 from __future__ import annotations

@@ -29,10 +29,10 @@ from touchfield.errors import (
     require_one_of,
     require_positive,
 )
-from touchfield.filters.fir import checked_signal, direct_sums, without_overflow
+from touchfield.filters.fir import checked_signal, direct_sums, filter_dense, without_overflow
 from touchfield.filters.registry import Claims, FieldFilter
 from touchfield.filters.resample import LOW_PASSES, axis_weights, low_pass
-from touchfield.filters.separable import AxisTaps, filter_field, reach_of
+from touchfield.filters.separable import BOUNDARIES, AxisTaps, filter_field, reach_of
 from touchfield.medium import ForceField, Grid
 
 if TYPE_CHECKING:
@@ -105,7 +105,11 @@ class _LowPass(FieldFilter):
 
     def __call__(self, field: ForceField) -> ForceField:
         """See `FieldFilter`."""
-        smooth, is_finite = filter_field(field, self.taps(field.grid))
+        axes = self.taps(field.grid)
+        boundary = getattr(self, "boundary", None)
+        if boundary not in (None, "zero"):
+            return filter_dense(field, [a.taps for a in axes], [a.reach for a in axes], boundary)
+        smooth, is_finite = filter_field(field, axes)
         if not is_finite:
             without_overflow(smooth.forces_n, f"--{self.name} forces")
         return smooth
@@ -116,16 +120,20 @@ class GaussianFilter(_LowPass):
     """Each component of the force smoothed by a Gaussian, cut off at 4 sigma, on sparse bricks.
 
     sigma_m : float; standard deviation, metres, positive; an axis of a single sample is left as it is.
+    boundary : str, optional; how the field continues beyond its border, "zero" (default), "nearest",
+        "reflect" or "wrap" (`touchfield.filters.separable`); all but "zero" filter a dense copy.
     Raises `InvalidArgument` if it is not positive; on use, if the kernel or a sum does not fit the field.
     """
 
     name: ClassVar[str] = "gaussian"
-    summary: ClassVar[str] = "smooth by a Gaussian of this standard deviation: 2mm"
+    summary: ClassVar[str] = "smooth by a Gaussian of this standard deviation: 2mm, or 2mm,boundary=nearest"
     example: ClassVar[str] = "2mm"
 
     sigma_m: float
+    boundary: str | None = None
 
     def __post_init__(self) -> None:
+        require_one_of("--gaussian boundary", self.boundary or "zero", BOUNDARIES)
         if not (is_finite(self.sigma_m) and self.sigma_m > 0):
             raise InvalidArgument("--gaussian sigma", f"{self.sigma_m!r} m", "a positive length")
 

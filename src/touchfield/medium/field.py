@@ -22,8 +22,8 @@ from numpy.typing import ArrayLike, NDArray
 from touchfield.arrays import Bools, EqualByValue, Float32s, Float64s, Int32s, Int64s, lengths_of
 from touchfield.compute.native import native
 from touchfield.compute.threads import for_chunks
-from touchfield.errors import InvalidArgument
-from touchfield.medium.budget import zero_forces
+from touchfield.errors import InvalidArgument, import_extra
+from touchfield.medium.budget import require_memory, zero_forces
 from touchfield.medium.grid import BRICK, CORNERS, LOCAL, ON_A_SAMPLE, Grid
 from touchfield.medium.samples import raster_slots, sample
 
@@ -383,6 +383,20 @@ class ForceField(EqualByValue):
     def to_dense(self) -> Float32s:
         """Return the forces as a dense array, newtons, float32 [nx, ny, nz, 3]."""
         return np.concatenate(list(self.slabs(0)))
+
+    def to_xarray(self) -> Any:
+        """Convert to an `xarray.DataArray` of newtons, float32 [x, y, z, component], with axes in metres.
+
+        Raises `MissingExtra` without xarray; `InvalidArgument` if the dense field exceeds
+        `memory_budget_bytes`.
+        """
+        xarray = import_extra("xarray", "a field as a DataArray", "xarray", "xarray")
+        require_memory("to_xarray", "a dense field", 12 * self.grid.voxel_count, "Take a coarser grid.")
+        coordinates = {**self.grid.coordinates, "component": list("xyz")}
+        attributes = {"units": "N"}
+        return xarray.DataArray(
+            self.to_dense(), coordinates, ("x", "y", "z", "component"), "forces_n", attributes
+        )
 
     def slabs(self, axis: int) -> Iterator[Float32s]:
         """Yield dense slabs along `axis`, ascending, newtons, float32 [nx, ny, nz, 3].

@@ -117,6 +117,11 @@ class Grid:
         indices = np.arange(self.shape[axis], dtype=np.float64)
         return np.asarray(self.origin_m[axis] + self.spacing_m[axis] * indices)
 
+    @property
+    def coordinates(self) -> dict[str, tuple[str, Float64s, dict[str, str]]]:
+        """Coordinates of xarray: for each axis its name, positions in metres, and attributes."""
+        return {name: (name, self.axis_m(axis), {"units": "m"}) for axis, name in enumerate("xyz")}
+
     def to_m(self, index: ArrayLike) -> Float64s:
         """Convert (fractional) indices [..., 3] to positions in metres, float64 [..., 3]."""
         return np.asarray(

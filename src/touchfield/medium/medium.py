@@ -294,7 +294,7 @@ class HapticMedium(Picklable):
         needed = 12 * self.grid.voxel_count * self.frame_count
         require_memory("to_xarray", "dense frames", needed, "Take fewer frames: medium[a:b].")
         forces = np.stack([self[i].to_dense() for i in range(self.frame_count)])
-        axes = {name: (name, self.grid.axis_m(axis), {"units": "m"}) for axis, name in enumerate("xyz")}
+        axes = self.grid.coordinates
         times = ("t", np.arange(self.frame_count) / self.rate_hz, {"units": "s"})
         return xarray.Dataset(
             {"forces_n": (("t", "x", "y", "z", "component"), forces, {"units": "N"})},

@@ -22,11 +22,12 @@ from touchfield.container.remote import is_remote, sender
 from touchfield.errors import InvalidArgument, require_ending, warn_unbounded
 from touchfield.medium import Grid
 from touchfield.pipeline.decoding import open_file
+from touchfield.pipeline.empty_result import refuse_empty
 from touchfield.pipeline.preparation import Prepared, prepare
 from touchfield.pipeline.provenance import file_provenance
-from touchfield.pipeline.segments import file_head, write_voxels
+from touchfield.pipeline.segments import file_head, silent_frame_notes, write_voxels
 from touchfield.pipeline.source import Source
-from touchfield.pipeline.spec import DEFAULT_F0_N, EncodeSpec
+from touchfield.pipeline.spec import DEFAULT_F0_N, EncodeSpec, spec_with
 from touchfield.pipeline.workers import encode_with_workers, worker_path
 
 
@@ -57,10 +58,7 @@ class Encoded:
     def notes(self) -> tuple[str, ...]:
         """Notes for the user."""
         notes = (*self.prepared.notes, *self.prepared.learnt, *self.coding_notes)
-        if self.supported_voxels:
-            return notes
-        empty = "The result is empty: no sample has a force. Check --mapping, --nw or --thickness-m."
-        return (*notes, empty)
+        return notes if self.supported_voxels else (*notes, "The result is empty: no sample has a force.")
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""
@@ -90,8 +88,11 @@ def encode(
     *,
     grid: Grid | None = None,
     executor: Executor | None = None,
+    **options: Any,
 ) -> Encoded:
     """Turn a source into a ``.touch`` file.
+
+    `options` are options of `spec` by name: ``encode(source, out, nw=6, k=0.2)``.
 
     `source` is a path, a scene, a medium, a field or an array. A medium and a field keep their lattice and
     forces. An array has newtons on `grid`: [nx, ny, nz, 3], or [frame, nx, ny, nz, 3] at 30 frames a second.
@@ -99,22 +100,22 @@ def encode(
     the path and code ranges of its frames; the bytes are the same. The parts that they finished before an
     error stay in ``OUT.parts``, and the same call continues from there. `out` may be in an object store
     (``s3://...``, extra ``remote``): the file is written as ``NAME.unsent`` in the working folder, uploaded
-    as a whole, and removed; it stays there if the upload fails. Raises TouchfieldError; no file `out` is then
-    left.
+    as a whole, and removed; it stays there if the upload fails. Raises TouchfieldError, also if nothing in
+    the result can be felt and `spec` does not allow that; no file `out` is then left.
     """
     start_s = time.perf_counter()
-    spec = spec or EncodeSpec()
-    if not (isinstance(out, str | Path) and isinstance(spec, EncodeSpec)):
+    if not (isinstance(out, str | Path) and isinstance(spec, EncodeSpec | None)):
         raise InvalidArgument(
             "out, spec", f"{out!r:.80}, a {type(spec).__name__}", "a path and an EncodeSpec"
         )
+    spec = spec_with(spec, options)
     require_ending(out, "OUT.touch", hint="A field is written by `write_field`.")
     send = sender(str(out)) if is_remote(out) else None
     local_path = Path(out) if send is None else Path(f"{Path(out).name}.unsent")
     prepared = prepare(source, spec, grid)
     provenance = file_provenance(source, prepared)
     if executor is None or prepared.objects is not None:
-        encoded = encode_prepared(prepared, local_path, provenance, report)
+        encoded = encode_prepared(prepared, local_path, provenance, report, may_be_empty=False)
         if executor is not None:
             encoded = replace(encoded, coding_notes=("Objects are coded in one process, without workers.",))
     else:
@@ -131,21 +132,30 @@ def encode(
 
 
 def encode_prepared(
-    prepared: Prepared, out: str | Path, provenance: Mapping[str, str], report: Progress = silent
+    prepared: Prepared,
+    out: str | Path,
+    provenance: Mapping[str, str],
+    report: Progress = silent,
+    *,
+    may_be_empty: bool = True,
 ) -> Encoded:
     """Write a prepared source as a ``.touch`` file, coded by its spec.
 
-    The bytes are the same on any machine. Raises TouchfieldError; no file `out` is then left.
+    The bytes are the same on any machine. `may_be_empty` False refuses a result in which nothing can be felt.
+    Raises TouchfieldError; no file `out` is then left.
     """
     start_s = time.perf_counter()
     if prepared.source is not None:
         prepared.source.report = report
-    notes: tuple[str, ...] = ()
+    silent_frames = 0
     with TouchWriter(Path(out)) as writer:
         if prepared.objects is not None:
             supported = _write_scene(writer, prepared, provenance, report)
         else:
-            supported, notes = write_voxels(writer, prepared, provenance, report)
+            supported, silent_frames = write_voxels(writer, prepared, provenance, report)
+        if not may_be_empty:
+            refuse_empty(prepared, supported, silent_frames)
+    notes = silent_frame_notes(prepared, silent_frames)
     size, bound = Path(out).stat().st_size, file_error_bound(out)
     notes += decoded_notes(prepared, out)
     return Encoded(prepared, size, time.perf_counter() - start_s, supported, notes, bound=bound)

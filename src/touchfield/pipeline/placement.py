@@ -11,7 +11,7 @@ import numpy as np
 
 from touchfield.arrays import Float64s
 from touchfield.devices import Device
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, SourceError
 from touchfield.filters.array_filter import array_margin_m
 from touchfield.filters.device_spec import DeviceFilter, device_grid
 from touchfield.medium import Grid
@@ -25,6 +25,8 @@ FIT_MARGIN: Final = 0.05
 
 A hand approaches a surface from outside.
 """
+MIN_SCALE: Final = 1e-30  # of a placement that a file can state, as of `touchfield.container.records`
+MAX_OFFSET_M: Final = 1e9
 _ROUNDING_M: Final = 1e-9
 
 
@@ -58,6 +60,7 @@ def mapping_of(
     if profile is None:
         lossless = _lossless_lattice(scene, device, spec)
         placement, grid = lossless or (placement, grid)
+    _require_usual_size(scene, box_m, placement)
     return Mapping(
         device,
         grid,
@@ -68,6 +71,19 @@ def mapping_of(
         fit_box_m=box_m,
         keeps_lattice=lossless is not None,
     )
+
+
+def _require_usual_size(scene: Scene, box_m: Float64s, placement: Placement) -> None:
+    """SourceError for a scene so small, large or far away that a file cannot state its placement."""
+    option, *_ = scene.unit or ("the unit",)
+    size_m, distance_m = float(np.ptp(box_m, axis=0).max()), float(np.abs(placement.offset_m).max())
+    if not MIN_SCALE <= placement.scale <= 1 / MIN_SCALE:
+        where, expected = f"a scene of {size_m:.3g} m", "the size of a scene in metres"
+        raise SourceError("The source", where, expected, f"Check {option}, and values that mark gaps.")
+    if not distance_m <= MAX_OFFSET_M:
+        found = f"a scene {distance_m:.3g} m from its origin"
+        expected = f"at most {MAX_OFFSET_M:g} m"
+        raise SourceError("The source", found, expected, f"Check {option}, or subtract an offset.")
 
 
 def _fit_range(scene: Scene, spec: EncodeSpec) -> tuple[int, int]:

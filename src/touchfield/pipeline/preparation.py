@@ -32,7 +32,7 @@ from touchfield.pipeline.notes import notes_of
 from touchfield.pipeline.objects import filter_objects, is_of_objects, objects_of
 from touchfield.pipeline.placement import Mapping, mapping_of
 from touchfield.pipeline.source import FixedLatticeScene, Source, scene_of
-from touchfield.pipeline.spec import COEFFICIENTS, SOURCE_FORCES, EncodeSpec
+from touchfield.pipeline.spec import COEFFICIENTS, SOURCE_FORCES, EncodeSpec, spec_with
 from touchfield.pipeline.stream import FILTERED
 from touchfield.pipeline.thin_walls import thicken
 from touchfield.sources.scene import Scene
@@ -43,13 +43,16 @@ _DEFAULT_PIN_HEIGHTS: Final = 36
 """Heights of a pin display whose profile does not state them: those of the driver `pins`."""
 
 
-def prepare(source: Source | ArrayLike, spec: EncodeSpec | None = None, grid: Grid | None = None) -> Prepared:
+def prepare(
+    source: Source | ArrayLike, spec: EncodeSpec | None = None, grid: Grid | None = None, **options: Any
+) -> Prepared:
     """Filter a source for a device (paper 3.1, 3.2, 4.1): a lazy medium on the device's lattice.
 
     A ``.touch`` file is already filtered for its device, and keeps that device, its lattice and its
     placement. A medium or a field keeps its lattice and its forces, as does an array of newtons on `grid`.
+    `options` are options of `spec` by name: ``prepare(source, nw=6)``.
     """
-    spec = spec or EncodeSpec()
+    spec = spec_with(spec, options)
 
     # 1. open the source
     scene = scene_of(source, spec, grid)

@@ -23,6 +23,7 @@ from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField
 from touchfield.medium.selection import select_frames
 from touchfield.pipeline.decoding import open_file
+from touchfield.pipeline.empty_result import refuse_empty
 from touchfield.pipeline.encoding import Encoded, encode_prepared
 from touchfield.pipeline.preparation import Prepared, prepare
 from touchfield.pipeline.provenance import file_provenance
@@ -228,6 +229,7 @@ def encode_to_target(
         trials = _Trials(source, _with_frame_cache(prepare(source, spec)), target, temporary, report)
         control = _search_all_frames(trials, _start_from_subset(trials))
         assert trials.last is not None
+        refuse_empty(trials.prepared, trials.last.supported_voxels)
     figures, note = _search_report(trials, control)
     return replace(
         trials.last,

@@ -63,8 +63,8 @@ class EncodedSegment(NamedTuple):
 
 def write_voxels(
     writer: TouchWriter, prepared: Prepared, provenance: Mapping[str, str], report: Progress
-) -> tuple[int, tuple[str, ...]]:
-    """Write the head and the segments of a medium; the number of supported samples, and notes."""
+) -> tuple[int, int]:
+    """Write the head and the segments of a medium; the number of supported samples, and of silent frames."""
     medium, spec = prepared.medium, prepared.spec
     made = coded = supported = silent_frames = 0
 
@@ -85,7 +85,7 @@ def write_voxels(
         supported += segment.supported
         silent_frames += segment.silent_frames
         on_made(made)
-    return supported, silent_frame_notes(prepared, silent_frames)
+    return supported, silent_frames
 
 
 def frame_ranges(

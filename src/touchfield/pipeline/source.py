@@ -29,7 +29,14 @@ Source = str | Path | Scene | HapticMedium | ForceField
 
 
 def scene_of(source: Source | ArrayLike, spec: EncodeSpec, grid: Grid | None = None) -> Scene:
-    """The scene of a source, restricted to the frames of `spec`; an array has newtons on `grid`."""
+    """The scene of a source, restricted to the frames of `spec`; an array has newtons on `grid`.
+
+    An xarray DataArray without a grid has heights.
+    """
+    if grid is None and is_data_array(source):
+        from touchfield.sources.terrain.height_files import scene_of_xarray
+
+        source = scene_of_xarray(source, spec.source)
     scene = open_scene(as_source(source, spec.device, grid), spec.source)
     if spec.frames is not None:
         start, stop = spec.frames
@@ -81,6 +88,11 @@ def open_scene(source: str | Path | Scene, options: SourceOptions) -> Scene:
         names = ", ".join("--" + name.replace("_", "-") for name in unused)
         scene.notes = (*scene.notes, f"Options that do nothing for this source: {names}.")
     return scene
+
+
+def is_data_array(source: object) -> bool:
+    """True for an xarray DataArray; xarray is not imported."""
+    return type(source).__name__ == "DataArray" and type(source).__module__.partition(".")[0] == "xarray"
 
 
 def is_stream(source: object) -> bool:

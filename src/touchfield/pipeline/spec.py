@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Final
 
@@ -39,6 +40,7 @@ Frames = tuple[int, int | None]
 REPRESENTATIONS: Final = ("auto", "voxel", "object")
 THIN: Final = ("thicken", "keep")
 COEFFICIENTS: Final = ("friction", "damping_n_s_per_m")
+_OPTIONAL_OF_SOURCE: Final = ("pose_form", "depth_encoding")  # left out while not given
 _OPTIONAL: Final = ("vibration", "fit_frames", *COEFFICIENTS)
 NO_FLOOR_N: Final = 1e-30  # for a measure that needs F_0 above 0: smaller than any force
 SOURCE_FORCES: Final = "the source's own forces, sample by sample"
@@ -129,6 +131,7 @@ class EncodeSpec:
     damping_n_s_per_m: float | None = option(
         None, "Damping b, which the receiver renders; default: the source's."
     )
+    allow_empty: bool = option(False, "Write a result in which nothing can be felt; otherwise an error.")
 
     def __post_init__(self) -> None:
         require_kinds(self, representation=REPRESENTATIONS, thin=THIN, coder=CODERS)
@@ -236,7 +239,10 @@ class EncodeSpec:
             *unused,
         ):
             del values[name]
-        del values["source"]["allow_outside"]  # the user decides this each time
+        del values["source"]["allow_outside"], values["allow_empty"]  # the user decides these each time
+        for name in _OPTIONAL_OF_SOURCE:
+            if values["source"][name] is None:
+                del values["source"][name]
         return json.dumps(values, separators=(",", ":"))
 
     def changed_options(self) -> dict[str, Any]:
@@ -257,6 +263,7 @@ class EncodeSpec:
         try:
             values = json_of(text)
             values["source"] = SourceOptions(**{**values["source"], "allow_outside": False})
+            values.pop("allow_empty", None)
             coder = values["coder"]
             spec = coder_entry(coder, "PROV spec").spec
             if spec is None:
@@ -277,6 +284,34 @@ class EncodeSpec:
             raise CorruptFile(
                 "PROV spec", f"a spec that cannot be read ({error})", "what encode wrote"
             ) from None
+
+
+def spec_with(spec: EncodeSpec | None, options: dict[str, Any]) -> EncodeSpec:
+    """Return a spec, the default one if None, with options changed by name.
+
+    An option is a field of `EncodeSpec`, of its `source`, or of the spec of its coder. InvalidArgument for
+    any other name; it suggests the closest one.
+    """
+    spec = EncodeSpec() if spec is None else spec
+    if not options:
+        return spec
+    if "coder" in options:
+        require_one_of("coder", options["coder"], CODERS)
+        spec = replace(spec, coder=options["coder"])
+    inner = {"source": spec.source, spec_field(spec.coder): spec.coding}
+    names = {name: {f.name for f in fields(part)} for name, part in inner.items()}
+    top_names = {f.name for f in fields(EncodeSpec)}
+    changes: dict[str, dict[str, Any]] = {}
+    for key, value in options.items():
+        place = "" if key in top_names else next((name for name in names if key in names[name]), None)
+        if place is None:
+            close = get_close_matches(key, [*top_names, *(n for group in names.values() for n in group)], 1)
+            hint = f"Is {close[0]} meant?" if close else ""
+            expected = "an option of EncodeSpec, of its source or its coder"
+            raise InvalidArgument(key, repr(value), expected, hint)
+        changes.setdefault(place, {})[key] = value
+    parts = {name: replace(part, **changes[name]) for name, part in inner.items() if name in changes}
+    return replace(spec, **{**changes.get("", {}), **parts})
 
 
 @dataclass(frozen=True)

@@ -26,10 +26,11 @@ from touchfield.codec.segment import bound_keys
 from touchfield.codec.touch.spec import CODER, TouchSpec
 from touchfield.compute.executors import in_order
 from touchfield.compute.threads import Progress, silent
-from touchfield.errors import InvalidArgument, require_ending, warn_unbounded
+from touchfield.errors import InvalidArgument, SourceError, require_ending, warn_unbounded
 from touchfield.filters.device_filter import device_medium
 from touchfield.medium import Grid
 from touchfield.medium.stores.zarr_store import atomic_folder, boxes, create, write_box
+from touchfield.pipeline.empty_result import refuse_empty
 from touchfield.pipeline.encoding import Encoded
 from touchfield.pipeline.preparation import Prepared, prepare
 from touchfield.pipeline.spec import EncodeSpec
@@ -120,6 +121,11 @@ def encode_tiles(
             report(len(finished.counts) * len(medium) // total, len(medium))
         supported, ratios = sum(finished.counts.values()), list(finished.ratios.values())
         finished.forget()
+        try:
+            refuse_empty(prepared, supported)
+        except SourceError:
+            shutil.rmtree(store)
+            raise
     bound = _error_bound(spec.touch, ratios)
     warn_unbounded(bound.get("error_bound_note"))
     notes = (f"{before} of {total} tiles were there from an earlier run",) if before else ()

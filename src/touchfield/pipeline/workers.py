@@ -11,7 +11,7 @@ import hashlib
 import json
 import shutil
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import replace
@@ -26,6 +26,7 @@ from touchfield.compute.executors import in_order
 from touchfield.compute.threads import Progress
 from touchfield.container import Head, TouchReader, TouchWriter
 from touchfield.errors import CorruptFile, InvalidArgument, SourceError, TouchfieldError
+from touchfield.pipeline.empty_result import refuse_empty
 from touchfield.pipeline.preparation import Prepared, prepare
 from touchfield.pipeline.segments import (
     EncodedSegment,
@@ -140,7 +141,13 @@ def encode_with_workers(
         parts.write(frame_range, part)
         notes.update(dict.fromkeys(part.notes))
         report(frame_range.stop, len(medium))
-    supported, silent_frames = parts.join(out, all_ranges, provenance)
+    try:
+        supported, silent_frames = parts.join(
+            out, all_ranges, provenance, lambda *counts: refuse_empty(prepared, *counts)
+        )
+    except SourceError:  # the same parts would be empty again
+        parts.remove()
+        raise
     parts.remove()
     if parts.reused:
         notes[f"{parts.reused} of {len(all_ranges)} parts were there from an earlier run"] = None
@@ -205,15 +212,23 @@ class _PartFolder:
                 yield EncodedSegment(body, vibration, entry.frame_count, *counts)
 
     def join(
-        self, out: Path, frame_ranges: list[FrameRange], provenance: Mapping[str, str]
+        self,
+        out: Path,
+        frame_ranges: list[FrameRange],
+        provenance: Mapping[str, str],
+        check: Callable[[int, int], None],
     ) -> tuple[int, int]:
-        """Write all parts as one file; the supported samples and the silent frames of all of them."""
+        """Write all parts as one file; the supported samples and the silent frames of all of them.
+
+        `check` gets both before the file is complete; no file is left if it raises.
+        """
         supported = silent_frames = 0
         with TouchWriter(out) as writer:
             writer.write_head(self._head, provenance)
             for segment in write_segments(writer, chain.from_iterable(map(self.read, frame_ranges))):
                 supported += segment.supported
                 silent_frames += segment.silent_frames
+            check(supported, silent_frames)
         return supported, silent_frames
 
     def remove(self) -> None:

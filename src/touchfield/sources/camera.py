@@ -76,6 +76,10 @@ class DepthSequence(ABC):
     intrinsics: Intrinsics
     rate_hz: float
     poses: Float64s | None = None  # [frame_count, 4, 4], camera to world, metres
+    frame_names: tuple[str, ...] = ()  # names of the files of the frames, if each has one
+    has_quaternions = False  # the file of poses has quaternions, whose order may be another
+    has_wrong_poses = False  # poses and depth disagree (see `depth.pose_check`)
+    is_unit_assumed = False  # neither a file nor an option gives the unit of depth
     is_captured = False  # live source: a frame is captured on request, and old frames are gone
     notes: tuple[str, ...] = ()  # messages for the user
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Any
 
-from touchfield.errors import InvalidArgument, require_kinds, require_positive
+from touchfield.errors import InvalidArgument, require_kinds, require_one_of, require_positive
 from touchfield.options import option
 
 
@@ -21,6 +21,10 @@ class SourceOptions:
     intrinsics : str or None; "fx,fy,cx,cy" in pixels, or the path of an intrinsics file.
     poses : str or None; Depth sequences: path of the camera poses (`touchfield.sources.depth.frame_poses`);
         None to search for them.
+    pose_form : str or None; Depth sequences: how poses are read if not as scene from camera in the axes of
+        the pictures; words of `touchfield.sources.depth.pose_form.FORMS`, separated by commas.
+    depth_encoding : str or None; Bits of stored depth: "plain", or "rotated" by 3 (SUN3D, APC); None for that
+        of the layout.
     frame : str; Depth sequences: "world" uses the camera poses, if there are any, so that the scene of a
         moving camera is static; with "camera" the workspace moves with the camera.
     world : str; Depth sequences in world coordinates: "fused" (one world from all frames), "causal" (one
@@ -57,6 +61,14 @@ class SourceOptions:
     poses: str | None = option(
         None, "Depth sequences: camera poses, a file or folder; found if they are next to the pictures."
     )
+    pose_form: str | None = option(
+        None,
+        "Depth sequences: how poses are read: inverted, opengl, ros, mirrored, wxyz, mm, cm, reversed or "
+        "alphabetical; several with commas.",
+    )
+    depth_encoding: str | None = option(
+        None, "Bits of stored depth: plain, or rotated (by 3, as in SUN3D and APC)."
+    )
     frame: str = option("world", "Depth sequences: world (poses are used) or camera.")
     world: str = option(
         "fused", "Depth sequences: fused (one of all frames), causal (of those so far), frames."
@@ -80,7 +92,7 @@ class SourceOptions:
     relative_depth: str | None = option(None, "Pictures and videos: the relative depth of each.")
     near_m: float | None = option(None, "Relative depth: metres of its nearest value.")
     far_m: float | None = option(None, "Relative depth: metres of its farthest value.")
-    segment: str | None = option(None, "Depth sequences as objects: the rule of segmentation.")
+    segment: str | None = option(None, "Depth sequences as objects: step=0.03,least=0.2%,at-most=16.")
     baseline_m: float | None = option(None, "Disparity maps: distance between the cameras.")
     disparity_offset_px: float | None = option(None, "Disparity maps: offset of the principal points.")
     allow_outside: bool = option(False, "Models and scene files may name files outside their own folder.")
@@ -95,8 +107,14 @@ class SourceOptions:
             holes=("small", "close", "leave"),
             interpolation=("linear", "nearest"),
         )
+        if self.depth_encoding is not None:
+            require_one_of("depth_encoding", self.depth_encoding, ("plain", "rotated"))
         if self.poses is not None and self.frame == "camera":
             raise InvalidArgument("poses", "poses with frame camera", "frame world, which uses them")
+        if self.pose_form is not None and self.frame == "camera":
+            raise InvalidArgument(
+                "pose_form", "a form of poses with frame camera", "frame world, which uses them"
+            )
         positive = (
             "depth_scale", "cell_size_m", "height_scale", "exaggeration", "unit_m", "rate_hz", "seconds",
             "source_rate_hz", "near_m", "far_m", "baseline_m",

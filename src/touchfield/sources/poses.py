@@ -4,7 +4,11 @@ The form of a text is recognised by its content:
 
 * 12 or 16 numbers a line: a 3x4 (KITTI) or 4x4 matrix; 4 a line: such matrices over several lines;
 * 8 numbers a line: TUM's ``time tx ty tz qx qy qz qw``; times may be in milli-, micro- or nanoseconds;
-* 7 numbers a line: the same without the time;
+* 7 numbers a line: the same without the time; the quaternion may come first (w x y z, then the position);
+* 13 or 17 numbers a line: a number or time, then a 3x4 or 4x4 matrix;
+* columns named by a first line or comment (``timestamp, frame, x, y, z, qx, qy, qz, qw``), in any order;
+* a name of a picture in front of 7, 12 or 16 numbers;
+* Open3D's ``PinholeCameraTrajectory`` (camera from scene, columns first) and ``PoseGraph``;
 * Redwood's ``trajectory.log``: three numbers, then a 4x4 matrix over four lines;
 * COLMAP's ``images.txt``: quaternion and translation of *camera from world*, and the name of a picture;
 * nerfstudio's ``transforms.json``: 4x4 matrices in the axes of OpenGL, and the names of pictures;
@@ -17,6 +21,7 @@ forward. A rotation with an error of up to 1 % (from rounding in the text) is ma
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -24,7 +29,7 @@ import numpy as np
 
 from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import SourceError
-from touchfield.files import plain_size, readable
+from touchfield.files import plain_size, readable, record_read
 from touchfield.medium.pose_track import PoseTrack, rotation_matrices, slerp
 
 if TYPE_CHECKING:
@@ -38,8 +43,8 @@ IGNORE_POSES: Final = "Mend the file, or ignore the poses with --frame camera."
 _MAX_TEXT_BYTES: Final = 1 << 26
 _ROTATION_TOLERANCE: Final = 0.01
 _FORMS: Final = (
-    "12 or 16 numbers a line (3x4, 4x4), 8 or 7 ([time] tx ty tz qx qy qz qw), a Redwood log, or COLMAP's "
-    "images.txt"
+    "12 or 16 numbers a line (3x4, 4x4), 8 or 7 ([time] tx ty tz qx qy qz qw), named columns, a Redwood log, "
+    "COLMAP's images.txt, or the JSON of nerfstudio or Open3D"
 )
 _FROM_CAMERA: Final = "scene from camera"
 
@@ -48,6 +53,7 @@ class PoseList(NamedTuple):
     """Poses of a file, float64 [n, 4, 4], their form, and what they are keyed by.
 
     Keys are times in seconds, float64 [n] ascending, frame numbers, int64 [n], or names of pictures.
+    `has_quaternions` says that rotations were read from x, y, z, w.
     """
 
     poses: Float64s
@@ -55,6 +61,7 @@ class PoseList(NamedTuple):
     times_s: Float64s | None = None
     numbers: Int64s | None = None
     names: tuple[str, ...] | None = None
+    has_quaternions: bool = False
 
 
 # -- numbers and matrices ----------------------------------------------------------------------------------
@@ -68,6 +75,7 @@ def read_text(path: Path, max_bytes: int = _MAX_TEXT_BYTES) -> str:
             size = plain_size(path, "a text file")
             if size > max_bytes:
                 raise SourceError(str(path), f"{size} bytes", f"a text file up to {max_bytes} bytes")
+            record_read(path)
             return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise SourceError(
@@ -203,18 +211,24 @@ def parse_poses(text: str, where: str) -> PoseList:
     Raises `SourceError` for others, or if a pose is not a rigid motion.
     """
     if text.lstrip().startswith("{"):
-        return _parse_transforms(text, where)
+        return _parse_json(text, where)
+    named = _parse_columns(text, where)
+    if named is not None:
+        return named
     lines = split_lines(text.replace(",", " "), where)
     if any(len(tokens) >= 10 and _is_number(tokens[0]) and not _is_number(tokens[-1]) for _, tokens in lines):
         return _parse_colmap(text, where)
     columns = len(lines[0][1]) if lines else 0
+    if columns in (8, 13, 17) and all(not _is_number(tokens[0]) for _, tokens in lines):
+        rest = parse_poses("\n".join(" ".join(tokens[1:]) for _, tokens in lines), where)
+        return rest._replace(names=tuple(tokens[0] for _, tokens in lines))
     if [len(tokens) for _, tokens in lines[:5]] == [3, 4, 4, 4, 4]:
         rows = _entries(text, 19, where, "entry (3 and a 4x4 matrix)")
         poses, numbers = checked_poses(rows[:, 3:].reshape(-1, 4, 4), where), rows[:, 0]
-        is_frame_number = (numbers >= 0) & (numbers < 2**53) & (numbers % 1 == 0)
+        is_frame_number = (numbers >= 0) & (numbers < 2**53) & (np.floor(numbers) == numbers)
         _refuse(~is_frame_number, where, "no frame number", "a whole number")
         return PoseList(poses, f"a log of 4x4 matrices, {_FROM_CAMERA}", numbers=numbers.astype(np.int64))
-    if columns not in (4, 7, 8, 12, 16):
+    if columns not in (4, 7, 8, 12, 13, 16, 17):
         raise SourceError(where, f"{columns} numbers in its first line", _FORMS, IGNORE_POSES)
     for line, tokens in lines:
         if len(tokens) != columns:
@@ -225,11 +239,22 @@ def parse_poses(text: str, where: str) -> PoseList:
         is_odd = ~(np.abs(rows) < MAX_TIME_S).all(axis=1)
         _refuse(is_odd, where, "numbers that are not finite", "time tx ty tz qx qy qz qw")
         rows = rows[np.argsort(rows[:, 0], kind="stable")]
-        poses = poses_of_quaternions(rows[:, 4:], rows[:, 1:4], where)
-        return PoseList(poses, f"time tx ty tz qx qy qz qw, {_FROM_CAMERA}", rows[:, 0])
+        order, quaternions, positions_m = _split_position(rows[:, 1:])
+        poses = poses_of_quaternions(quaternions, positions_m, where)
+        return PoseList(poses, f"time {order}, {_FROM_CAMERA}", rows[:, 0], has_quaternions=order[0] == "t")
     if columns == 7:
-        poses = poses_of_quaternions(rows[:, 3:], rows[:, :3], where)
-        return PoseList(poses, f"tx ty tz qx qy qz qw, {_FROM_CAMERA}")
+        order, quaternions, positions_m = _split_position(rows)
+        poses = poses_of_quaternions(quaternions, positions_m, where)
+        return PoseList(poses, f"{order}, {_FROM_CAMERA}", has_quaternions=order[0] == "t")
+    if columns in (13, 17):
+        keys = rows[:, 0]
+        _refuse(~(np.abs(keys) < 1e20), where, "a key that is not finite", "a frame number or a time")
+        poses = checked_poses(rows[:, 1:].reshape(len(rows), -1, 4), where)
+        form = f"{columns // 4}x4 matrices, {_FROM_CAMERA}"
+        if bool((keys % 1 == 0).all()) and keys.min() >= 0 and keys.max() < 1e9:
+            return PoseList(poses, f"frame numbers and {form}", numbers=keys.astype(np.int64))
+        order_of_times = np.argsort(keys, kind="stable")
+        return PoseList(poses[order_of_times], f"times and {form}", seconds(keys[order_of_times]))
     if columns == 4:
         height = 4 if len(rows) % 4 == 0 and bool((rows[3::4] == (0, 0, 0, 1)).all()) else 3
         if len(rows) % height:
@@ -241,21 +266,119 @@ def parse_poses(text: str, where: str) -> PoseList:
     return PoseList(poses, f"a {columns // 4}x4 matrix a line, {_FROM_CAMERA}")
 
 
-def _parse_transforms(text: str, where: str) -> PoseList:
+def _split_position(rows: Float64s) -> tuple[str, Float64s, Float64s]:
+    """Split seven columns: their order in words, quaternions x y z w [n, 4], and positions [n, 3], metres.
+
+    The quaternion is last, unless only the first four columns have norm 1: then it is first, w x y z.
+    """
+
+    def has_norm(quaternions: Float64s) -> bool:
+        return bool((np.abs(np.linalg.norm(quaternions, axis=1) - 1) < _ROTATION_TOLERANCE).all())
+
+    if has_norm(rows[:, :4]) and not has_norm(rows[:, 3:]) and bool(rows[:, 4:].any()):
+        return "qw qx qy qz tx ty tz", np.roll(rows[:, :4], -1, axis=1), rows[:, 4:]
+    return "tx ty tz qx qy qz qw", rows[:, 3:], rows[:, :3]
+
+
+def _parse_columns(text: str, where: str) -> PoseList | None:
+    """Parse a table whose columns are named by its first line or by a comment above it.
+
+    Returns None if no line names a position and a quaternion.
+    """
+    lines = [line.strip() for line in text.splitlines()]
+    for head, line in enumerate(lines):  # noqa: B007
+        tokens = [
+            token.strip() for token in re.split(r"[,;\t]" if "," in line else r"\s+", line.lstrip("# "))
+        ]
+        if line and not line.startswith("#") and _is_number(tokens[0]):
+            return None
+        keys = [_column_key(token) for token in tokens]
+        if tokens[-1].lower() == "name":  # COLMAP's images.txt
+            return None
+        if {"x", "y", "z", "qx", "qy", "qz", "qw"} <= set(keys):
+            break
+    else:
+        return None
+    body = split_lines("\n".join(lines[head + 1 :]).replace(",", " "), where)
+    rows = []
+    for place, tokens in body:
+        if len(tokens) < len(keys):
+            raise SourceError(place, f"{len(tokens)} numbers", f"{len(keys)}, as the columns named above")
+        rows.append(floats(tokens[: len(keys)], place))
+    if not rows:
+        raise SourceError(where, "no pose", "a line for each pose", IGNORE_POSES)
+    table = dict(zip(keys, np.array(rows, np.float64).T))
+    quaternions = np.stack([table[key] for key in ("qx", "qy", "qz", "qw")], axis=1)
+    poses = poses_of_quaternions(quaternions, np.stack([table[key] for key in "xyz"], axis=1), where)
+    form = f"columns {' '.join(key for key in keys if key)}, {_FROM_CAMERA}"
+    if "frame" in table:
+        numbers = table["frame"]
+        is_count = (numbers >= 0) & (numbers < 2**53) & (np.floor(numbers) == numbers)
+        _refuse(~is_count, where, "no frame number", "a whole number")
+        return PoseList(poses, form, numbers=numbers.astype(np.int64))
+    if "time" in table:
+        times = table["time"]
+        _refuse(~(np.abs(times) < 1e20), where, "a time that is not finite", "seconds or nanoseconds")
+        order = np.argsort(times, kind="stable")
+        return PoseList(poses[order], form, seconds(times[order]))
+    return PoseList(poses, form)
+
+
+def _column_key(name: str) -> str:
+    """Return what a column of a table of poses holds: time, frame, x, y, z, qx, qy, qz, qw; "" for others."""
+    plain = re.sub(r"\[.*|\(.*", "", name).strip().strip("\"'").lower().replace(" ", "_")
+    if re.fullmatch(r"(time_?stamps?|time|ts|t|stamp|sec(onds)?)(_?(n?s|us|ms|sec|nsec))?", plain):
+        return "time"
+    if re.fullmatch(r"(frame|image)(_?(id|number|index|no))?|idx|index|id", plain):
+        return "frame"
+    match = re.fullmatch(r"(q|quat\w*?|orientation|rotation|rot|q_\w+?)_?([xyzw])", plain)
+    if match:
+        return f"q{match[2]}"
+    match = re.fullmatch(r"(|t|p|pos|position|trans|translation|p_\w+?)_?([xyz])", plain)
+    return match[2] if match else ""
+
+
+def _parse_json(text: str, where: str) -> PoseList:
+    """Parse the JSON of nerfstudio, or of Open3D."""
+    try:
+        data: Any = json.loads(text)
+        kind = data.get("class_name")
+        if kind == "PinholeCameraTrajectory":
+            stored = [entry["extrinsic"] for entry in data["parameters"]]
+        elif kind == "PoseGraph":
+            stored = [entry["pose"] for entry in data["nodes"]]
+        else:
+            return _parse_transforms(data, where)
+        columns_first = np.array(stored, np.float64).reshape(len(stored), 4, 4)
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError) as error:
+        expected = "frames with file_path and transform_matrix, or Open3D's PinholeCameraTrajectory"
+        raise SourceError(where, f"JSON without poses ({error})", expected, IGNORE_POSES) from error
+    if not stored:
+        raise SourceError(where, "no pose", "one for each frame", IGNORE_POSES)
+    poses = checked_poses(columns_first.transpose(0, 2, 1), where)
+    if kind == "PoseGraph":
+        return PoseList(poses, f"Open3D's PoseGraph, {_FROM_CAMERA}")
+    rotations = poses[:, :3, :3].transpose(0, 2, 1)
+    inverse = np.concatenate([rotations, -rotations @ poses[:, :3, 3:]], axis=2)
+    form = "Open3D's PinholeCameraTrajectory: camera from scene, turned round"
+    return PoseList(checked_poses(inverse, where), form)
+
+
+def _parse_transforms(data: Any, where: str) -> PoseList:
     """Parse nerfstudio's ``transforms.json``.
 
     Its axes (x right, y up, z backward) are converted to those of the pictures.
     """
     try:
-        frames = json.loads(text)["frames"]
+        frames = data["frames"]
         names = tuple(str(frame.get("depth_file_path", frame["file_path"])) for frame in frames)
         matrices = np.array([frame["transform_matrix"] for frame in frames], np.float64).reshape(
             len(frames), 4, 4
         )
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError) as error:
         expected = "frames, each with file_path and transform_matrix"
         raise SourceError(where, f"JSON without poses ({error})", expected, IGNORE_POSES) from error
-    poses = checked_poses(matrices @ np.diag([1.0, -1.0, -1.0, 1.0]), where)
+    poses = checked_poses(matrices, where) @ np.diag([1.0, -1.0, -1.0, 1.0])
     return PoseList(poses, "nerfstudio's: scene from camera in the axes of OpenGL, turned over", names=names)
 
 

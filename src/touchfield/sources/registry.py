@@ -21,26 +21,36 @@ from touchfield.plugins import plugins
 from touchfield.sources.images.pictures import contents
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.scene import Scene
+from touchfield.sources.unread_files import READABLE_FOLDERS, unread_file
 
 MODULES = (  # in the order in which they are tried: specific kinds before general ones
     "physics.toml_file",
     "shapes.analytic_scene",
     "physics.mjcf",
     "stored",
+    "depth.recorders.ros_bag",
     "recordings.contact_trace",
     "animation.animated_mesh",
     "mesh.mesh_files",
+    "depth.recorders.stray_scanner",
+    "depth.recorders.polycam",
+    "depth.recorders.nerfstudio",
+    "depth.recorders.bundlefusion",
+    "depth.recorders.realsense",
     "depth.layouts:tum",
     "depth.layouts:redwood",
     "depth.layouts:sun3d",
     "depth.layouts:3dmatch",
+    "depth.recorders.open3d_recording",
     "depth.layouts:depth-video",
     "depth.inverse_depth:relative-depth",
     "video.saliency",
     "depth.layouts:depth-stack",
+    "depth.recorders.tiff_stack",
     "depth.layouts:depth-folder",
+    "depth.recorders.disparity_npz",
     "depth.inverse_depth:disparity",
-    "terrain.height_scene",
+    "terrain.height_files",
     "depth.layouts:depth-map",
 )
 
@@ -104,8 +114,8 @@ def open_source(path: str | Path, options: SourceOptions | None = None) -> Scene
     for kind in kinds():
         if kind.recognise(path):
             return kind.open(path, options)
-    found, mend = "no kind of source that is known", "Name its kind with --as."
-    if path.is_dir():
-        found += f", but {contents(path)}"
-        mend = "Name its kind with --as, or a folder in it."
-    raise SourceError(str(path), found, f"one of {', '.join(by_name)}", mend)
+    if not path.is_dir():
+        raise unread_file(path)
+    found = f"no kind of source that is known, but {contents(path)}"
+    mend = "Name a folder or a file in it, or the kind with --as (docs/depth-sequences.md)."
+    raise SourceError(str(path), found, READABLE_FOLDERS, mend)

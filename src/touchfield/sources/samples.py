@@ -32,7 +32,7 @@ def sample(name: str, options: SourceOptions | None = None) -> Scene:
     """
     options = options or SourceOptions()
     if name == "terrain":
-        from touchfield.sources.terrain.height_scene import jacksboro_scene
+        from touchfield.sources.terrain.height_files import jacksboro_scene
 
         return jacksboro_scene(options.exaggeration)
     if name == "motorcycle":

@@ -218,6 +218,9 @@ class MovingScene(Scene):
         return self._box[1]
 
 
+_LARGE_M: Final = 40.0  # a mesh of this size or larger may be in millimetres, as from CAD
+
+
 def size_note(extent_m: NDArray[np.floating[Any]], unit_m: float | None, when: str = "") -> str:
     """Describe the sides of a mesh, metres [3], and its unit.
 
@@ -226,7 +229,11 @@ def size_note(extent_m: NDArray[np.floating[Any]], unit_m: float | None, when: s
     extent = " x ".join(f"{side:.4g}" for side in extent_m)
     if unit_m is not None:
         return f"One unit is {unit_m:g} m: {extent} m{when}."
-    return f"Coordinates taken as metres: {extent} m{when}; give --unit-m if they are not."
+    note = f"Coordinates taken as metres: {extent} m{when}; give --unit-m if they are not"
+    if extent_m.max() < _LARGE_M:
+        return f"{note}."
+    in_mm = " x ".join(f"{1e-3 * side:.4g}" for side in extent_m)
+    return f"{note}: --unit-m 0.001, for millimetres, makes them {in_mm} m."
 
 
 @dataclass(frozen=True)

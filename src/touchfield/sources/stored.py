@@ -1,4 +1,4 @@
-"""Opens a stored force field, ``.npz`` or ``.zarr`` with the array ``forces_n``, as a scene.
+"""Opens a stored force field, ``.npz`` or ``.zarr`` with the array ``forces_n``, or ``.vti``, as a scene.
 
 The forces are used as stored: a force law does not apply, and the profile is ignored.
 """
@@ -15,6 +15,7 @@ from touchfield.errors import SourceError
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.field import bricks_reached, field_of_points
 from touchfield.medium.stores.npz import NpzArchive, read_npz
+from touchfield.medium.stores.vti_reader import read_vti
 from touchfield.medium.stores.zarr_store import read_zarr
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
@@ -55,9 +56,14 @@ class StoredScene(Scene):
         return field_of_points(grid, bricks_reached(stored, grid), stored.sample_n)
 
 
+_VTK = (".vti", ".pvd")
+
+
 def _recognise(path: Path) -> bool:
     if path.suffix.lower() == ".zarr":
         return path.is_dir()
+    if path.suffix.lower() in _VTK:
+        return path.is_file()
     return path.suffix.lower() == ".npz" and "forces_n" in NpzArchive(path).names
 
 
@@ -66,9 +72,13 @@ def _open(path: Path, options: SourceOptions) -> Scene:
         return StoredScene(read_npz(path), lambda: read_npz(path, to_the_bit=True))
     if path.suffix.lower() == ".zarr":
         return StoredScene(read_zarr(path))
+    if path.suffix.lower() in _VTK:
+        return StoredScene(read_vti(path), lambda: read_vti(path, to_the_bit=True))
     found = "a folder" if path.is_dir() else f"a file named {path.suffix or 'without suffix'}"
     mend = "Make it a medium: touchfield encode."
-    raise SourceError(str(path), found, "a .touch file or a stored field, .npz or .zarr", mend)
+    raise SourceError(str(path), found, "a .touch file or a stored field, .npz, .zarr or .vti", mend)
 
 
-KIND = SourceKind("field", "a stored force field: .npz or .zarr with forces_n", _recognise, _open)
+KIND = SourceKind(
+    "field", "a stored force field: .npz or .zarr with forces_n, .vti or .pvd", _recognise, _open
+)

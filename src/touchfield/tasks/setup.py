@@ -53,6 +53,9 @@ LIBRARIES: Final = (
     ("av", "av", "video", "depth video and video"),
     ("mcap", "mcap", "mcap", "recordings of robots"),
     ("raptorq", "raptorq", "broadcast", "live by UDP"),
+    ("mcap-ros2-support", "mcap_ros2", "mcap", "ROS 2 bags"),
+    ("opencv-python-headless", "cv2", "camera", "cameras, and lens distortion"),
+    ("openexr", "OpenEXR", "exr", "depth in EXR"),
     ("websockets", "websockets", "devices", "haply and bhaptics"),
     ("pyserial", "serial", "devices", "pin displays on a serial line"),
 )

@@ -393,3 +393,39 @@ def test_the_morphed_bars_follow_their_weights(shared_data: Path) -> None:
     highest = [scene.vertices_m(f)[scene.vertices_m(f)[:, 1].argmax(), 0] for f in range(35, 560, 70)]
     assert heights.max() > 1.3 and heights.min() < 0.75
     assert (np.diff(highest) > 0.3).all()
+
+
+# -- an animated scale that mirrors ------------------------------------------------------------------------
+def mirrored_sheet(path: Path, how: str) -> Path:
+    """An open sheet that faces +z; its scale in x becomes -1 at 1 s of 2."""
+    gltf = Gltf()
+    corners = [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
+    node = gltf.put("nodes", mesh=gltf.mesh(corners, [[0, 1, 2], [0, 2, 3]]))
+    gltf.animate(node, "scale", [0, 1, 2], [[1, 1, 1], [-1, 1, 1], [-1, 1, 1]], how)
+    return gltf.save(path)
+
+
+@pytest.mark.parametrize("how", ["STEP", "LINEAR"])
+def test_a_sheet_that_a_scale_mirrors_faces_as_a_static_scale_has_it(tmp_path: Path, how: str) -> None:
+    scene = AnimatedMeshScene(mirrored_sheet(tmp_path / "a.gltf", how))
+    wall = ForceProfile(((-0.1, 0.0, 4.0, 10.0),))
+    grid = Grid((1, 1, 5), (0.02, 0.02, 0.02), (0.1, 0.2, -0.04))
+    for frame in (0, 20, 80, 119):
+        forces = scene.field(frame, grid, wall).to_dense()[0, 0, :, 2]
+        assert (forces[:2] > 0).all() and not forces[3:].any(), frame
+    assert not scene.is_of_bodies  # a mirror is no motion, although a flat sheet could turn instead
+
+
+def test_a_sheet_that_is_mirrored_throughout_is_one_body(tmp_path: Path) -> None:
+    gltf = Gltf()
+    corners = [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
+    node = gltf.put("nodes", mesh=gltf.mesh(corners, [[0, 1, 2], [0, 2, 3]]))
+    gltf.animate(node, "scale", [0, 1], [[-1, 1, 1], [-1, 1, 1]])
+    scene = AnimatedMeshScene(gltf.save(tmp_path / "a.gltf"))
+    (body,) = scene.bodies()
+    assert scene.is_of_bodies and isinstance(body.scene, MeshScene)
+    wall = ForceProfile(((-0.1, 0.0, 4.0, 10.0),))
+    grid = Grid((1, 1, 5), (0.02, 0.02, 0.02), (0.1, 0.2, -0.04))
+    for shown in (scene, body.scene):
+        forces = shown.field(0, grid, wall).to_dense()[0, 0, :, 2]
+        assert (forces[:2] > 0).all() and not forces[3:].any()

@@ -16,6 +16,7 @@ from touchfield.sources import poses
 from touchfield.sources.camera import Intrinsics
 from touchfield.sources.depth.intrinsics_file import camera_of, parse_intrinsics
 from touchfield.sources.depth.layouts import LAYOUTS as DEPTH_LAYOUTS
+from touchfield.sources.depth.recorders import nerfstudio
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import kinds, open_source
 
@@ -44,8 +45,9 @@ LAYOUTS: dict[Callable[[Path], Path], str] = {
 def test_a_folder_is_read_with_its_poses_and_a_note(tmp_path: Path, write: Callable[[Path], Path]) -> None:
     folder = write(tmp_path / "s")
     opened = next(kind for kind in kinds() if kind.recognise(folder))
-    assert opened.name == ("redwood" if write is make.write_timed else "depth-folder")
-    sequence = (redwood if opened.name == "redwood" else depth_folder).read_sequence(folder, MM)
+    layout = {make.write_timed: redwood, make.write_nerfstudio: nerfstudio.LAYOUT}.get(write, depth_folder)
+    assert opened.name == layout.name
+    sequence = layout.read_sequence(folder, MM)
     assert sequence.frame_count == make.FRAMES
     assert sequence.intrinsics == Intrinsics(20, 21, 5.5, 4)
     assert np.allclose(sequence.poses, make.poses(), atol=1e-6)
@@ -200,10 +202,18 @@ def test_a_subfolder_of_depth_is_found_and_noted(tmp_path: Path) -> None:
 
 
 def test_a_layout_in_a_subfolder_is_not_read_as_plain_pictures(tmp_path: Path) -> None:
+    """One part of 3DMatch is opened in its layout, with its poses; a part of others is named."""
     folder = make.write_threedmatch(tmp_path / "s")
-    with pytest.raises(SourceError, match=r"the folders seq-01/"):
-        open_source(tmp_path / "s")
+    assert next(kind for kind in kinds() if kind.recognise(tmp_path / "s")).name == "3dmatch"
+    nested = threedmatch.read_sequence(tmp_path / "s", SourceOptions())
+    assert np.allclose(nested.poses, make.poses(), atol=1e-6)
+    assert nested.intrinsics == Intrinsics(20, 21, 5.5, 4)
+    assert "The sequence is that of seq-01/." in nested.notes
     assert open_source(folder).frame_count == make.FRAMES
+    (tmp_path / "t").mkdir()
+    make.write_tum(tmp_path / "t" / "part")
+    with pytest.raises(SourceError, match=r"the folders part/"):
+        open_source(tmp_path / "t")
 
 
 def test_error_of_several_depth_folders_names_them(tmp_path: Path) -> None:
@@ -260,7 +270,8 @@ def test_all_forms_of_cameras_are_read(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("1 OPENCV 12 9 20 21 6 4.5 0 0 0 0", "a camera OPENCV of 8 numbers.*Undistort"),
+        ("1 OPENCV 12 9 20 21 6 4.5 0 0 0", "a camera OPENCV of 7 numbers.*Undistort"),
+        ("1 FOV 12 9 20 21 6 4.5 0.9", "a camera FOV of 5 numbers.*Undistort"),
         ("1 PINHOLE 12 12 20 21 6 4.5", "12 x 12 pixels.*aspect"),
         ("1 PINHOLE 12 9 20 21 6 4.5\n2 PINHOLE 12 9 30 21 6 4.5", "2 cameras that differ"),
         ('{"camera_matrix": "none"}', "without numbers"),

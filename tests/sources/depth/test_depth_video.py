@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from PIL import Image
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 from touchfield.sources.depth.depth_scene import DepthScene
 from touchfield.sources.depth.layouts import LAYOUTS
+from touchfield.sources.depth.recorders import tiff_stack
 from touchfield.sources.images import movies
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
@@ -246,12 +248,16 @@ def test_a_stack_round_trips(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["tif", "tiff"])
-def test_error_of_a_tiff_of_several_pages_states_a_remedy(tmp_path: Path, suffix: str) -> None:
+def test_pages_of_a_tiff_are_frames_and_refused_in_a_folder(tmp_path: Path, suffix: str) -> None:
+    """In a folder, where a file is a frame, the error states a remedy."""
     path = tmp_path / f"depth.{suffix}"
     first, second, small = (Image.fromarray(page) for page in (*depths_mm(2), depths_mm(1)[0, ::2, ::2]))
     first.save(path, save_all=True, append_images=[second])
+    sequence = tiff_stack.LAYOUT.read_sequence(path, OPTIONS)
+    assert [np.array_equal(sequence.depth_m(i), metres(depths_mm(2)[i])) for i in (0, 1)] == [True, True]
+    assert open_source(path, replace(OPTIONS, world="frames")).frame_count == 2
     with pytest.raises(SourceError, match=r"depth\.tiff?: found a TIFF of several pages.*NPY \[frames"):
-        open_source(path, OPTIONS)
+        open_source(tmp_path, replace(OPTIONS, kind="depth-folder"))
     first.save(path, save_all=True, append_images=[small])  # a smaller copy is no further frame
     assert open_source(path, OPTIONS).frame_count == 1
 

@@ -72,13 +72,23 @@ def numbers_of(objects: Segmentation, frame: int) -> np.ndarray:
 def test_text_of_the_rule() -> None:
     assert SegmentRule.parse(None) == SegmentRule()
     assert SegmentRule.parse("step=0.1, least=0.015 ,at-most=3") == SegmentRule(0.1, 0.015, 3)
-    for rule in (SegmentRule(), SegmentRule(0.25, max_objects=254), SegmentRule(min_fraction=0.05)):
+    assert SegmentRule.parse("step=3%,least=1.5%") == SegmentRule(0.03, 0.015)
+    assert SegmentRule.parse("least=600px") == SegmentRule(min_pixels=600)
+    with pytest.raises(InvalidArgument, match=r"Write 60px or 60%"):
+        SegmentRule.parse("least=60")
+    for rule in (
+        SegmentRule(),
+        SegmentRule(0.25, max_objects=254),
+        SegmentRule(min_fraction=0.05),
+        SegmentRule(min_pixels=7),
+    ):
         assert SegmentRule.parse(rule.text) == rule
 
 
 @pytest.mark.parametrize(
     "text",
-    ["", "step", "step=", "step=x", "least=500px", "least=0.2%", "at_most=3", "most=3", "step=0", "step=nan",
+    ["", "step", "step=", "step=x", "least=500cm", "least=0px", "least=1.5px", "least=101%",
+     "at_most=3", "most=3", "step=0", "step=nan",
      "least=0", "least=1.01", "at-most=0", "at-most=255", "step=0.03,,"],
 )  # fmt: skip
 def test_an_invalid_rule_is_refused_before_any_frame_is_read(text: str) -> None:

@@ -63,6 +63,29 @@ def test_the_model_may_name_its_initial_state() -> None:
     assert opened(BALL).frame_count == 2000
 
 
+def test_a_model_starts_from_its_first_keyframe() -> None:
+    home, other = (f'<key {name} qpos="0 0 {z} 1 0 0 0"/>' for name, z in (('name="home"', 2), ("", 3)))
+    scene = opened(BALL, f"<keyframe>{home}</keyframe>", seconds=0.05)
+    assert scene.bodies()[0].track.positions_m[0].tolist() == [0, 0, 2]
+    assert "The simulation starts from the keyframe 'home'." in scene.notes
+    scene = opened(BALL, f"<keyframe>{other}{home}</keyframe>", seconds=0.05)
+    assert scene.bodies()[0].track.positions_m[0].tolist() == [0, 0, 3]
+    assert any("from the keyframe 0 of 2" in note for note in scene.notes)
+    named = home.replace("home", "touchfield")
+    scene = opened(BALL, f"<keyframe>{other}{named}</keyframe>", seconds=0.05)
+    assert scene.bodies()[0].track.positions_m[0].tolist() == [0, 0, 2]
+    assert not any("keyframe" in note for note in (*scene.notes, *opened(BALL, seconds=0.05).notes))
+
+
+def test_controls_of_a_keyframe_are_used() -> None:
+    joint = '<body name="cart"><joint name="j" type="slide" axis="1 0 0"/><geom size=".05"/></body>'
+    rest = '<option gravity="0 0 0"/><actuator><motor joint="j"/></actuator>'
+    key = '<keyframe><key name="go" qpos="1" ctrl="1"/></keyframe>'
+    cart = opened(joint, rest + key, seconds=0.5).bodies()[0]
+    assert cart.track.positions_m[0, 0] == 1 and cart.track.positions_m[-1, 0] > 1.05
+    assert opened(joint, rest, seconds=0.1).bodies()[0].track.is_constant
+
+
 @pytest.mark.parametrize(
     ("timestep", "rate_hz", "step_s"),
     [

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 from hypothesis import given, settings, strategies as st
 from PIL import Image
 
@@ -17,13 +18,9 @@ from touchfield.sources.laws import LawSpec, profile_of
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
 from touchfield.sources.scene import CAMERA_AXES, UP_Z_AXES
-from touchfield.sources.terrain.height_scene import (
-    KIND,
-    HeightLattice,
-    HeightScene,
-    degree_m,
-    jacksboro_scene,
-)
+from touchfield.sources.terrain.height_files import KIND, jacksboro_scene
+from touchfield.sources.terrain.height_map import degree_m
+from touchfield.sources.terrain.height_scene import HeightLattice, HeightScene
 
 SOLID = profile_of(LawSpec(), np.inf)
 GUIDED = profile_of(LawSpec("penalty+proximity"), 0.008)
@@ -304,7 +301,7 @@ def test_npy_in_either_order_and_over_time(tmp_path: Path) -> None:
         np.testing.assert_array_equal(scene._heights(0), MAP)
         assert any("one metre is assumed (--cell-size-m" in note for note in scene.notes)
         assert not any("taken for a height" in note for note in scene.notes)
-    np.save(path, np.where(MAP.min() == MAP, -9999.0, MAP))
+    np.save(path, -9999.0 + MAP)  # other heights are near
     assert "-9999 is taken for a height" in opened(path).notes[0]
     np.save(path, np.stack([MAP, MAP]))
     assert KIND.open(path, SourceOptions(rate_hz=7)).frame_count == 2
@@ -360,7 +357,9 @@ def tiff(path: Path, values: np.ndarray, tags: dict[int, tuple[int, tuple | str]
     path.write_bytes(head + data + struct.pack("<H", len(entries)) + table + b"\0" * 4 + extra)
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.int8, np.uint16, np.int16, np.int32, np.float32])
+@pytest.mark.parametrize(
+    "dtype", [np.uint8, np.int8, np.uint16, np.int16, np.int32, np.uint32, np.float16, np.float32, np.float64]
+)
 def test_tiff_of_each_type(tmp_path: Path, dtype: type) -> None:
     values = MAP.astype(dtype) - (5 if np.dtype(dtype).kind != "u" else 0)
     tiff(tmp_path / "ground.tif", values.astype(dtype), {33550: (12, (2.0, 3.0, 0.0))})
@@ -371,8 +370,8 @@ def test_tiff_of_each_type(tmp_path: Path, dtype: type) -> None:
 
 def test_a_tiff_of_another_form_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "ground.tif"
-    tiff(path, MAP.astype(np.float64), {33550: (12, (2.0, 3.0, 0.0))})
-    with pytest.raises(SourceError, match=r"of a form that is not read.*or of 32, whole or floating"):
+    tifffile.imwrite(path, MAP.astype(np.complex64))
+    with pytest.raises(SourceError, match=r"samples complex64.*one number a pixel, whole or floating"):
         open_source(path)
 
 

@@ -187,11 +187,39 @@ class AnimatedMeshScene(MovingScene):
     def _scene(self, frame: int) -> MeshScene:
         latest = self._latest
         if latest is None or latest[0] != frame:
-            surface = self._repaired.surface.with_vertices(self.vertices_m(frame))
-            scene = self._static_scene(replace(self._repaired, surface=surface, notes=()))
+            scene = self._static_scene(self._at_frame(frame))
             scene = scene if self._motions_m is None else scene.grown(self._motions_m)
             self._latest = latest = frame, scene
         return latest[1]
+
+    def _at_frame(self, frame: int) -> RepairedSurface:
+        """Return the surface of a frame; parts that an animated scale has mirrored are turned over."""
+        repaired, vertices, lids = self._repaired, self.vertices_m(frame), self._repaired.lids
+        is_turned, is_triangle_turned = self._turned_vertices(frame), None
+        if is_turned is not None:
+            is_triangle_turned = is_turned[repaired.surface.triangles[:, 0]]
+            lids = np.where(is_turned[lids[:, :1]], lids[:, ::-1], lids)
+        surface = repaired.surface.with_vertices(vertices, is_triangle_turned)
+        return replace(repaired, surface=surface, lids=lids, notes=())
+
+    @cached_property
+    def _part_of(self) -> Int32s:
+        return self._repaired.surface.part_of_vertex()
+
+    def _turned_vertices(self, frame: int) -> Bools | None:
+        """Return the vertices of parts that face the other way than at rest, bool [n]; None without any.
+
+        A connected part turns as most of its vertices do.
+        """
+        if not self._animation.has_scale:
+            return None
+        block, index = divmod(2 * frame + 1, self._steps_in_block)
+        is_turned = self._model.turned_vertices(self._block(block), index)
+        if is_turned is None:
+            return None
+        part_of = self._part_of
+        votes = np.bincount(part_of, np.where(is_turned[self._vertex_ids], 1.0, -1.0))
+        return np.asarray((votes > 0)[part_of])
 
     def _static_scene(self, repaired: RepairedSurface) -> MeshScene:
         return MeshScene(repaired, shell=self.shell, name=self.name)
@@ -224,7 +252,15 @@ class AnimatedMeshScene(MovingScene):
     # -- bodies --------------------------------------------------------------------------------------------
     @cached_property
     def _parts(self) -> tuple[list[RigidPart], Bools]:
-        return rigid_parts(self._repaired.surface, self.vertices_m, self.frame_count)
+        surface = self._repaired.surface
+        changes = np.zeros(len(surface.vertices_m), bool)
+        if self._animation.has_scale:
+            start = self._turned_vertices(0)
+            for frame in range(1, self.frame_count):
+                now = self._turned_vertices(frame)
+                if now is not None or start is not None:
+                    changes |= (False if now is None else now) != (False if start is None else start)
+        return rigid_parts(surface, self.vertices_m, self.frame_count, changes)
 
     @cached_property
     def is_of_bodies(self) -> bool:
@@ -246,9 +282,11 @@ class AnimatedMeshScene(MovingScene):
     def _bodies_and_walls(self) -> tuple[tuple[Body, ...], tuple[ThinWall, ...]]:
         """Return the bodies, thickened if that is requested, and the walls that were too thin."""
         (parts, deforms), rule = self._parts, self._min_thickness
-        start, bodies, walls = self.vertices_m(0), list[Body](), list[ThinWall]()
+        start, at_start = self.vertices_m(0), self._at_frame(0)
+        bodies, walls = list[Body](), list[ThinWall]()
         for n, part in enumerate(parts, 1):
-            name, scene = f"part {n}", self._static_scene(self._cut(part.has_vertex, start - part.origin_m))
+            name = f"part {n}"
+            scene = self._static_scene(self._cut(part.has_vertex, start - part.origin_m, at_start))
             if rule is not None:
                 scene, thin = scene.thickened(rule.of_track(part.track))
                 walls += [wall._replace(name=name) for wall in thin]
@@ -257,7 +295,8 @@ class AnimatedMeshScene(MovingScene):
             rest, name = self._copy(), "what deforms" if parts else "scene"
             rest._min_thickness = None
             if parts:
-                rest._vertex_ids, rest._repaired = self._vertex_ids[deforms], self._cut(deforms, start)
+                rest._vertex_ids = self._vertex_ids[deforms]
+                rest._repaired = self._cut(deforms, start, self._repaired)
             if rule is not None:
                 rest, thin = rest.thickened(replace(rule, is_of_objects=False, turned_m=rule.whole_m))
                 walls += [wall._replace(name=name) for wall in thin]
@@ -268,13 +307,13 @@ class AnimatedMeshScene(MovingScene):
         """Return this scene without its cached positions."""
         other = copy.copy(self)
         other._latest = other._box = None
-        other.__dict__.pop("_parts", None)
+        for name in ("_parts", "_part_of"):
+            other.__dict__.pop(name, None)
         return other
 
-    def _cut(self, has_vertex: Bools, vertices_m: Float64s) -> RepairedSurface:
-        """Return the surface of some of the vertices."""
+    def _cut(self, has_vertex: Bools, vertices_m: Float64s, repaired: RepairedSurface) -> RepairedSurface:
+        """Return the surface of some of the vertices, with the triangles of `repaired`."""
         number = (np.cumsum(has_vertex) - 1).astype(np.int32)
-        repaired = self._repaired
         faces, lids, rim = (
             number[indices[has_vertex[indices[:, 0]]]]
             for indices in (repaired.surface.triangles, repaired.lids, repaired.rim)
@@ -299,16 +338,21 @@ class RigidPart(NamedTuple):
 
 
 def rigid_parts(
-    surface: Surface, vertices_m: Callable[[int], Float64s], frame_count: int
+    surface: Surface,
+    vertices_m: Callable[[int], Float64s],
+    frame_count: int,
+    is_turned_over: Bools | None = None,
 ) -> tuple[list[RigidPart], Bools]:
     """Find the rigid parts of a moving surface, and which vertices deform, bool [n].
 
     The triangles of `surface` define connectivity; `vertices_m` returns the vertices of a frame, float64 [n,
-    3].
+    3]. `is_turned_over` bool [n]: vertices of parts that change their winding, and so are not rigid.
     """
     part_of = surface.part_of_vertex()
     used = np.unique(surface.triangles)
     order = used[np.argsort(part_of[used], kind="stable")]
+    if is_turned_over is not None:
+        order = order[~is_turned_over[order]]
     sample_frames = np.unique(np.linspace(0, frame_count - 1, _SAMPLE_TIMES).astype(int)).tolist()
     start = vertices_m(0)
     order, _ = _fit_parts(

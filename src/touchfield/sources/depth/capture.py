@@ -24,10 +24,12 @@ from touchfield.arrays import Float32s
 from touchfield.errors import InvalidArgument, SourceError, import_extra
 from touchfield.files import read_up_to, standard_input
 from touchfield.sources.camera import DepthCode, DepthSequence
+from touchfield.sources.depth.depth_check import stored_notes
 from touchfield.sources.depth.depth_scene import DepthScene
 from touchfield.sources.depth.fused_scene import FusedScene
 from touchfield.sources.depth.intrinsics_file import camera_of
 from touchfield.sources.depth.layouts import required_scale, source_rate
+from touchfield.sources.depth.lens import undistortion
 from touchfield.sources.images.pictures import PICTURE_SUFFIXES, list_files, read_picture, with_suffix
 
 if TYPE_CHECKING:
@@ -201,13 +203,16 @@ class CapturedSequence(DepthSequence):
             )
         height, width = first.shape
         camera = camera_of(self.name, options.intrinsics, folders, (width, height))
-        scale = required_scale(
-            self.name, options.depth_scale or camera.units_per_m or scale, first.dtype.kind == "f"
-        )
-        self._metres: Callable[[NDArray[Any]], Float32s] = DepthCode(scale)
+        stated = options.depth_scale or camera.units_per_m
+        code = DepthCode(required_scale(self.name, stated or scale, first.dtype.kind == "f"))
+        undistort, lens_notes = undistortion(camera.lens, (width, height))
+        self._metres: Callable[[NDArray[Any]], Float32s] = code
+        if undistort is not None:
+            self._metres = lambda values: undistort(code(values))
         self.frame_count, self.width, self.height = MAX_CAPTURED_FRAMES, width, height
         self.intrinsics: Intrinsics = camera.intrinsics
-        self.rate_hz, self.notes = source_rate(options), camera.notes
+        self.rate_hz, self.notes = source_rate(options), (*camera.notes, *lens_notes)
+        self.notes += stored_notes([first], code, stated is None)
         self._latest = self._frames[0] = self._metres(first)
 
     def depth_m(self, frame: int) -> Float32s:

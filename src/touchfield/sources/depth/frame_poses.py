@@ -34,7 +34,8 @@ _LISTS: Final = tuple(
     re.compile(form, re.IGNORECASE)
     for form in (
         r"groundtruth\.txt", r"trajectory\.log", r"(camera_?|gt_?)?poses?\.txt", r"traj(ectory)?\.txt",
-        r".*(pose|traj|groundtruth).*\.(txt|log|tum)|.*\.gt\.freiburg", r"images\.txt", r"transforms\.json",
+        r".*(pose|traj|groundtruth|odometry).*\.(txt|log|tum|csv|json)|.*\.gt\.freiburg",
+        r"images\.txt", r"transforms\.json",
     )
 )  # fmt: skip
 _LOOSE: Final = 4  # from this index in `_LISTS` on, the name alone does not prove that a file holds poses
@@ -51,12 +52,13 @@ class PosedFrames(NamedTuple):
 
     Without poses, `indices` are those of all frames.
 
-    `poses` are float64 [n, 4, 4], and `notes` are messages for the user.
+    `poses` are float64 [n, 4, 4], and `notes` are messages for the user. `has_quaternions` as of `PoseList`.
     """
 
     indices: tuple[int, ...]
     poses: Float64s | None
     notes: tuple[str, ...]
+    has_quaternions: bool = False
 
 
 class _Match(NamedTuple):
@@ -65,6 +67,7 @@ class _Match(NamedTuple):
     poses: list[Float64s | None]
     note: str
     reason: str
+    has_quaternions: bool = False
 
 
 class _Frames(NamedTuple):
@@ -99,7 +102,8 @@ def find_poses(
         note = "No poses: the camera is assumed to be static (--poses FILE)."
         return PosedFrames(indices, None, (note, *unread))
     posed = drop_unposed(name, match.poses, match.reason, needs_all=not paths)
-    return posed._replace(notes=(*posed.notes, match.note, *unread))
+    notes = (*posed.notes, match.note, *unread)
+    return posed._replace(notes=notes, has_quaternions=match.has_quaternions)
 
 
 def drop_unposed(
@@ -197,7 +201,8 @@ def _match_list(file: Path, frames: _Frames) -> _Match:
     listed = parse_poses(read_text(file), str(file))
     indices, method, reason = _match_entries(listed, frames, file)
     poses = [None if i < 0 else listed.poses[i] for i in indices]
-    return _Match(poses, f"Poses of {file.name}: {listed.form}; {method}.", f"{reason} in {file.name}")
+    note = f"Poses of {file.name}: {listed.form}; {method}."
+    return _Match(poses, note, f"{reason} in {file.name}", listed.has_quaternions)
 
 
 def _match_entries(listed: PoseList, frames: _Frames, file: Path) -> tuple[list[int], str, str]:

@@ -365,10 +365,11 @@ class _Fused(_World):
             return super().notes()
         has_force = self._forces_n.any(axis=-1).reshape(-1, 512)
         fraction = float((self._is_moving & has_force).sum()) / max(1, int(has_force.sum()))
-        return (
-            *super().notes(),
-            f"{100 * fraction:.2g} % of the world moves, and follows the frames; the rest is static",
-        )
+        if self._planes.scene.sequence.has_wrong_poses:
+            reason = "differs between the frames, since poses and depth disagree, and follows the frames"
+        else:
+            reason = "moves, and follows the frames; the rest is static"
+        return (*super().notes(), f"{100 * fraction:.2g} % of the world {reason}")
 
 
 def is_static(sequence: DepthSequence) -> bool:

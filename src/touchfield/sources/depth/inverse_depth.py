@@ -29,9 +29,17 @@ from numpy.typing import NDArray
 
 from touchfield.arrays import Float32s
 from touchfield.errors import InvalidArgument, SourceError, as_source_error, import_extra, require_positive
-from touchfield.sources.camera import DEFAULT_RATE_HZ, CodedSequence, DepthCode, Frames, Intrinsics
+from touchfield.sources.camera import (
+    DEFAULT_RATE_HZ,
+    CodedSequence,
+    DepthCode,
+    DepthSequence,
+    Frames,
+    Intrinsics,
+)
 from touchfield.sources.depth.intrinsics_file import CameraFile, camera_of, parse_intrinsics
 from touchfield.sources.depth.layouts import depth_kind, source_rate
+from touchfield.sources.depth.lens import Lens, rectified
 from touchfield.sources.images import pictures
 from touchfield.sources.images.movies import VIDEO_SUFFIXES, GreyVideo
 from touchfield.sources.options import SourceOptions
@@ -129,6 +137,8 @@ def read_disparity(path: Path, options: SourceOptions) -> CodedSequence:
     camera = camera_of(str(path), options.intrinsics, () if default else (folder,), size, default)
     baseline_m, offset_px = options.baseline_m, options.disparity_offset_px
     notes = camera.notes
+    if camera.distortion is not None:  # matching needs rectified pictures
+        notes += (f"{camera.distortion.wording} is not undone: a disparity map is of rectified pictures.",)
     if calibration is not None:
         notes = ("Camera and baseline are those of calib.txt, unless given as options.",)
         baseline_m = baseline_m or calibration.baseline_m
@@ -214,7 +224,7 @@ def find_map(path: Path) -> Path | None:
     return files[0] if files else None
 
 
-def read_relative(path: Path, options: SourceOptions) -> CodedSequence:
+def read_relative(path: Path, options: SourceOptions) -> DepthSequence:
     """Read a picture or video with its relative depth; reads every map once.
 
     Raises `SourceError` if there is no map, sizes or frame counts do not agree, or all values are equal.
@@ -263,7 +273,9 @@ def read_relative(path: Path, options: SourceOptions) -> CodedSequence:
         raise SourceError(
             str(path), f"{found} in the relative depth", "near and far values", "Check the map."
         )
-    return CodedSequence(str(path), maps, InverseDepth(low, high, near_m, far_m), intrinsics, rate_hz, notes)
+    metres = InverseDepth(low, high, near_m, far_m)
+    sequence = CodedSequence(str(path), maps, metres, intrinsics, rate_hz, notes)
+    return rectified(sequence, (Lens(intrinsics, camera.distortion),))
 
 
 def _open_maps(path: Path, options: SourceOptions) -> tuple[Frames, Path]:

@@ -21,7 +21,7 @@ Pictures are decoded on demand.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -29,8 +29,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from touchfield.arrays import Float64s
-from touchfield.errors import MissingExtra, SourceError
-from touchfield.files import readable
+from touchfield.errors import InvalidArgument, MissingExtra, SourceError
+from touchfield.files import readable, recorded_reads
 from touchfield.medium.stores.npz import map_npy, read_npy_header
 from touchfield.sources.camera import (
     DEFAULT_RATE_HZ,
@@ -40,8 +40,12 @@ from touchfield.sources.camera import (
     Intrinsics,
     change_rate,
 )
+from touchfield.sources.depth.depth_check import range_notes
 from touchfield.sources.depth.frame_poses import POSE_TOLERANCE_S, PosedFrames, drop_unposed, find_poses
 from touchfield.sources.depth.intrinsics_file import CameraFile, camera_of, named_like_intrinsics
+from touchfield.sources.depth.lens import rectified
+from touchfield.sources.depth.pose_check import check_poses
+from touchfield.sources.depth.pose_form import parse_pose_form, read_poses_as
 from touchfield.sources.images.movies import VIDEO_SUFFIXES, GreyVideo, video_header
 from touchfield.sources.images.pictures import (
     PICTURE_SUFFIXES,
@@ -51,6 +55,8 @@ from touchfield.sources.images.pictures import (
     has_files,
     list_files,
     picture_header,
+    read_picture,
+    with_suffix,
 )
 from touchfield.sources.poses import MAX_TIME_S, nearest_in_time, parse_extrinsics, read_text, split_lines
 from touchfield.sources.registry import SourceKind
@@ -63,10 +69,15 @@ if TYPE_CHECKING:
 _ANY_PNG: Final = r".+\.png"
 _STAMPED_PNG: Final = r"\d+(\.\d+)?\.png"
 _FRAME_PNG: Final = r"frame-\d+\.depth\.png"
-_PLAIN: Final = (r".+\.(png|tif|tiff|pgm)", r".+\.npy")
+_PLAIN: Final = (r".+\.(png|tif|tiff|pgm)", r".+\.exr", r".+\.npy")
 _TRAJECTORY: Final = r"trajectory\.log|.*traj(ectory)?\.(log|txt)"
 _COLOUR: Final = r".+\.(jpg|jpeg|png)"
 _TEXT: Final = r".+\.txt"
+_TEXT_SUFFIXES: Final = (
+    ".txt", ".json", ".log", ".csv", ".yaml", ".yml", ".xml", ".ini", ".cfg", ".toml", ".tum", ".freiburg",
+)  # fmt: skip
+_ABOUT: Final = re.compile(r"(readme|licen[cs]e|copying|authors|citation|source|changelog)\b", re.IGNORECASE)
+_LISTED_FILES: Final = 6
 _MICROSECONDS: Final = re.compile(r"\d+-(\d{1,15})")
 
 _CAMERAS: Final = {  # by the names in `_CAMERA_NAME`, for 640 x 480
@@ -117,6 +128,9 @@ class Layout:
     poses : ``poses(path, paths)`` if the layout has its own form of poses; returns None if there are none.
     is_rotated : See `DepthCode`; the scale is then that of the layout or of the options.
     is_timed : Poses are matched by the times of the pictures.
+    cameras : ``cameras(path, paths, size)`` if the layout has its own form of cameras: that of all pictures,
+        or one for each; `size` is the width and height of the pictures.
+    read : Reads a picture of the layout.
     """
 
     name: str
@@ -129,12 +143,14 @@ class Layout:
     is_rotated: bool = False
     is_timed: bool = False
     is_file: bool = False
+    cameras: Callable[[Path, tuple[Path, ...], tuple[int, int]], tuple[CameraFile, ...]] | None = None
+    read: Callable[[Path], Any] = read_picture
 
     @property
     def kind(self) -> SourceKind:
         return depth_kind(self.name, self.summary, self.recognise, self.read_sequence)
 
-    def read_sequence(self, path: Path, options: SourceOptions) -> CodedSequence:
+    def read_sequence(self, path: Path, options: SourceOptions) -> DepthSequence:
         """Read a sequence in this layout.
 
         Raises `SourceError` if pictures, poses, scale or camera are missing or invalid.
@@ -157,31 +173,67 @@ class Layout:
             posed = layout_poses or find_poses(
                 str(pictures.where), frames_to_pose, options, pictures.pose_folders, times_s
             )
-        frames = pictures.file_frames or PictureFrames(pictures.paths)
+        frames = pictures.file_frames or PictureFrames(pictures.paths, self.read)
         for file, header in zip(frames.paths, frames.headers):
             if header.channels != 1 or header.sample in ("", "uint8", "int8"):
                 mend = "Give the depth pictures, not colour or previews, saved with 16 bits."
+                if header.channels == 1 and header.sample == "uint8":
+                    mend = (
+                        "8 bits hold no depth in metres. Give the pictures with 16 bits, or use one as "
+                        f"relative depth: touchfield encode {file} OUT --relative-depth {file} "
+                        "--near-m 0.5 --far-m 3."
+                    )
                 raise SourceError(str(file), header.wording, "16-bit (or float) grey depth", mend)
-        default = None
-        if frames.size == (640, 480):
-            default = self.camera(path) if callable(self.camera) else self.camera
-        camera = camera_of(
-            str(pictures.where), options.intrinsics, pictures.camera_folders, frames.size, default
-        )
-        is_metres = bool(frames.headers) and frames.headers[0].sample.startswith("float")
-        file_scale = None if self.is_rotated else camera.units_per_m
-        scale = required_scale(str(path), options.depth_scale or file_scale or self.units_per_m, is_metres)
+        cameras = self._cameras(path, pictures, frames.size, options)
+        camera = cameras[0]
+        code, unit_notes = self._depth_code(path, options, camera.units_per_m, frames)
         gaps = np.diff(np.empty(0) if pictures.times_s is None else pictures.times_s)
         gaps = gaps[gaps > 1e-6]  # drops NaN and repeated stamps
         rate_hz = pictures.rate_hz or (float(1 / np.median(gaps)) if len(gaps) else source_rate(options))
         frames = frames.only(posed.indices) if pictures.paths else frames
-        code = DepthCode(scale, self.is_rotated)
         sequence = CodedSequence(str(path), frames, code, camera.intrinsics, rate_hz)
         sequence.poses = camera.poses_of_pictures(posed.poses)
         if sequence.poses is not None:
             sequence.poses.flags.writeable = False
-        sequence.notes = (*posed.notes, *pictures.notes, *camera.notes)
-        return sequence
+        sequence.has_quaternions, sequence.is_unit_assumed = posed.has_quaternions, bool(unit_notes)
+        sequence.frame_names = tuple(file.name for file in frames.paths) if pictures.paths else ()
+        sequence.notes = (*posed.notes, *pictures.notes, *camera.notes, *unit_notes)
+        lenses = [camera.lens for camera in cameras]
+        return rectified(sequence, [lenses[i] for i in posed.indices] if len(lenses) > 1 else lenses)
+
+    def _cameras(
+        self, path: Path, pictures: PictureSet, size: tuple[int, int], options: SourceOptions
+    ) -> tuple[CameraFile, ...]:
+        """Return the camera of all pictures, or one for each; `size` is the width and height of a picture."""
+        if self.cameras is not None and options.intrinsics is None:
+            return self.cameras(path, pictures.paths, size)
+        default = None
+        if size == (640, 480):
+            default = self.camera(path) if callable(self.camera) else self.camera
+        return (camera_of(str(pictures.where), options.intrinsics, pictures.camera_folders, size, default),)
+
+    def _depth_code(
+        self, path: Path, options: SourceOptions, file_scale: float | None, frames: Any
+    ) -> tuple[DepthCode, tuple[str, ...]]:
+        """Return the code of stored depth, and notes on what no file and no option states of it."""
+        samples = {header.sample for header in frames.headers}
+        is_rotated, notes = self.is_rotated, list[str]()
+        if options.depth_encoding is not None:
+            is_rotated = options.depth_encoding == "rotated"
+        elif is_rotated:
+            notes.append("Bits of depth are read as rotated by 3, as in SUN3D (--depth-encoding plain).")
+        if is_rotated and samples and samples != {"uint16"}:
+            raise InvalidArgument(
+                "--depth-encoding", f"rotated bits of {min(samples)}", "pictures of 16 bits"
+            )
+        stated = options.depth_scale or (None if self.is_rotated else file_scale)
+        is_metres = any(sample.startswith("float") for sample in samples)
+        scale = required_scale(str(path), stated or self.units_per_m, is_metres)
+        if stated is None:
+            source = f"as in the layout {self.name}" if self.units_per_m else "as floats usually are"
+            unit = "metres" if scale == 1 else f"{scale:g} to a metre"
+            notes.append(f"No file states the unit of depth: {unit}, {source} (--depth-scale).")
+        return DepthCode(scale, is_rotated), tuple(notes)
 
 
 def required_scale(where: str, scale: float | None, is_metres: bool) -> float:
@@ -215,11 +267,47 @@ def depth_kind(
     """
 
     def open_scene(path: Path, options: SourceOptions) -> Scene:
-        with readable(path, "files that can be read"):
+        with readable(path, "files that can be read"), recorded_reads() as read_files:
             sequence = read_sequence(path, options)
+        sequence.notes = (*sequence.notes, *unread_note(path, read_files))
         return depth_scene(sequence, options)
 
     return SourceKind(name, summary, recognise, open_scene)
+
+
+def unread_note(path: Path, read_files: Set[Path]) -> tuple[str, ...]:
+    """Return a note that names the text files in a folder that were not read; none for a file."""
+    if not path.is_dir():
+        return ()
+    unread = [
+        file.name
+        for file in list_files(path, with_suffix(*_TEXT_SUFFIXES))
+        if file.resolve() not in read_files and not _ABOUT.match(file.name)
+    ]
+    if not unread:
+        return ()
+    rest = f" and {len(unread) - _LISTED_FILES} more" if len(unread) > _LISTED_FILES else ""
+    return (f"Text files in the folder that are not read: {', '.join(unread[:_LISTED_FILES])}{rest}.",)
+
+
+def checked_sequence(sequence: DepthSequence, options: SourceOptions) -> DepthSequence:
+    """Read the poses in the requested form, and add notes on the range of depth and the poses."""
+    poses = sequence.poses
+    if options.pose_form is not None:
+        form = parse_pose_form(options.pose_form)
+        if poses is None:
+            raise InvalidArgument("--pose-form", "a source without poses", "poses", "Name them with --poses.")
+        if "wxyz" in form and not sequence.has_quaternions:
+            raise InvalidArgument("--pose-form", "wxyz for poses without quaternions", "other words")
+        sequence.poses = read_poses_as(poses, form, sequence.frame_names)
+        sequence.notes += (f"Poses are read as {', '.join(form)} (--pose-form).",)
+    notes = range_notes(sequence)
+    check = check_poses(sequence, poses)
+    if check is not None:
+        sequence.has_wrong_poses = not check.is_right
+        notes += (check.note,)
+    sequence.notes = (*sequence.notes, *notes)
+    return sequence
 
 
 def depth_scene(sequence: DepthSequence, options: SourceOptions) -> Scene:
@@ -230,7 +318,9 @@ def depth_scene(sequence: DepthSequence, options: SourceOptions) -> Scene:
     A sequence that does not state its rate and has no `source_rate_hz` already has the requested rate
     (`source_rate`) and is not interpolated.
     """
-    sequence = change_rate(sequence, options.rate_hz, options.interpolation)
+    checked = checked_sequence(sequence, options)
+    sequence = change_rate(checked, options.rate_hz, options.interpolation)
+    sequence.has_wrong_poses = checked.has_wrong_poses
     if options.reading == "height":
         from touchfield.sources.terrain.height_scene import HeightScene
 
@@ -343,7 +433,29 @@ def _read_extrinsics(path: Path, paths: tuple[Path, ...]) -> PosedFrames | None:
 
 
 def _list_threedmatch(path: Path) -> PictureSet:
-    return PictureSet(list_files(path, _FRAME_PNG), path, (path,), (path, path.absolute().parent))
+    """List the frames of a folder, or with a note of the one folder in it that has frames."""
+    folders = _parts_of(path)
+    if len(folders) > 1:
+        names = ", ".join(f"{folder.name}/" for folder in folders[:6])
+        mend = f"Name one: {folders[0]}"
+        raise SourceError(str(path), f"{len(folders)} sequences ({names})", "one", mend)
+    folder = folders[0] if folders else path
+    notes = () if folder == path else (f"The sequence is that of {folder.relative_to(path)}/.",)
+    levels = len(folder.parts) - len(path.parts) + 1
+    camera_folders = (folder, *folder.absolute().parents[:levels])
+    return PictureSet(list_files(folder, _FRAME_PNG), path, (folder,), camera_folders, None, notes)
+
+
+def _parts_of(path: Path) -> tuple[Path, ...]:
+    """Return the folders with frames: a folder itself, else those in it, else those in a folder of its name.
+
+    7-Scenes is unpacked to ``chess/seq-01/frame-...``, or to ``chess/seq-01/seq-01/frame-...``.
+    """
+    if has_files(path, _FRAME_PNG) or not path.is_dir():
+        return (path,)
+    inner = [folder for folder in sorted(path.iterdir()) if folder.is_dir()]
+    inner += [nested for folder in inner if (nested := folder / folder.name).is_dir()]
+    return tuple(folder for folder in inner if has_files(folder, _FRAME_PNG))
 
 
 # -- pictures of no data set -------------------------------------------------------------------------------
@@ -375,20 +487,21 @@ def _depth_pictures(folder: Path) -> tuple[Path, ...]:
     return tuple([path for path in paths if "depth" in path.stem.lower()] or paths)
 
 
-def _is_depth(folder: Path) -> bool:
-    """Return True if the first picture of a folder holds depth."""
+def _is_depth(folder: Path, or_8_bits: bool = False) -> bool:
+    """Return True if the first picture of a folder holds depth; optionally also if it is grey with 8 bits."""
     try:
         first = picture_header(_depth_pictures(folder)[0])
     except (SourceError, IndexError):
         return False
-    return first.channels == 1 and first.sample not in ("", "uint8", "int8", "bool")
+    excluded = ("", "int8", "bool") if or_8_bits else ("", "uint8", "int8", "bool")
+    return first.channels == 1 and first.sample not in excluded
 
 
 def _is_plain(path: Path) -> bool:
     if not path.is_dir():
         return False
     if _depth_pictures(path / "depth"):
-        return _is_depth(path / "depth")
+        return _is_depth(path / "depth", or_8_bits=True)  # reading it then reports how to mend 8 bits
 
     def is_named(folder: Path) -> bool:
         return any("depth" in path.stem.lower() for path in (folder, *_depth_pictures(folder)[:1]))
@@ -464,7 +577,8 @@ LAYOUTS: Final = (
     Layout(
         "3dmatch", "3DMatch or 7-Scenes sequence: a folder with frame-NNNNNN.depth.png (millimetres) and "
                    ".pose.txt",
-        lambda path: has_files(path, _FRAME_PNG), _list_threedmatch, 1000.0, _SEVEN_SCENES,
+        lambda path: any(has_files(folder, _FRAME_PNG) for folder in _parts_of(path)),
+        _list_threedmatch, 1000.0, _SEVEN_SCENES,
     ),
     Layout(
         "depth-folder",

@@ -43,7 +43,7 @@ BACKGROUND: Final = 0
 _CACHED_FRAMES = 8  # an encoder reads each object in turn, over the frames of a segment
 _KEYS: Final = {"step": ("step", float), "least": ("min_fraction", float), "at-most": ("max_objects", int)}
 """Field and type of `SegmentRule` for each key of its text."""
-_EXPECTED: Final = "such as step=0.03,least=0.002,at-most=16 (least is a share of the picture)"
+_EXPECTED: Final = "such as step=0.03,least=0.2%,at-most=16 (least: of the picture, or pixels: 600px)"
 
 
 @dataclass(frozen=True)
@@ -53,23 +53,29 @@ class SegmentRule:
     step : float; Largest difference in depth between neighbouring pixels of one surface, as a fraction of the
         nearer one.
     min_fraction : float; Pixels of the smallest object, as a fraction of the picture.
+    min_pixels : int, optional; Pixels of the smallest object, in place of the fraction.
     max_objects : int; Objects besides the background, in a frame and in all, 1 to 254.
     """
 
     step: float = 0.03
     min_fraction: float = 0.002
     max_objects: int = 16
+    min_pixels: int | None = None
 
     def __post_init__(self) -> None:
         for name, value in (("step", self.step), ("least", self.min_fraction)):
             if not 0 < value <= 1:
-                raise InvalidArgument(f"segment {name}", repr(value), "a share above 0 and up to 1")
+                expected = "a fraction above 0 and up to 1"
+                hint = f"Write {value:g}px or {value:g}%." if name == "least" and 1 < value <= 100 else ""
+                raise InvalidArgument(f"segment {name}", repr(value), expected, hint)
+        if self.min_pixels is not None and self.min_pixels < 1:
+            raise InvalidArgument("segment least", f"{self.min_pixels}px", "at least 1px")
         if not 1 <= self.max_objects <= OBJECT_LIMIT:
             raise InvalidArgument("segment at-most", repr(self.max_objects), f"1 to {OBJECT_LIMIT} objects")
 
     @classmethod
     def parse(cls, text: str | None) -> SegmentRule:
-        """Parse a rule such as ``step=0.03,least=0.002,at-most=16``.
+        """Parse a rule such as ``step=0.03,least=0.2%,at-most=16``; ``least`` is also pixels, ``600px``.
 
         Missing keys have their default values.
         """
@@ -78,7 +84,10 @@ class SegmentRule:
             key, _, value = (part.strip() for part in entry.partition("="))
             try:
                 name, kind = _KEYS[key]
-                values[name] = kind(value)
+                if key == "least" and value.endswith("px"):
+                    name, kind, value = "min_pixels", int, value.removesuffix("px")
+                is_percent = kind is float and value.endswith("%")
+                values[name] = float(value[:-1]) / 100 if is_percent else kind(value)
             except (KeyError, ValueError):
                 raise InvalidArgument("--segment", repr(entry.strip()), _EXPECTED) from None
         return cls(**values)  # type: ignore[arg-type]
@@ -86,7 +95,8 @@ class SegmentRule:
     @property
     def text(self) -> str:
         """Text of the rule, as `parse` reads it."""
-        return f"step={self.step:g},least={self.min_fraction:g},at-most={self.max_objects}"
+        least = f"{self.min_fraction:g}" if self.min_pixels is None else f"{self.min_pixels}px"
+        return f"step={self.step:g},least={least},at-most={self.max_objects}"
 
 
 def label_surfaces(depth_m: Float32s, step: float, noise_step_per_m: float) -> tuple[Labels, int]:
@@ -137,7 +147,7 @@ class Segmentation:
     def __init__(self, sequence: DepthSequence, rule: SegmentRule, noise_step_per_m: float) -> None:
         self.sequence, self.rule = sequence, rule
         self._noise_step_per_m = noise_step_per_m
-        self._min_px = round(rule.min_fraction * sequence.width * sequence.height)
+        self._min_px = rule.min_pixels or round(rule.min_fraction * sequence.width * sequence.height)
         self._depth_px = np.zeros(sequence.frame_count, np.int64)
         followed = self._follow_surfaces()
         totals: dict[int, int] = {}

@@ -22,6 +22,7 @@ from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import SourceError
 from touchfield.files import readable, require_in_folder, require_plain
 from touchfield.json_values import JsonValue, parsed
+from touchfield.sources.unread_files import compressed_mesh
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _FREE_ELEMENTS: Final = 1 << 20
@@ -32,6 +33,7 @@ _LARGEST: Final = 1 << 53  # larger JSON numbers are not exact integers
 _LISTS: Final = ("accessors", "animations", "bufferViews", "buffers", "meshes", "nodes", "scenes", "skins")
 _COMPONENTS: Final = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+COMPRESSIONS: Final = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
 HARMLESS: Final = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_mesh_quantization")
 """Extensions that do not change the triangles, or that are supported."""
 
@@ -124,6 +126,8 @@ class Document:
         if version is not None and not version.startswith("2."):
             raise self.root.wrong(f"glTF version {version[:20]!r}", "version 2", "Convert it to glTF 2.0.")
         for name in map(str, self.root.at("extensionsRequired", []).items()):
+            if name in COMPRESSIONS:
+                raise compressed_mesh(path, name)
             if not name.startswith(HARMLESS):
                 found = f"the required extension {name[:60]!r}"
                 raise self.root.wrong(found, "a mesh without it", "Export it without extensions.")

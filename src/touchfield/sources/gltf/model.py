@@ -18,14 +18,14 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from touchfield.arrays import Float64s, Int64s
+from touchfield.arrays import Bools, Float64s, Int64s
 from touchfield.medium.pose_track import rotation_matrices, slerp
-from touchfield.sources.gltf.document import HARMLESS, Document, Element
+from touchfield.sources.gltf.document import COMPRESSIONS, HARMLESS, Document, Element
+from touchfield.sources.unread_files import compressed_mesh
 
 _MAX_TRIANGLES: Final = 10_000_000  # or one per byte of the file: a node tree may use one mesh many times
 _MAX_NOTED: Final = 9
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
-_COMPRESSIONS: Final = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
 _WIDTHS: Final = {"translation": 3, "rotation": 4, "scale": 3}
 _INTERPOLATIONS: Final = ("LINEAR", "STEP", "CUBICSPLINE")
 
@@ -78,6 +78,11 @@ class Animation(NamedTuple):
 
     duration_s: float  # the last time of any of its samplers; it starts at 0
     samplers: Mapping[tuple[int, str], Sampler]
+
+    @property
+    def has_scale(self) -> bool:
+        """True if it changes a scale, which may then mirror a mesh."""
+        return any(path == "scale" for _, path in self.samplers)
 
 
 def _sampler(element: Element, path: str, width: int) -> Sampler:
@@ -205,11 +210,9 @@ def _read_geometry(primitive: Element) -> _Geometry | None:
         return None
     extensions, positions = primitive.get("extensions"), primitive.owner.all("accessors")[position_index]
     has_data = "bufferView" in positions or "sparse" in positions  # otherwise they are zeros
-    for name in _COMPRESSIONS:
+    for name in COMPRESSIONS:
         if extensions is not None and name in extensions and not has_data:
-            raise primitive.wrong(
-                f"a mesh compressed with {name}", "a mesh without it", "Export it uncompressed."
-            )
+            raise compressed_mesh(Path(primitive.file), name)
     vertices = primitive.owner.array(position_index, "VEC3")
     numbers = primitive.unsigned("indices", "SCALAR", len(vertices))
     corners = np.arange(len(vertices)) if numbers is None else numbers[:, 0]
@@ -364,22 +367,44 @@ class Model:
                 self._pieces.append(_Piece(node, geometry, skin, weights))
         if not self._pieces:
             raise document.root.wrong("no triangle", "a mesh of triangles", "Export it with its faces.")
-        world = self._nodes.world(None, np.zeros(1))[0]
+        self._is_mirrored_at_rest = self._is_mirrored(self._nodes.world(None, np.zeros(1))[0])
         first, faces = 0, []
-        for piece in self._pieces:
-            motions = world[piece.node, :3] if piece.skin is None else self._skin(piece.skin).matrices(world)
-            is_mirrored = np.linalg.det(motions[..., :3]).sum() < 0
+        for piece, is_mirrored in zip(self._pieces, self._is_mirrored_at_rest, strict=True):
             piece_faces = piece.geometry.triangles + first
             faces.append(piece_faces[:, ::-1] if is_mirrored else piece_faces)
             first += len(piece.geometry.vertices)
         self.triangles = np.concatenate(faces)
         used = [str(name)[:60] for name in document.root.at("extensionsUsed", []).items()]
-        unread = [name for name in used if not name.startswith((*HARMLESS, *_COMPRESSIONS))]
+        unread = [name for name in used if not name.startswith((*HARMLESS, *COMPRESSIONS))]
         notes = [f"Not read, and left out: {', '.join(map(repr, unread[:_MAX_NOTED]))}"] if unread else []
         number, count = document.root.index("scene", "scenes") or 0, len(document.all("scenes"))
         if count > 1:
             notes.append(f"Of {count} scenes in the file number {number} is read.")
         self.notes = tuple(notes)
+
+    def _is_mirrored(self, world: Float64s) -> Bools:
+        """Return whether the winding of each piece is reversed by its node or joints, bool [pieces].
+
+        Section 3.7.4: it is if the determinant of the transform is negative. `world` float64 [nodes, 4, 4].
+        """
+        nodes = [piece.node for piece in self._pieces]
+        is_mirrored = np.asarray(np.linalg.det(world[nodes, :3, :3]) < 0)
+        for number, piece in enumerate(self._pieces):
+            if piece.skin is not None:
+                motions = self._skin(piece.skin).matrices(world)
+                is_mirrored[number] = np.linalg.det(motions[..., :3]).sum() < 0
+        return is_mirrored
+
+    def turned_vertices(self, poses: Poses, at: int) -> Bools | None:
+        """Return the vertices whose triangles face the other way than in `triangles`, bool [n].
+
+        They are those of pieces that an animated scale mirrors. None if there are none.
+        """
+        is_turned = self._is_mirrored(poses.world[at]) != self._is_mirrored_at_rest
+        if not is_turned.any():
+            return None
+        counts = [len(piece.geometry.vertices) for piece in self._pieces]
+        return np.asarray(np.repeat(is_turned, counts))
 
     @property
     def is_animated(self) -> bool:

@@ -1,4 +1,4 @@
-"""Reads pictures of one channel (PNG, TIFF, PGM, NPY), such as depth images, as arrays.
+"""Reads pictures of one channel (PNG, TIFF, PGM, NPY, EXR), such as depth images, as arrays.
 
 Sources: the PNG specification (IHDR), NumPy's NPY format; PNG and TIFF samples are decoded by Pillow. The
 size is read from the header and bounded before anything is decoded, because pictures are untrusted input.
@@ -11,10 +11,11 @@ import re
 import struct
 import warnings
 from abc import ABC, abstractmethod
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from copy import copy
+from decimal import Decimal
 from itertools import islice
 from pathlib import Path
 from threading import Lock
@@ -27,9 +28,10 @@ from touchfield.errors import SourceError, TouchfieldError
 from touchfield.files import readable, require_plain
 from touchfield.medium.stores.npz import map_npy, read_npy_header
 from touchfield.sources.camera import require_frame
+from touchfield.sources.images.exr import EXR_MAGIC, exr_size, read_exr
 
 MAX_PIXELS: Final = 1 << 26  # pixels of the largest picture that is decoded (8192 x 8192)
-PICTURE_SUFFIXES: Final = (".png", ".tif", ".tiff", ".npy")
+PICTURE_SUFFIXES: Final = (".png", ".tif", ".tiff", ".npy", ".exr")
 PHOTO_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 _MAX_EXPANSION: Final = 1400  # largest compression ratio: deflate reaches 1032, LZW of TIFF about 1366
 _PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
@@ -47,21 +49,43 @@ PHOTO_FORMATS: Final = ("PNG", "JPEG", "WEBP", "BMP", "TIFF")
 _ORIENTATION: Final = 0x0112
 _ON_ITS_SIDE: Final = (5, 6, 7, 8)
 _PARTS: Final = re.compile(r"(\d+)")
+_DECIMAL_PARTS: Final = re.compile(r"(\d+(?:\.\d+)?)")
+_FRACTION: Final = re.compile(r"\d\.(\d+)")
 
 
 # -- folders -----------------------------------------------------------------------------------------------
 def list_files(folder: Path, pattern: str) -> tuple[Path, ...]:
     """List the files of a folder whose name matches a regular expression.
 
-    They are in the order of the numbers in their names.
+    They are in the order of the numbers in their names; 0.5 is before 0.56 and 0.6 where they are times, and
+    1.9 before 1.10 where they are counted.
     """
     if not folder.is_dir():
         return ()
     form = re.compile(pattern, re.IGNORECASE)
     with readable(folder, "a folder that can be read"):
         files = [p for p in folder.iterdir() if form.fullmatch(p.name) and not p.name.startswith(".")]
-    natural = {p: [(int(n), "") if n.isdecimal() else (-1, n) for n in _PARTS.split(p.name)] for p in files}
+    numbers = _PARTS if _are_counted([p.stem for p in files]) else _DECIMAL_PARTS
+    natural = {
+        p: [(Decimal(n), "") if n[:1].isdecimal() else (Decimal(-1), n) for n in numbers.split(p.name)]
+        for p in files
+    }
     return tuple(sorted(files, key=natural.__getitem__))
+
+
+def _are_counted(names: Sequence[str]) -> bool:
+    """Return True unless names have decimal fractions of different lengths that are no arithmetic series."""
+    fractions: defaultdict[str, set[str]] = defaultdict(set)
+    for name in names:
+        for match in _FRACTION.finditer(name):
+            fractions[name[: match.start(1)]].add(match[1])
+    for texts in fractions.values():
+        values = sorted(map(int, texts))
+        steps = {after - before for before, after in zip(values, values[1:])}
+        is_series = len(steps) <= 1 and (len(values) > 2 or steps <= {1})
+        if len(set(map(len, texts))) > 1 and not is_series:
+            return False
+    return True
 
 
 def with_suffix(*suffixes: str) -> str:
@@ -174,7 +198,7 @@ def opened(
 
 
 def picture_header(path: Path) -> PictureHeader:
-    """Read size and sample type of a PNG, TIFF, PGM or NPY picture from its header."""
+    """Read size and sample type of a PNG, TIFF, PGM, NPY or EXR picture from its header."""
     require_plain(path, "a picture")
     with readable(path, hint="Check path and rights."), path.open("rb") as stream:
         start = stream.read(33)
@@ -198,20 +222,26 @@ def picture_header(path: Path) -> PictureHeader:
             header = PictureHeader(shape[1], shape[0], npy.dtype.name, 1)
         elif start.startswith(b"P5"):
             header, _ = _pgm_header(path, stream)
+        elif start.startswith(EXR_MAGIC):
+            width, height = exr_size(path)
+            header = PictureHeader(width, height, "float32", 1)
         elif start[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
             with opened(path, ("TIFF",)) as image:
                 sample = _PIL_SAMPLES.get(image.mode, "")
                 header = PictureHeader(image.width, image.height, sample, len(image.getbands()))
         else:
-            raise SourceError(str(path), "no PNG, TIFF, PGM or NPY file", "one of these", "Check the file.")
+            raise SourceError(
+                str(path), "no PNG, TIFF, PGM, NPY or EXR file", "one of these", "Check the file."
+            )
         bound_pixels(path, header.width, header.height)
     return header
 
 
 def read_picture(path: Path) -> NDArray[Any]:
-    """Read the samples of a single-channel PNG, TIFF, PGM or NPY picture, [height, width].
+    """Read the samples of a single-channel PNG, TIFF, PGM, NPY or EXR picture, [height, width].
 
-    The type is uint8, uint16, int32 or float32 for PNG, TIFF and PGM, and any integer or float type for NPY.
+    The type is uint8, uint16, int32 or float32 for PNG, TIFF, PGM and EXR, and any integer or float type for
+    NPY.
     The array is in native byte order, C-contiguous and writeable.
     """
     header = picture_header(path)
@@ -222,6 +252,10 @@ def read_picture(path: Path) -> NDArray[Any]:
         start = stream.read(6)
         if start == _NPY_MAGIC:
             return _native(map_npy(path)).reshape(size)
+        if start.startswith(EXR_MAGIC):
+            values = read_exr(path)
+            require_size(str(path), values.shape[::-1], size[::-1], "as its head says")
+            return values
         if start.startswith(b"P5"):
             stream.seek(0)
             _, at = _pgm_header(path, stream)

@@ -29,6 +29,7 @@ from touchfield.sources.mesh.surface import weld
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import size_note
+from touchfield.sources.unread_files import without_triangles
 
 _GLTF: Final = (".glb", ".gltf")
 _SOLID: Final = re.compile(rb"^\s*(end)?solid", re.MULTILINE)
@@ -68,7 +69,7 @@ def read_triangles(path: Path) -> tuple[Float64s, Int32s, tuple[str, ...]]:
         raise SourceError(str(path), found, "a whole mesh file", "Export it again.") from error
     sizes = np.maximum(counts - 2, 0)  # triangles of each polygon, a fan from its first corner
     if not sizes.any():
-        raise SourceError(str(path), "no triangle", "a mesh of triangles", "Export it with its faces.")
+        raise without_triangles(path, len(vertices))
     first = np.repeat(np.cumsum(counts) - counts, sizes)
     after = first + np.arange(1, len(first) + 1) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     with np.errstate(all="ignore"):

@@ -18,13 +18,14 @@ that a patch moves with its mesh.
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from touchfield.arrays import Float64s, Int32s, Int64s, lengths_of
+from touchfield.arrays import Bools, Float64s, Int32s, Int64s, lengths_of
 from touchfield.errors import SourceError, require_one_of
 
 _LARGEST_M: Final = 1e15
@@ -84,8 +85,9 @@ class Surface:
     ----------
     vertices_m : float64 [n, 3], read-only
     triangles : int32 [m, 3], read-only; Each starts with its longest edge; degenerate ones (a vertex twice)
-        are removed.
+        and exact duplicates are removed.
     is_closed : bool; Whether it encloses a volume: every edge is balanced, and it is not a double sheet.
+    duplicate_count : int; Triangles that were removed, as others have the same corners in the same direction.
     """
 
     def __init__(self, vertices_m: ArrayLike, triangles: ArrayLike, name: str) -> None:
@@ -103,6 +105,7 @@ class Surface:
         faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
         if not len(faces):
             raise SourceError(name, "no triangle with three different corners", "at least one triangle")
+        faces, self.duplicate_count = without_duplicates(faces)
         self._name, self._used = name, np.unique(faces)
         self.triangles = np.take_along_axis(faces, from_longest(vertices[faces]), axis=1)
         self.edges = Edges.of(self.triangles, len(vertices))
@@ -116,11 +119,12 @@ class Surface:
         for array in (self.vertices_m, self.triangles, self.bounds_m):
             array.flags.writeable = False
 
-    def with_vertices(self, vertices_m: ArrayLike) -> Surface:
+    def with_vertices(self, vertices_m: ArrayLike, is_turned: Bools | None = None) -> Surface:
         """Return the same triangles on other vertices: a frame of a moving mesh.
 
         Connectivity and closedness are reused; each triangle starts with its new longest edge. Vertices that
         no triangle uses do not matter. `vertices_m` float array [n, 3]: as many as this surface has.
+        `is_turned` bool [m]: triangles that face the other way now, whole connected parts.
 
         Raises `SourceError` if the shape differs, or a coordinate is not finite.
         """
@@ -129,10 +133,13 @@ class Surface:
             found = f"vertices of shape {vertices.shape}"
             raise SourceError(self._name, found, f"{self.vertices_m.shape}, as before")
         _check_finite(vertices[self._used], self._name)
-        other = copy.copy(self)
-        order = from_longest(vertices[self.triangles])
-        other.triangles = np.take_along_axis(self.triangles, order, axis=1)
-        other.edges = replace(self.edges, edge_of=np.take_along_axis(self.edges.edge_of, order, axis=1))
+        other, faces, edge_of = copy.copy(self), self.triangles, self.edges.edge_of
+        if is_turned is not None:
+            faces = np.where(is_turned[:, None], faces[:, ::-1], faces)
+            edge_of = np.where(is_turned[:, None], edge_of[:, [1, 0, 2]], edge_of)
+        order = from_longest(vertices[faces])
+        other.triangles = np.take_along_axis(faces, order, axis=1)
+        other.edges = replace(self.edges, edge_of=np.take_along_axis(edge_of, order, axis=1))
         other._set_vertices(vertices)
         return other
 
@@ -208,6 +215,27 @@ def unit(vectors: Float64s) -> Float64s:
     """Normalise vectors [..., 3]; those of length 0 stay 0."""
     lengths = lengths_of(vectors)[..., None]
     return np.asarray(vectors / np.where(lengths > 0, lengths, 1.0))
+
+
+def without_duplicates(triangles: NDArray[Any]) -> tuple[NDArray[Any], int]:
+    """Remove all but the first of triangles with the same corners in the same direction.
+
+    Returns the others in their order, and the number removed. `triangles` integer [m, 3], each of three
+    different vertices.
+    """
+    marks = np.arange(int(triangles.max()) + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
+    marks *= marks ^ (marks >> np.uint64(32))
+    sums = marks[triangles[:, 0]] + marks[triangles[:, 1]] + marks[triangles[:, 2]]
+    sums.sort()
+    if not (sums[1:] == sums[:-1]).any():  # of most meshes: no two have the same corners
+        return triangles, 0
+    # rows that are equal up to rotation are equal once each starts with its smallest vertex
+    start = triangles.argmin(axis=1)[:, None]
+    rows = np.take_along_axis(triangles, (start + np.arange(3)) % 3, axis=1)
+    order = np.lexsort(rows.T[::-1])
+    is_copy = np.zeros(len(rows), bool)
+    is_copy[order[1:]] = (rows[order[1:]] == rows[order[:-1]]).all(axis=1)  # a stable sort: the first stays
+    return triangles[~is_copy], int(is_copy.sum())
 
 
 def _is_double_sheet(triangles: Int32s) -> bool:
@@ -310,8 +338,8 @@ def weld_in_motion(poses: Float64s, triangles: NDArray[np.integer[Any]]) -> tupl
 
 
 def _unbalanced_count(triangles: NDArray[Any], vertex_count: int) -> int:
-    is_valid = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
-    return Edges.of(triangles[is_valid], vertex_count).unbalanced_count if is_valid.any() else 1
+    valid = triangles[(triangles != np.roll(triangles, 1, axis=1)).all(axis=1)]
+    return Edges.of(without_duplicates(valid)[0], vertex_count).unbalanced_count if len(valid) else 1
 
 
 # -- holes -------------------------------------------------------------------------------------------------
@@ -343,6 +371,18 @@ def close_holes(surface: Surface, holes: str) -> RepairedSurface:
     Raises `InvalidArgument` for another rule.
     """
     require_one_of("holes", holes, HOLES)
+    inner_notes: tuple[str, ...] = ()
+    if holes != "leave":
+        surface, inner_notes = without_inner_walls(surface)
+    repaired = _close_holes(surface, holes)
+    count, notes = surface.duplicate_count, tuple[str, ...]()
+    if count:
+        plural = "s" * (count > 1)
+        notes = (f"{count} triangle{plural} removed, which the file has twice",)
+    return replace(repaired, notes=(*notes, *inner_notes, *repaired.notes))
+
+
+def _close_holes(surface: Surface, holes: str) -> RepairedSurface:
     empty, is_mixed = np.zeros((0, 3), np.int32), surface.edges.repeated_count > 0
     unchanged = RepairedSurface(surface, empty, empty[:, :2], not is_mixed, ())
     if surface.is_closed:
@@ -403,6 +443,98 @@ def _hole_notes(closed_gaps: list[_Hole], open_gaps: list[_Hole]) -> tuple[str, 
     if open_gaps and min(h.fraction for h in open_gaps) <= _NEARLY_CLOSED:
         notes[-1] += "; --holes close closes them"
     return tuple(notes)
+
+
+# -- walls inside a closed body ----------------------------------------------------------------------------
+_MAX_PATCHES: Final = 4096
+_MAX_CHOICES: Final = 16
+_MAX_TESTS: Final = 1 << 26  # pairs of a point and a triangle
+
+
+def without_inner_walls(surface: Surface) -> tuple[Surface, tuple[str, ...]]:
+    """Remove open sheets inside a body that is closed without them, with a note.
+
+    Returns the surface itself if it is closed, has no such sheet, or a sheet reaches outside.
+    """
+    if surface.edges.unbalanced_count == 0:
+        return surface, ()
+    patch_of = _patches(surface.edges, len(surface.triangles))
+    for is_kept in _closed_choices(surface.triangles, patch_of, surface.edges):
+        body, sheets = surface.with_triangles(surface.triangles[is_kept]), surface.triangles[~is_kept]
+        if body.is_closed and _lie_inside(surface.vertices_m[sheets], body):
+            body.duplicate_count = surface.duplicate_count
+            text = f"{len(sheets)} triangles inside a closed body are left out, as they enclose nothing"
+            return body, (text,)
+    return surface, ()
+
+
+def _patches(edges: Edges, triangle_count: int) -> Int64s:
+    """Return the patch of each triangle: connected over edges at which exactly two triangles meet."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    flat = edges.edge_of.reshape(-1)
+    order = np.argsort(flat, kind="stable")
+    counts = np.bincount(flat)
+    first = order[(np.cumsum(counts) - counts)[counts == 2]]
+    second = order[(np.cumsum(counts) - 1)[counts == 2]]
+    links = (np.ones(len(first), np.int8), (first // 3, second // 3))
+    graph = coo_array(links, shape=(triangle_count, triangle_count))
+    return np.asarray(connected_components(graph, directed=False)[1], np.int64)
+
+
+def _closed_choices(triangles: Int32s, patch_of: Int64s, edges: Edges) -> Iterator[Bools]:
+    """Yield triangles, bool [m], whose patches are balanced together.
+
+    Patches with an edge of one triangle are removed until there is none, then single ones whose removal
+    balances the rest.
+    """
+    if not 1 < int(patch_of.max()) + 1 <= _MAX_PATCHES:
+        return
+    sign = np.where(triangles < np.roll(triangles, -1, axis=1), 1, -1)
+    is_kept = np.ones(len(triangles), bool)
+    while is_kept.any():
+        at_edge = np.bincount(edges.edge_of[is_kept].reshape(-1), minlength=int(edges.edge_of.max()) + 1)
+        is_open = (at_edge[edges.edge_of] == 1).any(axis=1) & is_kept
+        if not is_open.any():
+            break
+        is_kept &= ~np.isin(patch_of, patch_of[is_open])
+    if not is_kept.any():
+        return
+    unbalanced = _unbalanced(edges, sign, is_kept)
+    if not unbalanced.any():
+        yield is_kept
+        return
+    for patch in np.unique(patch_of[is_kept & unbalanced[edges.edge_of].any(axis=1)])[:_MAX_CHOICES]:
+        others = is_kept & (patch_of != patch)
+        if others.any() and not _unbalanced(edges, sign, others).any():
+            yield others
+
+
+def _unbalanced(edges: Edges, sign: NDArray[Any], is_kept: Bools) -> Bools:
+    """Return the edges, bool, that some of the triangles traverse more often in one direction."""
+    count = int(edges.edge_of.max()) + 1
+    net = np.bincount(edges.edge_of[is_kept].reshape(-1), sign[is_kept].reshape(-1), count)
+    return np.asarray(net != 0)
+
+
+def _lie_inside(corners: Float64s, body: Surface) -> bool:
+    """Return True if triangles float64 [k, 3, 3] lie inside a closed surface, by winding numbers.
+
+    Tested are points near their corners, and their centres; some of them if there are many.
+    """
+    centres = corners.mean(axis=1, keepdims=True)
+    points = np.concatenate([centres, centres + (1 - 1e-3) * (corners - centres)], axis=1).reshape(-1, 3)
+    points = points[:: max(1, len(points) * len(body.triangles) // _MAX_TESTS)]
+    faces = body.vertices_m[body.triangles]
+    for point in points:
+        a, b, c = (faces[:, i] - point for i in range(3))
+        la, lb, lc = lengths_of(a), lengths_of(b), lengths_of(c)
+        solid = np.einsum("ij,ij->i", a, np.cross(b, c))
+        below = la * lb * lc + (a * b).sum(1) * lc + (b * c).sum(1) * la + (c * a).sum(1) * lb
+        if abs(float(np.arctan2(solid, below).sum())) < np.pi:  # half a turn of the whole sphere
+            return False
+    return True
 
 
 # -- loops -------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ beside the file that names it, with and without the folders of a ``compiler`` el
 own folders (``strippath``). All of these paths that exist are checked here; attributes are read by name, so
 that elements of later versions are covered, too. The library `mujoco` reads and steps the model (extra
 "physics"). The simulation lasts ``--seconds``, else 2 s, and starts from the keyframe named "touchfield",
-else from the model's initial state. Lengths are metres.
+else from the first keyframe, with a note, else from the model's initial state. Lengths are metres.
 
 Touchable geoms are those that collide in MuJoCo: with contype or conaffinity, or in an explicit contact pair.
 Visual geoms (both zero) are skipped. A mesh is rendered as it is, although MuJoCo collides its convex hull.

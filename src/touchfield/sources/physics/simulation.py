@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 FRAME_RATE_HZ: Final = 1000.0  # default frames a second: the rate of haptic rendering
 SECONDS: Final = 2.0  # default duration of a simulation
-START: Final = "touchfield"  # name of the keyframe from which a simulation starts, if the model has it
+START: Final = "touchfield"  # name of the keyframe from which a simulation starts, else the first
 _MAX_POSES: Final = 1 << 22  # bodies times frames; each takes 28 doubles of 8 bytes and their copies
 _MAX_STEPS: Final = 20_000_000  # steps times bodies: up to half a minute of one core
 _STEPS_S: Final = (1e-9, 1e9)
@@ -119,9 +119,9 @@ def simulate(
     """Step a model and record the poses of its bodies.
 
     The time step of the model must divide the time between frames; otherwise the nearest one that does is
-    set, with a note. The simulation starts from the keyframe named `START`, if there is one. Controls are 0.
-    `where` names the model in messages; `posed` are prescribed poses, and so velocities, of bodies with a
-    free joint.
+    set, with a note. The simulation starts from the keyframe named `START`, else from the first, with a
+    note, else from the initial state. Controls are those of the keyframe, else 0, and do not change. `where`
+    names the model in messages; `posed` are prescribed poses, and so velocities, of bodies with a free joint.
 
     Returns a track, scene from body frame, for each of `body_ids`, and notes.
 
@@ -142,9 +142,7 @@ def simulate(
     driven = [_driven_state(model, body, track, rate_hz) for body, track in (posed or {}).items()]
     with _collect_warnings(where, "a simulation that stops", "a model that MuJoCo can step") as messages:
         data = mujoco.MjData(model)
-        key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, START)
-        if key >= 0:
-            mujoco.mj_resetDataKeyframe(model, data, key)
+        notes += _start(mujoco, model, data)
         for frame in range(frame_count):
             for position, motion, poses, velocities in driven:
                 data.qpos[position], data.qvel[motion] = poses[frame], velocities[frame]
@@ -155,6 +153,19 @@ def simulate(
             if messages:
                 notes += _check_state(mujoco, data, messages, f"{where}, {(frame + 1) / rate_hz:g} s")
     return [PoseTrack(quaternions[:, k], positions[:, k]) for k in range(len(ids))], notes
+
+
+def _start(mujoco: Any, model: Any, data: Any) -> tuple[str, ...]:
+    """Set the state to a keyframe, if the model has any; returns a note on the choice."""
+    if not model.nkey:
+        return ()
+    named = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, START))
+    mujoco.mj_resetDataKeyframe(model, data, max(named, 0))
+    if named >= 0:
+        return ()
+    name = repr(model.key(0).name[:40]) if model.key(0).name else "0"
+    others = f" of {model.nkey} (one named {START!r} would be used instead)" if model.nkey > 1 else ""
+    return (f"The simulation starts from the keyframe {name}{others}.",)
 
 
 def _driven_state(

@@ -1,0 +1,1 @@
+"""Depth sequences as today's cameras, phones and robots record them: one module for each layout."""

@@ -1,0 +1,134 @@
+"""ROS 2 messages of a depth camera, decoded by mcap-ros2-support from their definitions (extra: mcap).
+
+sensor_msgs/Image             16UC1, mono16 (millimetres, REP 118), 32FC1 (metres); any step and byte order
+sensor_msgs/CompressedImage   compressed_depth_image_transport: a head of 12 bytes, then a PNG of 16 bits.
+                              Floats are quantised: depth = a / (value - b), with a and b in the head
+sensor_msgs/CameraInfo        K, D and distortion_model of the picture as taken, P of the rectified one
+tf2_msgs/TFMessage            transforms from child_frame_id to header.frame_id
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from functools import cache
+from io import BytesIO
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchfield.errors import SourceError, import_extra
+from touchfield.sources.images.pictures import MAX_PIXELS
+
+IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+CAMERA_INFO, TRANSFORMS = "sensor_msgs/msg/CameraInfo", "tf2_msgs/msg/TFMessage"
+DEPTH_ENCODINGS: Final = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
+
+_LINE: Final = "\n" + 80 * "=" + "\n"
+_TIME: Final = "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+_HEADER: Final = "MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+_ROI: Final = (
+    "MSG: sensor_msgs/RegionOfInterest\nuint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\n"
+    "bool do_rectify\n"
+)
+_TRANSFORM: Final = (
+    "MSG: geometry_msgs/TransformStamped\nstd_msgs/Header header\nstring child_frame_id\n"
+    "geometry_msgs/Transform transform\n",
+    "MSG: geometry_msgs/Transform\ngeometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n",
+    "MSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n",
+    "MSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n",
+)
+DEFINITIONS: Final = {
+    IMAGE: _LINE.join((
+        "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\n"
+        "uint32 step\nuint8[] data\n", _HEADER, _TIME,
+    )),
+    COMPRESSED_IMAGE: _LINE.join((
+        "std_msgs/Header header\nstring format\nuint8[] data\n", _HEADER, _TIME,
+    )),
+    CAMERA_INFO: _LINE.join((
+        "std_msgs/Header header\nuint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\n"
+        "float64[9] k\nfloat64[9] r\nfloat64[12] p\nuint32 binning_x\nuint32 binning_y\n"
+        "sensor_msgs/RegionOfInterest roi\n", _HEADER, _TIME, _ROI,
+    )),
+    TRANSFORMS: _LINE.join((
+        "geometry_msgs/TransformStamped[] transforms\n", *_TRANSFORM, _HEADER, _TIME,
+    )),
+}  # fmt: skip
+"""Definitions by the name of the message, as an MCAP file stores them."""
+
+
+@cache
+def _decoder(kind: str) -> Callable[[bytes], Any]:
+    module = import_extra("mcap_ros2.decoder", kind, "mcap-ros2-support", "mcap")
+    records = import_extra("mcap.records", kind, "mcap", "mcap")
+    number = 1 + list(DEFINITIONS).index(kind)
+    schema = records.Schema(id=number, name=kind, encoding="ros2msg", data=DEFINITIONS[kind].encode())
+    decode: Callable[[bytes], Any] = module.DecoderFactory().decoder_for("cdr", schema)
+    return decode
+
+
+def decode(kind: str, data: bytes, where: str) -> Any:
+    """Decode a message, as an object with the fields of its definition.
+
+    Raises `SourceError`, which names `where`, if it is cut short; `MissingExtra` without the library.
+    """
+    decoder = _decoder(kind)
+    try:
+        return decoder(data)
+    except (struct.error, ValueError, IndexError, EOFError, UnicodeDecodeError, TypeError) as error:
+        found = f"a message of {len(data)} bytes that cannot be decoded ({error})"
+        raise SourceError(where, found, kind, "Copy the bag again.") from error
+
+
+def stamp_s(header: Any) -> float:
+    """Return the time of a message, seconds."""
+    return float(header.stamp.sec) + float(header.stamp.nanosec) * 1e-9
+
+
+def encoding_of(kind: str, message: Any) -> str:
+    """Return the encoding of an image's samples, such as 16UC1; "" if it is no depth."""
+    if kind == IMAGE:
+        return str(message.encoding) if message.encoding in DEPTH_ENCODINGS else ""
+    encoding, _, transport = str(message.format).partition(";")
+    return encoding.strip() if "compressedDepth" in transport and encoding.strip() in DEPTH_ENCODINGS else ""
+
+
+def depth_values(kind: str, message: Any, where: str) -> NDArray[Any]:
+    """Return the stored depth of an image, uint16 or float32 [height, width]."""
+    data = bytes(message.data)
+    if kind == COMPRESSED_IMAGE:
+        return _decompressed(encoding_of(kind, message), str(message.format), data, where)
+    sample = np.dtype((">" if message.is_bigendian else "<") + DEPTH_ENCODINGS[message.encoding])
+    height, width, step = int(message.height), int(message.width), int(message.step)
+    is_whole = step >= width * sample.itemsize and len(data) >= step * height
+    if not (is_whole and 0 < width * height <= MAX_PIXELS):
+        found = f"{len(data)} bytes for {width} x {height} pixels of {step} bytes a row"
+        raise SourceError(where, found, f"whole rows of {message.encoding}", "Copy the bag again.")
+    rows = np.frombuffer(data, np.uint8, step * height).reshape(height, step)
+    values = np.ascontiguousarray(rows[:, : width * sample.itemsize]).view(sample)
+    return values.astype(sample.newbyteorder("="))
+
+
+def _decompressed(encoding: str, form: str, data: bytes, where: str) -> NDArray[Any]:
+    from PIL import Image
+
+    if "rvl" in form.lower() or len(data) < 12:
+        mend = "Republish it: ros2 run image_transport republish compressedDepth raw."
+        raise SourceError(where, f"{len(data)} bytes of {form!r}", "compressedDepth with PNG", mend)
+    try:
+        with Image.open(BytesIO(data[12:]), formats=("PNG",)) as image:
+            if image.width * image.height > MAX_PIXELS:
+                raise SourceError(where, f"{image.width} x {image.height} pixels", f"at most {MAX_PIXELS}")
+            stored = np.array(image).astype(np.uint16)
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise SourceError(where, f"no PNG after the head ({error})", "compressedDepth with PNG") from error
+    if stored.ndim != 2:
+        raise SourceError(where, f"samples of shape {stored.shape}", "a grey picture of 16 bits")
+    if DEPTH_ENCODINGS[encoding] == "u2":
+        return stored
+    a, b = struct.unpack("<2f", data[4:12])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = np.float32(a) / (stored.astype(np.float32) - np.float32(b))
+    return np.where(stored == 0, np.float32(0), depth)

@@ -1,0 +1,322 @@
+"""Reads a height map and its georeference from a TIFF (OGC 19-008r4, GeoTIFF 1.1), decoded by tifffile.
+
+Used: every integer and floating type, tiles, planar bands, BigTIFF; pixel scale or transformation matrix,
+the units of positions and heights, GDAL's tags of gaps, scale, offset and unit, masks and alpha bands, and a
+world file beside the picture. What changes the geometry and is not used is named in the notes: further pages
+and bands, tie points without a scale, a tilt, and GDAL's ``.aux.xml``.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchfield.errors import SourceError, TouchfieldError, import_extra, reason
+from touchfield.files import require_plain
+from touchfield.sources.images.pictures import bound_pixels, opened
+from touchfield.sources.terrain.height_map import UPRIGHT, Affine, GeoReference, unit_of
+
+_PIXEL_SCALE, _TIEPOINT, _MATRIX = 33550, 33922, 34264
+_GEO_KEYS, _GEO_DOUBLES, _GDAL_METADATA, _GDAL_NODATA = 34735, 34736, 42112, 42113
+_GEO_TAGS: Final = (
+    _PIXEL_SCALE, _TIEPOINT, _MATRIX, _GEO_KEYS, _GEO_DOUBLES, _GDAL_METADATA, _GDAL_NODATA,
+)  # fmt: skip
+_MODEL_TYPE, _GEOGRAPHIC_CRS, _ANGULAR_UNITS, _PROJECTED_CRS = 1024, 2048, 2054, 3072
+_LINEAR_UNITS, _LINEAR_UNIT_SIZE, _VERTICAL_CRS, _VERTICAL_UNITS = 3076, 3077, 4096, 4099
+_GEOGRAPHIC, _GEOCENTRIC, _USER_DEFINED = 2, 3, 32767
+_UNITS_M: Final = {
+    9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937, 9005: 0.3047972654, 9014: 1.8288, 9036: 1000.0, 9096: 0.9144,
+    1025: 0.001, 1033: 0.01,
+}  # fmt: skip
+"""EPSG codes of metre, international, US survey and Clarke's foot, fathom, km, yard, mm and cm."""
+_UNITS_DEG: Final = {9101: 180 / math.pi, 9102: 1.0, 9103: 1 / 60, 9104: 1 / 3600, 9105: 0.9, 9122: 1.0}
+_REDUCED, _MASK = 1, 4  # bits of NewSubfileType
+_COLOURS: Final = {2: "RGB", 3: "palette", 5: "CMYK", 6: "YCbCr"}
+_ALPHA: Final = (1, 2)
+_MAX_PAGES: Final = 64
+_ITEM: Final = re.compile(r"<Item\s+([^<>]*)>([^<]*)</Item>")
+_ATTRIBUTE: Final = re.compile(r'(\w+)="([^"]*)"')
+_AUXILIARY: Final = re.compile(rb"<(Scale|Offset|NoDataValue|UnitType|GeoTransform|GCPList)[ >]")
+_AUXILIARY_BYTES: Final = 1 << 20
+_WORLD_BYTES: Final = 4096
+
+
+def read_tiff(path: Path) -> tuple[NDArray[Any], GeoReference]:
+    """Read the first band of the first page, [rows, cols], and what the file states about it.
+
+    Samples that a mask or an alpha band hides are NaN. Raises `SourceError` if it is no TIFF of numbers, or
+    needs a codec that is not installed; `MissingExtra` without tifffile.
+    """
+    with _pages(path) as tiff:
+        page = tiff.pages[0]
+        _require_numbers(path, page)
+        values, notes = _first_band(path, page)
+        mask, page_count = _further_pages(tiff, page)
+        tags = {code: page.tags[code].value for code in _GEO_TAGS if code in page.tags}
+    if mask is not None:
+        values = np.where(mask, values.astype(np.float64), np.nan)
+    if page_count:
+        notes += ("The file has several pages of this size: the first is read.",)
+    reference = reference_of(path, tags)
+    is_elevation = reference.is_elevation or values.dtype.kind == "f"
+    return values, reference._replace(is_elevation=is_elevation, notes=notes + reference.notes)
+
+
+def tiff_is_grey(path: Path) -> bool:
+    """Return True if the first page of a TIFF has numbers, not colours. Reads the header only."""
+    with _pages(path) as tiff:
+        return int(tiff.pages[0].photometric) not in _COLOURS
+
+
+@contextmanager
+def _pages(path: Path) -> Iterator[Any]:
+    """Open a TIFF with tifffile; its errors, of any type for damaged files, become `SourceError`."""
+    tifffile = import_extra("tifffile", f"{path}, a TIFF", "tifffile", "sources")
+    require_plain(path, "a picture")
+    log = logging.getLogger("tifffile")
+    was_disabled, log.disabled = log.disabled, True  # it reports on stderr what becomes an error or a gap
+    try:
+        with tifffile.TiffFile(path) as tiff:
+            yield tiff
+    except (TouchfieldError, GeneratorExit):
+        raise
+    except Exception as error:
+        found = f"a TIFF that is damaged, or of a form that is not read ({reason(error)})"
+        raise SourceError(str(path), found, "a whole TIFF of numbers", "Check the file.") from error
+    finally:
+        log.disabled = was_disabled
+
+
+def _require_numbers(path: Path, page: Any) -> None:
+    colour = _COLOURS.get(int(page.photometric))
+    if colour or page.dtype is None or page.dtype.kind not in "fiu" or page.axes not in ("YX", "YXS", "SYX"):
+        found = f"a picture in {colour} colours" if colour else f"samples {page.dtype} of axes {page.axes}"
+        expected = "one number a pixel, whole or floating"
+        raise SourceError(str(path), found, expected, "Save the heights themselves, not a picture of them.")
+    bound_pixels(path, page.imagewidth, page.imagelength, 1)
+
+
+def _first_band(path: Path, page: Any) -> tuple[NDArray[Any], tuple[str, ...]]:
+    """Return the first band of a page, NaN where an alpha band is 0, and notes on the others."""
+    values = _decoded(path, page)
+    if page.axes == "YX":
+        return values, ()
+    bands = np.moveaxis(values, page.axes.index("S"), 0)
+    alpha = (
+        len(bands)
+        - len(page.extrasamples)
+        + np.flatnonzero(np.isin([int(kind) for kind in page.extrasamples], _ALPHA))
+    )
+    others = [n + 1 for n in range(1, len(bands)) if n not in alpha]
+    notes = (f"The file has {len(others) + 1} bands of numbers: the first is read.",) if others else ()
+    if not alpha.size or alpha[0] == 0:
+        return bands[0], notes
+    return np.where(bands[alpha[0]] != 0, bands[0].astype(np.float64), np.nan), notes
+
+
+def _decoded(path: Path, page: Any) -> NDArray[Any]:
+    """Decode a page; by Pillow, which has codecs of its own, if tifffile lacks imagecodecs."""
+    try:
+        return np.asarray(page.asarray())
+    except ValueError as error:
+        if "imagecodecs" not in str(error):
+            raise
+        with suppress(SourceError), opened(path, ("TIFF",)) as picture:
+            values = np.array(picture)
+            if values.shape == page.shape and values.dtype.kind == page.dtype.kind:
+                return values.astype(page.dtype)
+        name = getattr(page.compression, "name", page.compression)
+        mend = 'Install a codec with: pip install "touchfield[geotiff]"'
+        raise SourceError(str(path), f"a TIFF compressed by {name}", "a codec for it", mend) from error
+
+
+def _further_pages(tiff: Any, first: Any) -> tuple[NDArray[np.bool_] | None, int]:
+    """Return the mask of the first page, if any, and the number of further pages of its size."""
+    mask, count = None, 0
+    with suppress(IndexError):
+        for index in range(1, _MAX_PAGES):
+            page = tiff.pages[index]
+            kind = int(page.subfiletype)
+            if page.shape[:2] != first.shape[:2] or kind & _REDUCED:
+                continue
+            if kind & _MASK:
+                mask = np.asarray(page.asarray()) != 0
+            else:
+                count += 1
+    return mask, count
+
+
+# -- georeference ------------------------------------------------------------------------------------------
+def reference_of(path: Path, tags: Mapping[int, Any]) -> GeoReference:
+    """Return what the tags of a TIFF and a world file beside it state. Malformed tags are ignored."""
+    keys = _geo_keys(tags)
+    affine, notes = _affine(tags)
+    if affine is None:
+        affine = read_world_file(path)
+    angular_deg = _UNITS_DEG.get(int(keys.get(_ANGULAR_UNITS, 9102)), 1.0)
+    is_degrees = _is_degrees(keys)
+    if is_degrees and affine and angular_deg != 1:
+        a, b, c, d, e, f = (value * angular_deg for value in affine)
+        affine = a, b, c, d, e, f
+    if keys.get(_MODEL_TYPE) == _GEOCENTRIC:
+        notes += (f"Geocentric positions are not used; {UPRIGHT} with -t_srs.",)
+        affine = None
+    unit_m, unit_notes = _linear_unit(keys)
+    vertical_m, scale, offset, height_notes = _heights(keys, tags, unit_m)
+    nodata = _nodata(tags)
+    is_elevation = bool(affine or keys or nodata or scale != 1 or offset or _GDAL_METADATA in tags)
+    return GeoReference(
+        affine, None, None, is_degrees, unit_m, vertical_m, scale, offset, nodata, is_elevation,
+        (*notes, *unit_notes, *height_notes, *_auxiliary_notes(path)),
+    )  # fmt: skip
+
+
+def _geo_keys(tags: Mapping[int, Any]) -> dict[int, float]:
+    """Return the GeoKeys whose values are one number; text keys are left out."""
+    directory, doubles = _numbers(tags, _GEO_KEYS), _numbers(tags, _GEO_DOUBLES)
+    keys: dict[int, float] = {}
+    for i in range(4, len(directory) - 3, 4):
+        key, location, count, value = map(int, directory[i : i + 4])
+        if location == 0:
+            keys[key] = value
+        elif location == _GEO_DOUBLES and count == 1 and value < len(doubles):
+            keys[key] = doubles[value]
+    return keys
+
+
+def _is_degrees(keys: Mapping[int, float]) -> bool | None:
+    model = keys.get(_MODEL_TYPE)
+    if model is not None:
+        return model == _GEOGRAPHIC
+    return True if _GEOGRAPHIC_CRS in keys and _PROJECTED_CRS not in keys else None
+
+
+def _affine(tags: Mapping[int, Any]) -> tuple[Affine | None, tuple[str, ...]]:
+    """Return the affine of the pixel scale, else of the matrix, and notes on what of them is not used."""
+    scale, tie, matrix = (_numbers(tags, tag) for tag in (_PIXEL_SCALE, _TIEPOINT, _MATRIX))
+    if len(scale) >= 2 and scale[0] and scale[1]:
+        i, j, _, x, y, _ = tie[:6] if len(tie) >= 6 else [math.nan] * 6
+        sx, sy = scale[:2]
+        notes = ("ScaleY is below 0: row 0 is south, as GeoTIFF defines it; GDAL reads it as north.",)
+        return (sx, 0.0, x - i * sx, 0.0, -sy, y + j * sy), notes[: sy < 0]
+    if len(matrix) == 16:
+        a, b, _, c, d, e, _, f = matrix[:8]
+        notes = ("The tilt of heights in the transformation matrix is not used.",)
+        return (a, b, c, d, e, f), notes[: bool(matrix[8] or matrix[9])]
+    if len(tie) >= 12:
+        return None, (f"Positions of {len(tie) // 6} tie points are not used; {UPRIGHT}.",)
+    return None, ()
+
+
+def _linear_unit(keys: Mapping[int, float]) -> tuple[float, tuple[str, ...]]:
+    code = int(keys.get(_LINEAR_UNITS, 9001))
+    unit_m = keys.get(_LINEAR_UNIT_SIZE) if code == _USER_DEFINED else _UNITS_M.get(code)
+    if unit_m is not None and unit_m > 0:
+        return unit_m, ()
+    note = f"The unit of positions, EPSG {code}, is unknown: metres are assumed (--cell-size-m)."
+    return 1.0, (note,)
+
+
+def _heights(
+    keys: Mapping[int, float], tags: Mapping[int, Any], unit_m: float
+) -> tuple[float, float, float, tuple[str, ...]]:
+    """Return metres of a unit of height, scale and offset of stored values, and notes."""
+    items = _gdal_items(tags)
+    scale, offset, notes = items.get("scale", 1.0), items.get("offset", 0.0), tuple[str, ...]()
+    pixel_scale, tie = _numbers(tags, _PIXEL_SCALE), _numbers(tags, _TIEPOINT)
+    if len(pixel_scale) == 3 and pixel_scale[2] not in (0, 1) and "scale" not in items:
+        if _VERTICAL_CRS in keys and len(tie) >= 6:
+            scale, offset = pixel_scale[2], tie[5] - tie[2] * pixel_scale[2]
+        else:
+            notes += (
+                f"ScaleZ {pixel_scale[2]:g} is not used, as no vertical reference is given (--height-scale).",
+            )
+    code, vertical_m = keys.get(_VERTICAL_UNITS), 1.0
+    if code is not None:
+        vertical_m = _UNITS_M.get(int(code), 0.0)
+        if not vertical_m:
+            vertical_m = 1.0
+            notes += (
+                f"The unit of heights, EPSG {code:g}, is unknown: metres are assumed (--height-scale).",
+            )
+    elif items.get("unittype"):
+        vertical_m, unit_notes = unit_of(str(items["unittype"]), "heights")
+        notes += unit_notes
+    elif unit_m != 1:
+        notes += (
+            f"Positions have a unit of {unit_m:.6g} m; that of heights is not given: metres are assumed "
+            "(--height-scale).",
+        )
+    return vertical_m, float(scale), float(offset), notes
+
+
+def _gdal_items(tags: Mapping[int, Any]) -> dict[str, Any]:
+    """Return scale, offset and unit type of the first band from GDAL's metadata."""
+    items: dict[str, Any] = {}
+    for head, text in _ITEM.findall(str(tags.get(_GDAL_METADATA, ""))):
+        attributes: dict[str, str] = dict(_ATTRIBUTE.findall(head))
+        role = (attributes.get("role") or attributes.get("name") or "").lower()
+        if attributes.get("sample", "0") != "0":
+            continue
+        if role == "unittype":
+            items[role] = text.strip()
+        elif role in ("scale", "offset"):
+            with suppress(ValueError):
+                value = float(text)
+                if math.isfinite(value) and not (role == "scale" and value == 0):
+                    items[role] = value
+    return items
+
+
+def _nodata(tags: Mapping[int, Any]) -> tuple[float, ...]:
+    with suppress(ValueError):
+        return (float(str(tags.get(_GDAL_NODATA, "")).strip(" \0")),)
+    return ()
+
+
+def _numbers(tags: Mapping[int, Any], tag: int) -> list[float]:
+    values = tags.get(tag, ())
+    values = values if isinstance(values, tuple | list) else (values,)
+    try:
+        numbers = [float(v) for v in values]
+    except (TypeError, ValueError, ZeroDivisionError):
+        return []
+    return numbers if all(map(math.isfinite, numbers)) else []
+
+
+# -- files beside the picture ------------------------------------------------------------------------------
+def read_world_file(path: Path) -> Affine | None:
+    """Return the affine of a world file beside a picture (``.tfw``, ``.tifw``, ``.wld``), if there is one.
+
+    Its six lines are A, D, B, E, C, F; C and F are the centre of the first pixel.
+    """
+    suffix = path.suffix.lower()
+    for name in (f".{suffix[1]}{suffix[-1]}w", f"{suffix}w", ".wld"):
+        beside = path.with_suffix(name)
+        with suppress(OSError, ValueError):
+            if beside.is_file() and beside.stat().st_size <= _WORLD_BYTES:
+                a, d, b, e, c, f = map(float, beside.read_text("latin-1").split())
+                if all(map(math.isfinite, (a, b, c, d, e, f))):
+                    return a, b, c - (a + b) / 2, d, e, f - (d + e) / 2
+    return None
+
+
+def _auxiliary_notes(path: Path) -> tuple[str, ...]:
+    """Return a note on the geometry in an ``.aux.xml`` of GDAL beside the picture."""
+    beside = path.with_name(path.name + ".aux.xml")
+    with suppress(OSError):
+        if beside.is_file():
+            with beside.open("rb") as stream:
+                names = sorted({n.decode() for n in _AUXILIARY.findall(stream.read(_AUXILIARY_BYTES))})
+            if names:
+                mend = f"gdal_translate {path.name} NEW.tif writes it into the picture"
+                return (f"{beside.name} is not used ({', '.join(names)}); {mend}.",)
+    return ()

@@ -1,0 +1,114 @@
+"""Messages about files that no source reads: what they are by their extension, and the command that converts
+them. The commands use programs of others, which are not part of touchfield."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Final
+
+from touchfield.errors import SourceError
+
+READABLE: Final = (
+    "a mesh (.obj .ply .stl .off .gltf .glb), bodies (.xml .toml), heights (.tif .asc .hgt .nc .npz .png), "
+    "depth pictures (a folder, .png .npz .mcap .mkv), a field (.npz .vti .zarr) or a .touch file"
+)
+"""What can be a source, in a user's words."""
+
+READABLE_FOLDERS: Final = (
+    "depth frames (depth/*.png, frame-*.depth.png and others), a ROS 2 bag or a .zarr store"
+)
+_PLAIN: Final = re.compile(r"[\w.-]+")
+_TRIMESH: Final = (
+    "pip install 'trimesh[easy]'; python -c \"import trimesh; trimesh.load({name!r}).export({to!r})\""
+)
+_BLENDER: Final = (
+    'blender -b --python-expr "import bpy; bpy.ops.wm.read_factory_settings(use_empty=True); '
+    'bpy.ops.{importer}(filepath={name!r}); bpy.ops.export_scene.gltf(filepath={to!r})"'
+)
+_STEP: Final = 'pip install cascadio; python -c "import cascadio; cascadio.step_to_glb({name!r}, {to!r})"'
+_POISSON: Final = "pdal translate {name} {to} filters.normal filters.poisson --writers.ply.faces=true"
+_URDF: Final = (
+    'pip install mujoco; python -c "import mujoco; '
+    'mujoco.mj_saveLastXML({to!r}, mujoco.MjModel.from_xml_path({name!r}))"'
+)
+_CONVERSIONS: Final[dict[str, tuple[str, str, str]]] = {
+    ".3mf": ("a mesh in 3MF", ".glb", _TRIMESH),
+    ".amf": ("a mesh in AMF", ".glb", _TRIMESH),
+    ".dae": ("a mesh in COLLADA", ".glb", _TRIMESH),
+    ".step": ("a solid of CAD (STEP)", ".glb", _STEP),
+    ".stp": ("a solid of CAD (STEP)", ".glb", _STEP),
+    ".fbx": ("a mesh in FBX", ".glb", _BLENDER.replace("{importer}", "import_scene.fbx")),
+    ".usd": ("a scene in USD", ".glb", _BLENDER.replace("{importer}", "wm.usd_import")),
+    ".usda": ("a scene in USD", ".glb", _BLENDER.replace("{importer}", "wm.usd_import")),
+    ".usdc": ("a scene in USD", ".glb", _BLENDER.replace("{importer}", "wm.usd_import")),
+    ".usdz": ("a scene in USD", ".glb", _BLENDER.replace("{importer}", "wm.usd_import")),
+    ".abc": ("a scene in Alembic", ".glb", _BLENDER.replace("{importer}", "wm.alembic_import")),
+    ".blend": (
+        "a scene of Blender",
+        ".glb",
+        'blender -b {name} --python-expr "import bpy; bpy.ops.export_scene.gltf(filepath={to!r})"',
+    ),
+    ".urdf": ("a robot in URDF", ".xml", _URDF),
+    ".las": ("a point cloud", ".ply", _POISSON),
+    ".laz": ("a point cloud", ".ply", _POISSON),
+    ".e57": ("a point cloud", ".ply", _POISSON),
+    ".pcd": ("a point cloud", ".ply", _POISSON),
+    ".pts": ("a point cloud", ".ply", _POISSON),
+    ".bag": ("a recording of ROS 1", ".mcap", "pip install rosbags; rosbags-convert --src {name} --dst {to}"),
+    ".zip": ("an archive", "", "unzip {name} -d {to}"),
+    ".tar": ("an archive", "", "mkdir {to} && tar xf {name} -C {to}"),
+    ".tgz": ("an archive", "", "mkdir {to} && tar xf {name} -C {to}"),
+    ".gz": ("a compressed file", "", "gunzip --keep {name}"),
+    ".heic": (
+        "a photograph; any depth in it has to be exported",
+        ".png",
+        "heif-convert --with-aux {name} {to}",
+    ),
+}
+"""For each extension: what the file is, the extension to convert it to, and the command."""
+
+
+def without_triangles(path: Path, points: int) -> SourceError:
+    """Return the error for a mesh file that has points but no triangle."""
+    if path.suffix.lower() != ".ply" or not points:
+        return SourceError(str(path), "no triangle", "a mesh of triangles", "Export it with its faces.")
+    name, to = _plain_name(path), "surface.ply"
+    fix = f"Make a surface of it: {_POISSON.format(name=name, to=to)}, then encode {to}"
+    return SourceError(
+        str(path), f"a point cloud: {points} points and no triangle", "a mesh of triangles", fix
+    )
+
+
+def compressed_mesh(path: Path, extension: str) -> SourceError:
+    """Return the error for a glTF file whose mesh is compressed by an extension."""
+    name, to = _plain_name(path), "uncompressed.glb"
+    fix = f"Decode it: npx @gltf-transform/cli copy {name} {to}, then encode {to}"
+    return SourceError(str(path), f"a mesh compressed with {extension!r}", "one that is not", fix)
+
+
+def _plain_name(path: Path) -> str:
+    """The name of a file for a command; a stand-in where a shell would read some characters as commands."""
+    return path.name if _PLAIN.fullmatch(path.name) else f"FILE{path.suffix.lower()}"
+
+
+def unread_file(path: Path) -> SourceError:
+    """Return the error for a file that no source recognises.
+
+    It names the extension and, where the format is known, a command that converts the file.
+    """
+    ending = path.suffix.lower()
+    if ending in _CONVERSIONS:
+        what, to_ending, command = _CONVERSIONS[ending]
+        name = _plain_name(path)
+        to = str(Path(name).with_suffix(to_ending))
+        fix = command.format(name=name, to=to)
+        then = f", then encode {to}" if ending != ".gz" else ""
+        return SourceError(str(path), what, "a format that is read here", f"Convert it: {fix}{then}")
+    if not ending:
+        found = "a file without an extension"
+    elif f"{ending} " in READABLE.replace(")", " "):
+        found = f"a file {ending} whose contents are none of these"
+    else:
+        found = f"the extension {ending}, which is not read"
+    return SourceError(str(path), found, READABLE, "Convert it to one of them.")
