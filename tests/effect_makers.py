@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
+from touchfield.errors import TouchfieldError
 from touchfield.exchange.hjif_import import force_n
 from touchfield.exchange.hjif_read import read_hjif
 from touchfield.exchange.symbolic import ArrayEffect
@@ -103,6 +106,26 @@ def key_paths(node: Any, prefix: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     """The keys and indices that lead to each value of a JSON document."""
     keys = list(node) if isinstance(node, dict) else list(range(len(node))) if isinstance(node, list) else []
     return [path for key in keys for path in ((*prefix, key), *key_paths(node[key], (*prefix, key)))]
+
+
+def with_value(document: Any, keys: tuple[Any, ...], value: Any) -> Any:
+    """A copy of a JSON document with another value where the keys and indices lead to."""
+    changed = copy.deepcopy(document)
+    inner = changed
+    for key in keys[:-1]:
+        inner = inner[key]
+    inner[keys[-1]] = value
+    return changed
+
+
+def check_error(reader: Callable[[Path], Any], path: Path) -> None:
+    """Any error is one line that names the file."""
+    found = None
+    try:
+        reader(path)
+    except TouchfieldError as error:
+        found = str(error)
+    assert found is None or (path.name in found and "\n" not in found)
 
 
 class TactSpan(NamedTuple):

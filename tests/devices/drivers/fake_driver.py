@@ -44,6 +44,8 @@ class FakeDriver:
             if hasattr(self.library, text):
                 getattr(self.library, text).restype = ctypes.c_char_p
         self.library.fake_forces.restype = ctypes.POINTER(ctypes.c_double)
+        if hasattr(self.library, "fake_mass"):
+            self.library.fake_mass.restype = ctypes.c_double
         self.library.fake_reset()
 
     def fail(self, function: str, code: int) -> None:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import csv
 import ctypes
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from fake_driver import FakeDriver, built
+from fake_driver import FakeDriver
 from fake_haply import FakeHaply, fake_haply
 from tests.render.player_makers import OMNI, laid_out, numbered_medium
 
@@ -74,15 +73,6 @@ def test_the_log_of_play_has_the_buttons_of_a_verse_grip(tmp_path: Path) -> None
         buttons = [int(row["buttons"]) for row in csv.DictReader(file)]
     changes = [value for value, before in zip(buttons[1:], buttons, strict=False) if value != before]
     assert changes == [1, 5, 4, 0]
-
-
-@pytest.fixture
-def dhd(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeDriver]:
-    path = built("fake_dhd", tmp_path_factory.mktemp("dhd"))
-    monkeypatch.setenv("TOUCHFIELD_FORCEDIMENSION_LIBRARY", str(path))
-    driver = FakeDriver(path)
-    yield driver
-    assert not driver.faults, driver.faults
 
 
 def test_the_log_has_buttons_and_gripper_of_a_force_dimension_device(dhd: FakeDriver) -> None:

@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from multiprocessing import Pipe
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -173,20 +172,6 @@ def test_a_state_of_an_inverse3_is_that_of_its_latest_message() -> None:
             arm.position_m()
             assert arm.state().is_ready == expected
             arm.put_force_n(0.0, 0.0, 0.0)
-
-
-@pytest.fixture(scope="module")
-def dhd_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return built("fake_dhd", tmp_path_factory.mktemp("dhd"))
-
-
-@pytest.fixture
-def dhd(dhd_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeDriver]:
-    monkeypatch.setenv("TOUCHFIELD_FORCEDIMENSION_LIBRARY", str(dhd_path))
-    driver = FakeDriver(dhd_path)
-    driver.library.fake_unit(301, 1)
-    yield driver
-    assert not driver.faults, driver.faults
 
 
 def test_the_state_of_a_force_dimension_device_is_read_while_it_is_driven(dhd: FakeDriver) -> None:

@@ -407,20 +407,6 @@ def test_play_notes_what_it_waits_for_and_ends_with_exit_code_1(
 # -- Force Dimension
 
 
-@pytest.fixture(scope="module")
-def dhd_path(tmp_path_factory) -> Path:
-    return built("fake_dhd", tmp_path_factory.mktemp("dhd"))
-
-
-@pytest.fixture
-def dhd(dhd_path: Path, monkeypatch) -> Iterator[FakeDriver]:
-    monkeypatch.setenv("TOUCHFIELD_FORCEDIMENSION_LIBRARY", str(dhd_path))
-    driver = FakeDriver(dhd_path)
-    driver.library.fake_unit(301, 1)
-    yield driver
-    assert not driver.faults, driver.faults
-
-
 @pytest.mark.parametrize(
     ("status", "text"),
     [(0, "without power"), (1, "not connected"), (2, "not started"), (3, "not calibrated")],

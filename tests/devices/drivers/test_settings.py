@@ -3,14 +3,11 @@ it measures."""
 
 from __future__ import annotations
 
-import ctypes
 import pickle
-from collections.abc import Iterator
 from contextlib import closing
-from pathlib import Path
 
 import pytest
-from fake_driver import FakeDriver, built
+from fake_driver import FakeDriver
 from fake_haply import fake_haply, fake_haply_with_settings
 
 from touchfield.cli.main import _exit_code
@@ -18,21 +15,6 @@ from touchfield.devices.drivers import forcedimension, haply
 from touchfield.devices.drivers.registry import point_device
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.tasks.setup import examine
-
-
-@pytest.fixture(scope="module")
-def dhd_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return built("fake_dhd", tmp_path_factory.mktemp("dhd"))
-
-
-@pytest.fixture
-def dhd(dhd_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeDriver]:
-    monkeypatch.setenv("TOUCHFIELD_FORCEDIMENSION_LIBRARY", str(dhd_path))
-    driver = FakeDriver(dhd_path)
-    driver.library.fake_unit(301, 1)
-    driver.library.fake_mass.restype = ctypes.c_double
-    yield driver
-    assert not driver.faults, driver.faults
 
 
 @pytest.mark.parametrize(
