@@ -176,11 +176,20 @@ static inline double touch_advance_phase(double phase_rad, double turns) {
     return 2.0 * TOUCH_PI * (turns - floor(turns));
 }
 
-/* The vibration of the medium at a point, N; zero above half the rate of the ticks. */
-static inline double touch_vibration_force(touch_receiver *receiver, const touch_instant *t, touch_vector point_m,
+/* Whether a surface stops the proxy, which is then on it, while the hand may be behind a thin wall. */
+static inline int touch_is_proxy_stopped(const touch_receiver *receiver) {
+    const touch_proxy *proxy = &receiver->state.proxy;
+    return receiver->settings.wall_n_per_m > 0.0 && proxy->is_active && proxy->is_in_contact;
+}
+
+/* The vibration of the medium at the hand, N, or, where that has none, at the proxy on the surface; zero above half the rate
+   of the ticks. */
+static inline double touch_vibration_force(touch_receiver *receiver, const touch_instant *t, touch_vector hand_m,
                                            double dt_s) {
     double amplitude, frequency;
-    touch_vibration_at(t, point_m, &amplitude, &frequency);
+    touch_vibration_at(t, hand_m, &amplitude, &frequency);
+    if (!(amplitude > 0.0) && touch_is_proxy_stopped(receiver))
+        touch_vibration_at(t, receiver->state.proxy.position_m, &amplitude, &frequency);
     if (!(amplitude > 0.0 && frequency > 0.0 && 2.0 * frequency < receiver->settings.rate_hz)) return 0.0;
     double phase = touch_advance_phase(receiver->state.vibration_phase, frequency * dt_s);
     receiver->state.vibration_phase = phase;
@@ -228,11 +237,10 @@ static inline double touch_material_friction(const touch_receiver *receiver, con
 static inline const touch_material *touch_find_material(touch_receiver *receiver, const touch_instant *t,
                                                         touch_vector point_m) {
     const touch_settings *settings = &receiver->settings;
-    const touch_proxy *proxy = &receiver->state.proxy;
     const touch_material *material = (const touch_material *)(touch_sines(receiver) + 1);
     int64_t body = TOUCH_UNKNOWN_BODY;
     /* behind a thin wall there may be no force, hence no body: the proxy stays on the surface */
-    if (settings->wall_n_per_m > 0.0 && proxy->is_active && proxy->is_in_contact) point_m = proxy->position_m;
+    if (touch_is_proxy_stopped(receiver)) point_m = receiver->state.proxy.position_m;
     for (int64_t n = 0; n < settings->material_count; n++, material++) {
         if (!touch_is_in_box(material, point_m)) continue;
         if (material->body >= 0) {

@@ -15,7 +15,7 @@
 #define TOUCH_IN_CONE (1.0 - 1.0 / 549755813888.0) /* 1 - 2^-39: rounding never lifts friction out of its cone */
 
 typedef struct { /* one tick of friction */
-    double max_n;                          /* mu |F| */
+    double max_n;                          /* mu |F|, with the mu of the material, else of the settings */
     double stick_n_per_m, stick_n_s_per_m; /* spring and damper */
     touch_vector normal;                   /* of the surface, F / |F| */
     touch_vector velocity_m_s;             /* of the hand, beside that of the surface */
@@ -26,23 +26,13 @@ static inline touch_vector touch_along_surface(touch_vector v, touch_vector norm
     return touch_add_scaled(v, -touch_dot(v, normal), normal);
 }
 
-/* Where the anchor of the tick before lies now, if the body that it is on has moved; `here_m` if there is none yet. */
-static inline touch_vector touch_carried_anchor(const touch_stick_anchor *anchor, const touch_instant *t, touch_vector here_m) {
-    if (!anchor->is_set) return here_m;
-    if (anchor->body < 0 || anchor->body >= touch_body_count(t)) return anchor->position_m;
-    touch_matrix rotation = touch_body_rotation(t, anchor->body);
-    return touch_add(touch_rotate(&rotation, anchor->body_position_m), touch_body_position(t, anchor->body));
-}
-
 /* Store the anchor, also in the axes of the body that pushes most at a point of the surface. */
-static inline void touch_store_anchor(touch_stick_anchor *anchor, const touch_instant *t, touch_vector anchor_m, int64_t body) {
+static inline void touch_store_anchor(touch_stick_anchor *anchor, const touch_instant *t, touch_vector anchor_m,
+                                      touch_vector point_m) {
     anchor->is_set = 1;
     anchor->position_m = anchor_m;
-    anchor->body = body;
-    if (body < 0) return;
-    touch_matrix rotation = touch_body_rotation(t, body);
-    touch_vector arm = touch_subtract(anchor_m, touch_body_position(t, body));
-    anchor->body_position_m = touch_rotate_back(&rotation, arm);
+    anchor->body = touch_carrying_body(t, point_m);
+    anchor->body_position_m = touch_point_in_body(t, anchor->body, anchor_m);
 }
 
 /* The friction on a point at the surface, N, along it and at most max_n. The anchor slides where it must, in `*anchor_m`. */
@@ -71,8 +61,11 @@ static inline touch_vector touch_friction_force(touch_receiver *receiver, const 
         anchor->is_set = 0;
         return touch_zero();
     }
-    touch_vector anchor_m = touch_carried_anchor(anchor, t, point_m), velocity = state->velocity_m_s;
-    if (anchor->is_set) velocity = touch_add_scaled(velocity, -1.0 / dt_s, touch_subtract(anchor_m, anchor->position_m));
+    touch_vector anchor_m = point_m, velocity = state->velocity_m_s;
+    if (anchor->is_set) {
+        anchor_m = touch_carried_point(t, anchor->body, anchor->body_position_m, anchor->position_m);
+        velocity = touch_add_scaled(velocity, -1.0 / dt_s, touch_subtract(anchor_m, anchor->position_m));
+    }
     touch_friction_rule rule;
     rule.max_n = state->friction * size;
     rule.stick_n_per_m = settings->stick_n_per_m;
@@ -80,8 +73,7 @@ static inline touch_vector touch_friction_force(touch_receiver *receiver, const 
     rule.normal = touch_vector_of(force_n.x / size, force_n.y / size, force_n.z / size);
     rule.velocity_m_s = velocity;
     touch_vector friction = touch_stick_friction(&rule, point_m, &anchor_m);
-    const touch_body_pose *poses = (const touch_body_pose *)(const void *)(t->before + 1);
-    touch_store_anchor(anchor, t, anchor_m, poses->is_identity ? -1 : touch_strongest_body(t, point_m));
+    touch_store_anchor(anchor, t, anchor_m, point_m);
     return friction;
 }
 

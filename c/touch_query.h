@@ -39,6 +39,12 @@ static inline int64_t touch_strongest_body(const touch_instant *t, touch_vector 
 /* Where a body lies: a point x of the body is at R x + position. */
 static inline touch_matrix touch_body_rotation(const touch_instant *t, int64_t body);
 static inline touch_vector touch_body_position(const touch_instant *t, int64_t body);
+/* The body that carries a point: the one that pushes most there; -1: none, as in voxels. */
+static inline int64_t touch_carrying_body(const touch_instant *t, touch_vector point_m);
+/* A point of the scene in the axes of a body; and where one that is fixed to a body lies now, `point_m` without a body. */
+static inline touch_vector touch_point_in_body(const touch_instant *t, int64_t body, touch_vector point_m);
+static inline touch_vector touch_carried_point(const touch_instant *t, int64_t body, touch_vector in_body_m,
+                                               touch_vector point_m);
 /* The displacements by which the first frame yields follow a force at a point for dt_s seconds; all others go to rest. */
 static inline void touch_yield(touch_receiver *receiver, const touch_instant *t, touch_vector point_m, touch_vector force_n,
                                double dt_s);
@@ -128,6 +134,24 @@ static inline touch_matrix touch_body_rotation(const touch_instant *t, int64_t b
 static inline touch_vector touch_body_position(const touch_instant *t, int64_t body) {
     touch_body_pair b = touch_pair_of(t, body);
     return touch_between(b.before->position_m, b.after->position_m, t->blend);
+}
+
+static inline int64_t touch_carrying_body(const touch_instant *t, touch_vector point_m) {
+    const touch_body_pose *poses = (const touch_body_pose *)(const void *)(t->before + 1);
+    return poses->is_identity ? -1 : touch_strongest_body(t, point_m);
+}
+
+static inline touch_vector touch_point_in_body(const touch_instant *t, int64_t body, touch_vector point_m) {
+    if (body < 0) return point_m;
+    touch_matrix rotation = touch_body_rotation(t, body);
+    return touch_rotate_back(&rotation, touch_subtract(point_m, touch_body_position(t, body)));
+}
+
+static inline touch_vector touch_carried_point(const touch_instant *t, int64_t body, touch_vector in_body_m,
+                                               touch_vector point_m) {
+    if (body < 0 || body >= touch_body_count(t)) return point_m;
+    touch_matrix rotation = touch_body_rotation(t, body);
+    return touch_add(touch_rotate(&rotation, in_body_m), touch_body_position(t, body));
 }
 
 /* Angular velocity times surface damping, N/m. */

@@ -228,7 +228,7 @@ typedef struct { /* what one tick leaves for the next */
     touch_seam seam;
     double brake_n_s_per_m;      /* on its way to that of the settings */
     double compliance_m_per_n;   /* 1 / K of the virtual coupling, on its way to that of the settings */
-    double friction;             /* mu at this point */
+    double friction;             /* mu at this point: of the material, else of the settings */
     double slid_m;               /* since friction last gave way */
     touch_matrix tool_rotation;  /* field from tool */
 } touch_tick_state;

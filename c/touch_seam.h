@@ -75,28 +75,27 @@ static inline int touch_is_jump(const touch_receiver *receiver, const touch_inst
 
 /* -- over a seam ------------------------------------------------------------------------------------------------------- */
 
+/* Whether a body has gone too far to carry a point that is fixed to it. */
+static inline int touch_has_body_jumped(const touch_instant *t, int64_t body, touch_vector in_body_m, touch_vector point_m) {
+    touch_vector carry = touch_subtract(touch_carried_point(t, body, in_body_m, point_m), point_m);
+    return !(touch_norm(carry) <= TOUCH_MAX_CARRY_M);
+}
+
 /* Leave the proxy where it is if its body has jumped, and the anchor of friction behind. */
 static inline void touch_stay_in_place(touch_receiver *receiver, const touch_instant *t) {
     touch_tick_state *state = &receiver->state;
     touch_proxy *proxy = &state->proxy;
-    touch_isosurface s;
-    memset(&s, 0, sizeof s);
-    s.receiver = receiver, s.instant = t;
-    if (proxy->is_active && proxy->body >= 0) {
-        touch_vector carry = touch_subtract(touch_carried_position(&s), proxy->position_m);
-        if (!(touch_norm(carry) <= TOUCH_MAX_CARRY_M)) proxy->body = -1;
-    }
-    if (state->anchor.is_set) {
-        touch_vector carry = touch_subtract(touch_carried_anchor(&state->anchor, t, touch_zero()), state->anchor.position_m);
-        if (!(touch_norm(carry) <= TOUCH_MAX_CARRY_M)) state->anchor.is_set = 0;
-    }
+    touch_stick_anchor *anchor = &state->anchor;
+    if (proxy->is_active && touch_has_body_jumped(t, proxy->body, proxy->body_position_m, proxy->position_m)) proxy->body = -1;
+    if (anchor->is_set && touch_has_body_jumped(t, anchor->body, anchor->body_position_m, anchor->position_m))
+        anchor->is_set = 0;
     if (!(receiver->settings.wall_n_per_m > 0.0)) return;
     for (int n = 0; n < TOUCH_SEAM_SEARCHES; n++) (void)touch_contact_force(receiver, t, state->position_m, 0.0);
     proxy->eased_n = touch_zero(); /* the fade does that for the whole force */
 }
 
 /* By how much the motion of the hand since the tick before changes the force of the field, N, in the device's axes: no
-   part of what changes at a seam. */
+   part of what changes at a seam. Before the gain is that of this tick: where it was zero, there was no force to go on. */
 static inline touch_vector touch_motion_change(const touch_receiver *receiver, const touch_instant *t) {
     const touch_settings *settings = &receiver->settings;
     const touch_tick_state *state = &receiver->state;

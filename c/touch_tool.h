@@ -23,6 +23,27 @@
 static inline touch_vector touch_tool_force(const touch_receiver *receiver, const touch_instant *t, touch_vector point_m,
                                             touch_vector *torque_nm);
 
+#define TOUCH_MIN_ORIENTATION_SQUARE 0.81 /* |q|^2 of a quaternion that was meant to be of length 1 */
+#define TOUCH_MAX_ORIENTATION_SQUARE 1.21
+
+/* Whether the orientation of the grip is known, if there is a tool; sets that of the tool in the field. */
+static inline int touch_orient_tool(touch_receiver *receiver) {
+    const double *q = receiver->grip.orientation;
+    if (!TOUCH_HAS_EXTRAS || !receiver->settings.tool_point_count) return 1;
+    touch_vector v = touch_vector_of(q[1], q[2], q[3]);
+    double square = q[0] * q[0] + touch_dot(v, v);
+    if (!(square >= TOUCH_MIN_ORIENTATION_SQUARE && square <= TOUCH_MAX_ORIENTATION_SQUARE)) return 0;
+    const touch_matrix *axes = &receiver->settings.axes;
+    touch_matrix grip = touch_rotation_of(q[0], v), columns;
+    for (int n = 0; n < 3; n++) /* axes . grip . axes^T, column by column */
+        columns.row[n] = touch_rotate(axes, touch_rotate(&grip, axes->row[n]));
+    touch_matrix *rotation = &receiver->state.tool_rotation;
+    rotation->row[0] = touch_vector_of(columns.row[0].x, columns.row[1].x, columns.row[2].x);
+    rotation->row[1] = touch_vector_of(columns.row[0].y, columns.row[1].y, columns.row[2].y);
+    rotation->row[2] = touch_vector_of(columns.row[0].z, columns.row[1].z, columns.row[2].z);
+    return 1;
+}
+
 enum { TOUCH_TOOL_BLOCK = 512, TOUCH_TOOL_LANES = 16 }; /* points at a time; sums at a time */
 
 typedef struct { /* a vector for each point of a block, by component */

@@ -108,6 +108,8 @@ TOUCH_INLINE double touch_norm(touch_vector v) {
     return largest * sqrt(touch_dot(unit, unit));
 }
 
+static inline int touch_is_zero(touch_vector v) { return v.x == 0.0 && v.y == 0.0 && v.z == 0.0; }
+
 TOUCH_INLINE int touch_is_finite(touch_vector v) { return isfinite(v.x) && isfinite(v.y) && isfinite(v.z); }
 
 #endif

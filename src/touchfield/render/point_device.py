@@ -8,6 +8,7 @@ passed all limits; a driver changes none of them.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from typing import ClassVar, Final
 
@@ -18,6 +19,9 @@ from touchfield.render.readiness import Readiness
 
 Point = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]  # w, x, y, z
+
+NOWHERE: Final = (math.nan, math.nan, math.nan)
+"""Position that is not known: a tick without a position."""
 
 
 class PointDevice(ABC):

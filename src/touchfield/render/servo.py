@@ -27,7 +27,7 @@ from touchfield.compute.native import native
 from touchfield.errors import DeviceError, TouchfieldError
 from touchfield.render.block import Block, Memory, layout
 from touchfield.render.loop_delay import LoopMeter, LoopTimes
-from touchfield.render.point_device import Point, PointDevice
+from touchfield.render.point_device import NOWHERE, Point, PointDevice
 from touchfield.render.readiness import ReadinessWatch, open_when_ready
 from touchfield.render.readings import (
     buttons_reading,
@@ -41,7 +41,6 @@ Opener = Callable[[], PointDevice]
 
 _WATCH_S: Final = 0.01
 _MAX_SILENCE_S: Final = 2.0  # time without a call after which a driver counts as dead
-_NOWHERE: Final = (math.nan, math.nan, math.nan)
 
 
 class WallClock:
@@ -160,7 +159,7 @@ def serve(
                 start_s = perf_counter()
                 latest_m = link.position_m()
                 if watch is not None and not watch.is_ready(start_s):
-                    latest_m = _NOWHERE
+                    latest_m = NOWHERE
                 link.put(native.cycle(memory.bytes, *latest_m, clock.now_ns() if is_paced else now_ns))
                 if meter is not None:
                     end_s = perf_counter()

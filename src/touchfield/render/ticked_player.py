@@ -14,13 +14,13 @@ process. A thread decodes ahead.
 
 from __future__ import annotations
 
-import math
 import time
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from touchfield.compute.native import native
 from touchfield.render.block import DEFAULT_BYTES, Memory, layout
 from touchfield.render.player import Session, is_over
+from touchfield.render.point_device import NOWHERE
 from touchfield.render.readings import position_reading
 from touchfield.render.spec import RenderSpec
 
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from touchfield.medium import HapticMedium, HapticScene
 
 Vector = tuple[float, float, float]
-
-_NOWHERE: Final = (math.nan, math.nan, math.nan)
 
 
 class TickedPlayer:
@@ -95,7 +93,7 @@ class TickedPlayer:
         if self._is_simulated:
             self._feeder.fill_lookahead(self._lookahead)
         now_ns = time.perf_counter_ns() if now_ns is None else now_ns
-        point_m = _NOWHERE if position_m is None else position_reading(position_m)
+        point_m = NOWHERE if position_m is None else position_reading(position_m)
         return native.cycle(self._memory.bytes, *point_m, now_ns)
 
     def play(self) -> None:
