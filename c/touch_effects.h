@@ -160,10 +160,10 @@ static inline void touch_smooth_settings(touch_receiver *receiver) {
 /* -- damping ---------------------------------------------------------------------------------------------------------- */
 
 /* A force of the field with the damper in contact: along it alone, and never more than it. */
-static inline touch_vector touch_damped(const touch_tick_state *state, touch_vector force_n, touch_vector velocity_m_s) {
+static inline touch_vector touch_braked(const touch_tick_state *state, touch_vector force_n, touch_vector velocity_m_s) {
     double size = touch_norm(force_n);
     if (!(state->brake_n_s_per_m > 0.0 && size > 0.0)) return force_n;
-    touch_vector outwards = touch_vector_of(force_n.x / size, force_n.y / size, force_n.z / size);
+    touch_vector outwards = touch_divided(force_n, size);
     double fraction = state->brake_n_s_per_m * touch_dot(outwards, velocity_m_s) / size;
     return touch_scale(1.0 - touch_clamp(fraction, -1.0, 1.0), force_n);
 }

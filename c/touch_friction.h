@@ -70,7 +70,7 @@ static inline touch_vector touch_friction_force(touch_receiver *receiver, const 
     rule.max_n = state->friction * size;
     rule.stick_n_per_m = settings->stick_n_per_m;
     rule.stick_n_s_per_m = settings->stick_n_s_per_m;
-    rule.normal = touch_vector_of(force_n.x / size, force_n.y / size, force_n.z / size);
+    rule.normal = touch_divided(force_n, size);
     rule.velocity_m_s = velocity;
     touch_vector friction = touch_stick_friction(&rule, point_m, &anchor_m);
     touch_store_anchor(anchor, t, anchor_m, point_m);

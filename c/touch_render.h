@@ -8,8 +8,7 @@
            put force_n, and receiver->state.torque.output, N m, out to the device;
        }
 
-   Read this file from top to bottom: a function stands before those that it calls, and what belongs to another file stands
-   there. One tick, call by call:
+   Read this file from top to bottom: a function stands before those that it calls. One tick, call by call:
 
        touch_receiver_tick             all of it, at a time of the clock
            touch_count_silence             does the player, and the thread that decodes, still live?      touch_timing.h
@@ -17,20 +16,26 @@
            touch_take_order                play, pause, seek, stop                                        touch_media_clock.h
            touch_find_frames               the two frames around now, and how far between them            touch_media_clock.h
            touch_tick                      the force:
-               touch_store_past_force          for the passivity observer                                 touch_effects.h
+               touch_store_past_force          for passivity                                              touch_effects.h
                touch_orient_tool               orientation of a tool                                      touch_tool.h
-               touch_move_device               device to field: axes, scale, clutch; velocity; passivity observer
+               touch_move_device               device to field: axes, scale, clutch
+                   touch_passivity_observer        the energy that the hand put in                        touch_effects.h
+                   touch_update_velocity           low-passed                                             touch_effects.h
+                   touch_smooth_settings           brake and coupling, on their way to the settings       touch_effects.h
                touch_force_over_seam           the desired force; after a jump of the medium with what is left of that before
                    touch_desired_force
-                       touch_find_material         the material there, if there are any                   touch_effects.h
+                       touch_find_material         the material there, if there are any, and mu           touch_effects.h
                        touch_field_force           one of four:
                            touch_contact_force         proxy (god object)                                 touch_proxy.h
                            touch_tool_force            penalty forces on the points of a tool             touch_tool.h
                            touch_coupling_force        virtual coupling                                   touch_effects.h
                            touch_force_at              penalty force at the point                         touch_query.h
-                       touch_friction_force        dry friction at the proxy or the hand                  touch_friction.h
-                       touch_vibration_force, touch_texture, touch_damped                                 touch_effects.h
+                           touch_yield                 a deformed medium gives way, if there is no proxy  touch_query.h
+                           touch_friction_force        dry friction at the proxy or the hand              touch_friction.h
+                       touch_vibration_force, touch_texture, touch_braked                                 touch_effects.h
                        touch_passivity_controller                                                         touch_effects.h
+               touch_wait_for_seek             or, while a seek waits for its frames: the force before fades
+               touch_ramp_out                  or, without a frame or a position: it ramps down
                touch_limit_both                after the ramp's gain: the peak, lowered by heat; then slew
            touch_release                   in place of touch_tick after a stop: the next force on the way to zero
            touch_write_row                 the log                                                        touch_log.h
@@ -38,8 +43,8 @@
    Two frames of reference: "device" is the axes of the device, metres of the workspace; "field" is that of the medium.
 
    Only touch_tick and touch_release put forces out. Both do so through touch_limit_both, or repeat the last force where no
-   time has passed. Without a frame, a position or an orientation of the device, the gain goes to zero in the time of the ramp,
-   and so does the last force. */
+   time has passed. Without a frame, a position or an orientation of the device, the gain goes to zero in the time of the
+   ramp, and so does the last force. */
 #ifndef TOUCH_RENDER_H
 #define TOUCH_RENDER_H
 
@@ -68,7 +73,7 @@ static inline void touch_leave_field(touch_tick_state *state);
 static inline touch_vector touch_limit_both(touch_receiver *receiver, touch_vector force_n, touch_vector torque_nm,
                                             double dt_s);
 
-#define TOUCH_MAX_TICK_S 60.0 /* a tick that comes later is as good as a first one */
+#define TOUCH_MAX_TICK_S 60.0 /* a tick that comes later counts as this long */
 
 /* -- a tick ----------------------------------------------------------------------------------------------------------- */
 
@@ -77,18 +82,18 @@ static inline touch_vector touch_limit_both(touch_receiver *receiver, touch_vect
 static inline touch_vector touch_receiver_tick(touch_receiver *receiver, touch_vector device_m, int64_t now_ns) {
     touch_clock *clock = &receiver->clock;
     int64_t ticks = receiver->counts.ticks;
-    double dt_s = 1.0 / receiver->settings.rate_hz;
-    double clock_s = (double)ticks / receiver->settings.rate_hz;
     int is_silent = touch_count_silence(receiver, now_ns);
-    touch_count_time(receiver, now_ns);
-    if (!receiver->layout.is_simulated) {
-        clock_s = 1e-9 * (double)(now_ns - receiver->counts.first_ns);
-        if (ticks) dt_s = touch_fmax(clock_s - clock->clock_s, 0.0);
+    touch_count_time(receiver, now_ns); /* counts this tick; the two lines above need the state before it */
+    double clock_s = 1e-9 * (double)(now_ns - receiver->counts.first_ns);
+    double dt_s = ticks ? touch_fmax(clock_s - clock->clock_s, 0.0) : 1.0 / receiver->settings.rate_hz;
+    if (receiver->layout.is_simulated) {
+        clock_s = (double)ticks / receiver->settings.rate_hz;
+        dt_s = 1.0 / receiver->settings.rate_hz;
     }
     clock->clock_s = clock_s;
 
     touch_take_order(receiver, clock_s);
-    int is_stopping = clock->is_stop_ordered || touch_shared(&clock->is_stopping);
+    int is_stopping = clock->is_stop_ordered || touch_shared(&clock->is_stopping); /* by the player, or by the servo itself */
     touch_frames frames = touch_find_frames(receiver, clock_s, is_silent);
 
     touch_vector force;
@@ -100,7 +105,7 @@ static inline touch_vector touch_receiver_tick(touch_receiver *receiver, touch_v
 
     touch_write_row(receiver, clock_s, force, touch_flags(clock, is_silent, is_stopping));
     TOUCH_FENCE();
-    touch_share(&clock->needs, touch_tag(clock->generation, frames.first_frame));
+    touch_share(&clock->needs, touch_tag(clock->generation, frames.first_frame)); /* frames before it may be overwritten */
     touch_share(&clock->is_resting, is_zero);
     if (is_stopping && is_zero) touch_share(&clock->is_released, 1);
     return force;
@@ -118,20 +123,20 @@ static inline touch_vector touch_tick(touch_receiver *receiver, int64_t before_o
     dt_s = touch_fmin(dt_s, TOUCH_MAX_TICK_S);
     state->since_s += dt_s;
     touch_store_past_force(receiver);
-    int is_pose_known = touch_is_position(device_m) && touch_orient_tool(receiver);
+    int is_tool_known = touch_orient_tool(receiver);
+    int is_pose_known = touch_is_position(device_m) && is_tool_known;
     if (is_pose_known) touch_move_device(receiver, device_m);
     double gain_step = touch_clamped_dt(settings, dt_s) / settings->ramp_s;
     if (before_offset && after_offset && is_pose_known) {
         touch_instant t = touch_instant_of(receiver, before_offset, after_offset, blend);
         double gain = touch_fmin(1.0, state->gain + gain_step);
         state->force.desired = touch_force_over_seam(receiver, &t, dt_s);
-        state->gain = gain;
+        state->gain = gain; /* only now: touch_force_over_seam needs that of the tick before */
     } else if (state->seam.is_waiting && is_pose_known && state->gain > 0.0) {
         touch_wait_for_seek(receiver, dt_s);
     } else {
         touch_ramp_out(state, gain_step);
     }
-    if (state->gain == 0.0) state->torque.desired = touch_zero();
     touch_vector force = touch_scale(state->gain, state->force.desired);
     return touch_limit_both(receiver, force, touch_scale(state->gain, state->torque.desired), dt_s);
 }
@@ -225,7 +230,7 @@ static inline touch_vector touch_desired_force(touch_receiver *receiver, const t
     const touch_material *material = NULL;
     if (TOUCH_HAS_EXTRAS && settings->material_count > 0) material = touch_find_material(receiver, t, point);
     touch_vector force = touch_field_force(receiver, t, &point, &friction, dt_s);
-    state->field_force_n = force;
+    state->field_force_n = force; /* for the log */
     state->friction_n = friction;
 
     double size = touch_norm(force);
@@ -233,10 +238,9 @@ static inline touch_vector touch_desired_force(touch_receiver *receiver, const t
     if (material) vibration += touch_texture(receiver, material, force, velocity, dt_s);
     touch_vector added = touch_add_scaled(friction, -settings->damping_n_s_per_m, velocity);
     touch_vector vibration_n = touch_vector_of(0.0, 0.0, vibration); /* along the force; upwards where there is none */
-    if (size > 0.0)
-        vibration_n = touch_vector_of(force.x / size * vibration, force.y / size * vibration, force.z / size * vibration);
+    if (size > 0.0) vibration_n = touch_scale(vibration, touch_divided(force, size));
     added = touch_add(added, vibration_n);
-    force = touch_add(touch_damped(state, force, velocity), added);
+    force = touch_add(touch_braked(state, force, velocity), added); /* the brake acts along the field's force alone */
 
     /* from the field's axes into the device's */
     force = touch_scale(settings->force_scale, touch_rotate_back(&settings->axes, force));
@@ -247,15 +251,16 @@ static inline touch_vector touch_desired_force(touch_receiver *receiver, const t
 
 #define TOUCH_MIN_COMPLIANCE_M_PER_N 1e-9 /* 1 / K of the coupling: a stiffer one is none */
 
-/* The force of the field on the hand, N, in the field's axes, without friction, and what friction adds. By settings: proxy,
-   tool, virtual coupling, or the force at the point itself. `*point_m` is the hand; with a virtual coupling it becomes the
-   position of the proxy. */
+/* The force of the field on the hand, N, in the field's axes, without friction, and what friction adds. By settings: proxy (god
+   object), tool, virtual coupling, or the force at the point itself. `*point_m` is the hand; with a virtual coupling it becomes
+   the other end of the coupling. */
 static inline touch_vector touch_field_force(touch_receiver *receiver, const touch_instant *t, touch_vector *point_m,
                                              touch_vector *friction_n, double dt_s) {
     const touch_settings *settings = &receiver->settings;
     touch_tick_state *state = &receiver->state;
+    int has_proxy = settings->wall_n_per_m > 0.0;
     touch_vector force;
-    if (settings->wall_n_per_m > 0.0) {
+    if (has_proxy) {
         force = touch_contact_force(receiver, t, *point_m, dt_s);
     } else if (TOUCH_HAS_EXTRAS && settings->tool_point_count > 0) {
         force = touch_tool_force(receiver, t, *point_m, &state->field_torque_nm);
@@ -266,13 +271,14 @@ static inline touch_vector touch_field_force(touch_receiver *receiver, const tou
         force = touch_force_at(t, *point_m);
     }
     if (!touch_is_finite(force)) force = touch_zero();
-    if (!(settings->wall_n_per_m > 0.0)) touch_yield(receiver, t, *point_m, force, dt_s);
-    touch_vector stuck = settings->wall_n_per_m > 0.0 ? state->proxy.position_m : *point_m;
-    *friction_n = touch_friction_force(receiver, t, stuck, force, dt_s);
+    if (!has_proxy) touch_yield(receiver, t, *point_m, force, dt_s); /* a proxy needs walls that stay */
+    touch_vector contact_m = has_proxy ? state->proxy.position_m : *point_m;
+    *friction_n = touch_friction_force(receiver, t, contact_m, force, dt_s);
     return force;
 }
 
-/* The torque before gain and limits, N m, in the device's axes: a lever of the field is `scale` times the device's. */
+/* The torque before gain and limits, N m, in the device's axes: a lever of the field is `scale` times the device's, and
+   mirrored axes turn its sign. */
 static inline void touch_desired_torque(touch_receiver *receiver) {
     const touch_settings *settings = &receiver->settings;
     touch_vector torque = receiver->state.field_torque_nm;
@@ -283,7 +289,7 @@ static inline void touch_desired_torque(touch_receiver *receiver) {
 
 /* -- ramp and limits -------------------------------------------------------------------------------------------------- */
 
-/* No force and no friction of the field act in this tick. */
+/* No force and no friction of the field act in this tick, nor stand in the log. */
 static inline void touch_skip_field(touch_tick_state *state) {
     state->field_force_n = state->friction_n = state->field_torque_nm = touch_zero();
 }
@@ -301,7 +307,7 @@ static inline void touch_ramp_out(touch_tick_state *state, double gain_step) {
     }
     if (state->gain > 0.0) return;
     touch_leave_field(state);
-    state->force.desired = touch_zero();
+    state->force.desired = state->torque.desired = touch_zero();
 }
 
 /* The hand leaves the field: where it was in contact is forgotten. */

@@ -92,7 +92,7 @@ static inline double touch_determinant(const touch_matrix *m) {
 
 /* For slow movements, a force that is sampled, held and delayed by d equals -K x(t - T/2 - d): a spring with a negative
    damper of K (T/2 + d), which the device must compensate (Colgate and Schenkel 1997). In contact the renderer brakes with
-   B = 2 K (T/2 + d) - b along the force (touch_damped). The damper lags by L: against a mass m (the device and a light
+   B = 2 K (T/2 + d) - b along the force (touch_braked). The damper lags by L: against a mass m (the device and a light
    hand), B is limited to m / 2L and K to 0.4 m / L^2. One step q of the encoder changes the force by q (K + B / T s), with s
    the weight of a new sample in the velocity filter; this is limited to 35 mN and twice the friction (Diolaiti 2006). A
    stiffer field is rendered through a coupling; but a stiffness that Colgate's rule allows for the bare device is rendered
@@ -282,7 +282,7 @@ static inline touch_vector touch_wall_force(const touch_wall_field *w, touch_vec
 static inline touch_wall_part touch_wall_part_of(const touch_wall_field *w, uint64_t brick, int s, double *slope_n_per_m) {
     touch_vector force = touch_sample_force(w->field->forces_n + TOUCH_BRICK_FLOATS * brick + 3 * s);
     double size = sqrt(touch_dot(force, force));
-    touch_vector outwards = touch_vector_of(force.x / size, force.y / size, force.z / size);
+    touch_vector outwards = touch_divided(force, size);
     const int32_t *b = w->field->brick + 3 * brick;
     touch_vector way = touch_vector_of(outwards.x * w->spacing_m[0], outwards.y * w->spacing_m[1],
                                        outwards.z * w->spacing_m[2]);

@@ -60,6 +60,11 @@ TOUCH_INLINE touch_vector touch_scale(double factor, touch_vector a) {
     return touch_vector_of(factor * a.x, factor * a.y, factor * a.z);
 }
 
+/* a / length: of length 1 where that is its own; without an overflow, which touch_scale(1 / length, a) may have */
+TOUCH_INLINE touch_vector touch_divided(touch_vector a, double length) {
+    return touch_vector_of(a.x / length, a.y / length, a.z / length);
+}
+
 /* a + factor b */
 TOUCH_INLINE touch_vector touch_add_scaled(touch_vector a, double factor, touch_vector b) {
     return touch_vector_of(a.x + factor * b.x, a.y + factor * b.y, a.z + factor * b.z);
