@@ -251,22 +251,27 @@ _PANELS: Final = (
 """Each view and its horizontal and vertical direction, in x right, y up, z towards the viewer."""
 
 _MARGIN: Final = 0.12  # around the workspace, of its largest side
+_CROPPED_MARGIN: Final = 0.05  # likewise, around the samples with forces
 
 
-def shadows(fields: Sequence[ForceField], title: str, permutation: Float64s) -> Figure:
+def shadows(
+    fields: Sequence[ForceField], title: str, permutation: Float64s, *, is_cropped: bool = False
+) -> Figure:
     """Draw three projections of fields on one grid, with its box, in millimetres.
 
     `permutation` is the signed permutation [3, 3] from x right, y up, z towards the viewer to their axes.
+    The panels show the box of the grid, or, if `is_cropped`, the box of the samples with forces.
     """
     grid = fields[0].grid
     low_mm, high_mm = (1e3 * corner for corner in grid.box_m)
-    sides = high_mm - low_mm
-    margin = _MARGIN * float(sides.max())
+    shown_low_mm, shown_high_mm = _supported_box_mm(fields) if is_cropped else (low_mm, high_mm)
+    sides, shown_sides = high_mm - low_mm, shown_high_mm - shown_low_mm
+    margin = (_CROPPED_MARGIN if is_cropped else _MARGIN) * float(shown_sides.max())
     panels_of = [
         (name, *_seen_axis(permutation, across), *_seen_axis(permutation, up)) for name, across, up in _PANELS
     ]
-    widths = [float(sides[across] + 2 * margin) for _, across, _, _, _ in panels_of]
-    heights = [float(sides[up] + 2 * margin) for *_, up, _ in panels_of]
+    widths = [float(shown_sides[across] + 2 * margin) for _, across, _, _, _ in panels_of]
+    heights = [float(shown_sides[up] + 2 * margin) for *_, up, _ in panels_of]
     height_inch = 1.6 + 13.0 * max(heights) / sum(widths)
     figure = titled_figure("the preview of a field", title, 15.0, height_inch)
     from matplotlib.patches import Rectangle
@@ -282,8 +287,8 @@ def shadows(fields: Sequence[ForceField], title: str, permutation: Float64s) -> 
         )  # fmt: skip
         corner, size = (low_mm[across], low_mm[up]), (sides[across], sides[up])
         panel.add_patch(Rectangle(corner, *size, fill=False, edgecolor="0.2", linewidth=1.2, linestyle="--"))
-        panel.set_xlim(low_mm[across] - margin, high_mm[across] + margin)
-        panel.set_ylim(low_mm[up] - margin, high_mm[up] + margin)
+        panel.set_xlim(shown_low_mm[across] - margin, shown_high_mm[across] + margin)
+        panel.set_ylim(shown_low_mm[up] - margin, shown_high_mm[up] + margin)
         panel.set_title(name, fontsize=10)
         panel.set_xlabel(f"{'xyz'[across]} / mm", fontsize=9)
         panel.set_ylabel(f"{'xyz'[up]} / mm", fontsize=9)
@@ -301,6 +306,21 @@ def shadows(fields: Sequence[ForceField], title: str, permutation: Float64s) -> 
         "greatest |F| along the sight / N", fontsize=9
     )
     return figure
+
+
+def _supported_box_mm(fields: Sequence[ForceField]) -> tuple[Float64s, Float64s]:
+    """Return the corners of the box of the samples with forces; without forces, those of the grid."""
+    grid = fields[0].grid
+    corners = [end for field in fields if len(field.bricks) for end in _supported_ends(field)]
+    if not corners:
+        return 1e3 * grid.box_m[0], 1e3 * grid.box_m[1]
+    half = np.asarray(grid.spacing_m) / 2
+    return 1e3 * (np.min(corners, axis=0) - half), 1e3 * (np.max(corners, axis=0) + half)
+
+
+def _supported_ends(field: ForceField) -> tuple[Float64s, Float64s]:
+    positions = field.positions()
+    return field.grid.to_m(positions.min(axis=0)), field.grid.to_m(positions.max(axis=0))
 
 
 def _seen_axis(permutation: Float64s, direction: tuple[int, int, int]) -> tuple[int, bool]:
