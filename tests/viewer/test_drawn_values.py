@@ -230,7 +230,7 @@ def test_slices_of_a_comparison_show_the_forces_and_their_errors(drawn: Drawn) -
     np.testing.assert_allclose(
         filled(panels[8].images[0]), np.where(both[:, cut], angle, np.nan).T, rtol=1e-3, atol=1e-3
     )
-    names = ["first contact"] * 2 + ["worst error"] + ["|F|"] * 2 + ["error, in"] + ["direction"] * 2
+    names = ["first contact"] * 2 + ["largest error"] + ["|F|"] * 2 + ["error, in"] + ["direction"] * 2
     names.append("direction error")
     for panel, title in zip(panels, names, strict=True):
         assert title in panel.get_title()

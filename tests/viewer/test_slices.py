@@ -97,12 +97,12 @@ def test_each_row_is_cropped_to_its_forces_with_arrows_in_the_plane(monkeypatch:
     forces[60:62, 2:6, 24, 2] = 0.5
     field = ForceField.from_dense(grid, forces)
     draw_comparison(
-        "x.png", field, field, "t", "x right, y down, z forward", (0.1, 0.05), ("before", "after")
+        "x.png", field, field, "t", "x right, y down, z forward", (0.1, 0.05), ("before", "after", "change")
     )
     panels = [panel for panel in figures[0].axes if panel.get_label() != "<colorbar>"]
     front, amplitude, direction = panels[0], panels[3], panels[6]
     assert front.get_xlim()[1] > 61 and amplitude.get_title() == "before |F|, slice at x = 20.0 mm"
-    assert panels[4].get_title().startswith("after |F|")
+    assert panels[4].get_title().startswith("after |F|") and panels[5].get_title().startswith("change, in")
     for panel in (amplitude, direction):
         assert (panel.get_xlabel(), panel.get_ylabel()) == ("z / mm", "y / mm") and panel.yaxis_inverted()
         for limits in (panel.get_xlim(), panel.get_ylim()):

@@ -36,15 +36,16 @@ def draw_comparison(
     title: str,
     axes: str,
     mask: tuple[float, float],
-    names: tuple[str, str] = ("source", "decoded"),
+    names: tuple[str, str, str] = ("source", "decoded", "error"),
 ) -> None:
     """Write a PNG that compares two fields on one grid.
 
     The rows show the first contact of a hand that comes from the viewer's side, |F| on the slice that shows
     the most (`choose_slice`), and the direction on the same slice, as arrows of the part in the plane; for an
     array of actuators, the single row shows |F| of each. Each row is cropped to the samples with forces. The
-    columns are the two fields, by `names`, and the error. `axes` are those of the medium, such as "x right, y
-    down, z forward"; `mask` is (k, F_0) of max(F_0, k |F|). `MissingExtra` if matplotlib is not installed.
+    columns are the two fields and their difference, by `names`. `axes` are those of the medium, such as "x
+    right, y down, z forward"; `mask` is (k, F_0) of max(F_0, k |F|). `MissingExtra` if matplotlib is not
+    installed.
     """
     panels = _Panels(original, decoded, axes, mask, names)
     rows = [panels.draw_amplitudes]
@@ -76,7 +77,7 @@ class _Panels:
         decoded: ForceField,
         axes: str,
         mask: tuple[float, float],
-        names: tuple[str, str] = ("source", "decoded"),
+        names: tuple[str, str, str] = ("source", "decoded", "error"),
     ) -> None:
         self.axes, self.mask, self.names = axes, mask, names
         grid = original.grid
@@ -147,7 +148,8 @@ class _Panels:
 
     def _mask_bar(self, figure: Any, panel: Any, view: _View, values: NDArray[Any], title: str) -> None:
         worst = self._image(panel, view, values, title, vmin=0, vmax=2, cmap="PuOr_r")
-        _bar(figure, worst, panel, f"|error| / max({self.mask[1]:g} N, {self.mask[0]:g} |F|)", extend="max")
+        label = f"|{self.names[2]}| / max({self.mask[1]:g} N, {self.mask[0]:g} |F|)"
+        _bar(figure, worst, panel, label, extend="max")
 
     # -- rows -----------------------------------------------------------------------------------------------
 
@@ -167,7 +169,9 @@ class _Panels:
             image = self._image(panel, view, depth, f"{name}: first contact along z", **scale)
         _bar(figure, image, list(row[:2]), "z of first contact / mm")
         worst = np.nanmax(np.where(np.isnan(self.error), -1, self.error), axis=_Z)
-        self._mask_bar(figure, row[2], view, np.where(worst < 0, np.nan, worst), "worst error along z")
+        self._mask_bar(
+            figure, row[2], view, np.where(worst < 0, np.nan, worst), f"largest {self.names[2]} along z"
+        )
 
     def _contact_mm(self, force: Float32s) -> Float64s:
         perceptible = force > self.mask[1]
@@ -194,7 +198,9 @@ class _Panels:
                 panel, view, supported_n, f"{name} |F|{slice_text}", vmin=0, vmax=self.top_n, cmap="cividis"
             )
         _bar(figure, image, list(row[:2]), "|F| / N")
-        self._mask_bar(figure, row[2], view, self._in_slice(self.error), "error, in units of the mask")
+        self._mask_bar(
+            figure, row[2], view, self._in_slice(self.error), f"{self.names[2]}, in units of the mask"
+        )
 
     def draw_directions(self, figure: Any, row: Any) -> None:
         """Draw the direction on the same slice, and its error in degrees."""
@@ -206,7 +212,9 @@ class _Panels:
         across = lengths_of(np.cross(units[0], units[1]))
         angle = np.where(supported, np.degrees(np.arctan2(across, (units[0] * units[1]).sum(-1))), np.nan)
         view = self._slice_view()
-        worst = self._image(row[2], view, angle, "direction error", vmin=0, vmax=20, cmap="cividis")
+        worst = self._image(
+            row[2], view, angle, f"direction {self.names[2]}", vmin=0, vmax=20, cmap="cividis"
+        )
         _bar(figure, worst, row[2], "angle / degrees", extend="max")
 
     def _quiver(self, panel: Any, unit: Float32s, title: str) -> Any:

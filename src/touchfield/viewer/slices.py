@@ -8,7 +8,7 @@ most is chosen, which cuts the most surface.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -48,10 +48,18 @@ def choose_slice(forces_n: Float32s, spacing_m: tuple[float, ...], axes: str = "
     merits = np.array([_merit(forces_n, spacing_m, axis) for axis, _, _ in planes])
     axis, across, up = planes[int(np.argmax(merits >= (1 - _TOLERANCE) * merits.max()))]
     variations = _variations(forces_n, spacing_m, axis, (across, up))
-    equal = np.flatnonzero(variations >= (1 - _TOLERANCE) * variations.max())
-    if _is_vertical(axes, across):
-        across, up = up, across
-    return FieldSlice(axis, int(equal[len(equal) // 2]), across, up)
+    return _turned(FieldSlice(axis, _middle_of_best(variations), across, up), axes)
+
+
+def largest_slice(samples: Bools, spacing_m: tuple[float, ...], axes: str = "") -> FieldSlice:
+    """Return the slice with the largest area of the given samples, bool [nx, ny, nz]; see `choose_slice`."""
+    areas = []
+    for axis, *_ in _PLANES:
+        others = tuple(n for n in range(3) if n != axis)
+        areas.append(np.count_nonzero(samples, axis=others) * np.prod([spacing_m[n] for n in others]))
+    chosen = int(np.argmax([area.max() for area in areas]))
+    axis, across, up = _PLANES[chosen]
+    return _turned(FieldSlice(axis, _middle_of_best(areas[chosen]), across, up), axes)
 
 
 def _merit(forces_n: Float32s, spacing_m: tuple[float, ...], axis: int) -> float:
@@ -76,8 +84,15 @@ def _variations(
     return variations
 
 
-def _is_vertical(axes: str, axis: int) -> bool:
-    return any(f"{'xyz'[axis]} {way}" in axes for way in ("up", "down"))
+def _middle_of_best(values: Float64s) -> int:
+    best = np.flatnonzero(values >= (1 - _TOLERANCE) * values.max())
+    return int(best[len(best) // 2])
+
+
+def _turned(plane: FieldSlice, axes: str) -> FieldSlice:
+    """Return a slice whose vertical axis is the one that points up or down by `axes`, if one does."""
+    is_vertical = any(f"{'xyz'[plane.across]} {way}" in axes for way in ("up", "down"))
+    return replace(plane, across=plane.up, up=plane.across) if is_vertical else plane
 
 
 def supported_span(has_force: Bools, axis: int) -> slice:
