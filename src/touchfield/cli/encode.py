@@ -72,8 +72,7 @@ def encode(
 ) -> Answer:
     """Turn SOURCE into a .touch file."""
     out, is_measured = Path(to), with_report or plot is not None
-    refuse_overwriting(out, source)
-    check_results((source, out), plot=plot)
+    check_results((source,), None if is_remote(to) else out, plot=plot)
     require_ending(to, "OUT.touch", "OUT.zarr", hint="For a field take: touchfield field.")
     spec, target = encode_spec(options), target_of(options)
     if is_remote(to) and (target is not None or is_measured or out.suffix == ".zarr"):

@@ -29,14 +29,15 @@ def check_results(
 ) -> None:
     """Raise InvalidArgument before the work if a result cannot be written.
 
-    The folder of each result must exist, and no result may be one of the files that are read. `plot` is a
-    result that is drawn: MissingExtra if matplotlib is not installed. None is ignored.
+    The folder of each result must exist, and no result may be one of the files that are read, or another
+    result. `plot` is a result that is drawn: MissingExtra if matplotlib is not installed. None is ignored.
     """
     if plot is not None:
         require_matplotlib(f"the picture {plot}")
-    for out in (*results, plot):
-        if out is None:
-            continue
+    named = [out for out in (*results, plot) if out is not None]
+    for n, out in enumerate(named):
+        if out.absolute() in (other.absolute() for other in named[:n]):
+            raise InvalidArgument(str(out), "the name of two results", "a name for each")
         if not out.parent.is_dir():
             raise InvalidArgument(str(out), f"no folder {out.parent}", "a folder that is there")
         refuse_overwriting(out, *(read for read in reads if read is not None))

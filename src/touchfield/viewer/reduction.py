@@ -127,8 +127,12 @@ def _draw_dots(
     at_mm, rings_mm = (1e3 * positions[:, [across, up]] for positions in (positions_m[order], points_m))
     drawn = panel.scatter(*at_mm.T, c=dots.values[order], s=8, lw=0, **dots.style)
     panel.scatter(*rings_mm.T, s=50, facecolors="none", edgecolors=_RING, lw=1.4)
+    numbers: dict[tuple[float, ...], list[str]] = {}  # of the points that this view shows as one
     for n, ring_mm in enumerate(rings_mm if len(rings_mm) <= _MAX_NUMBERED else ()):
-        panel.annotate(str(n + 1), ring_mm, (5, 5), textcoords="offset points", fontsize=7, color=_RING)
+        numbers.setdefault(tuple(ring_mm.round(2).tolist()), []).append(str(n + 1))
+    for place_mm, texts in numbers.items():
+        text, style = ", ".join(texts), {"fontsize": 7, "color": _RING}
+        panel.annotate(text, place_mm, (5, 5), textcoords="offset points", **style)
     panel.set_aspect("equal")
     _label(panel, across, up, axes)
     figure.colorbar(drawn, ax=panel, shrink=0.8).set_label(dots.label, fontsize=9)
