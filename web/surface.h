@@ -27,7 +27,7 @@ typedef struct {
     int32_t cell[SURFACE_CELLS * SURFACE_CELLS * SURFACE_CELLS]; /* vertex of each; -1: none yet */
     surface_mesh *mesh;
     int is_written, takes_all;
-    uint64_t squares, outward;
+    uint64_t across, outward; /* squares where the force crosses the boundary */
 } surface_work;
 
 static const int surface_step[3] = {SURFACE_PAD * SURFACE_PAD, SURFACE_PAD, 1};
@@ -172,8 +172,8 @@ static int surface_is_rim(const surface_work *w, int inside, const double normal
     return sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2]) > 0.6 * w->size[inside];
 }
 
-/* Whether the force of a sample at the edge pushes outwards, across the boundary as the samples about
-   it tell it, or, where a wall is too thin for that, along the edge. */
+/* 1 where the force of a sample at the edge pushes outwards, across the boundary as the samples about it tell it, or,
+   where a wall is too thin for that, along the edge; -1 where it pushes inwards; 0 along the boundary, or at a rim. */
 static int surface_pushes(const surface_work *w, int inside, int axis, int way) {
     double normal[3] = {0, 0, 0}, along = 0, size = w->size[inside], length = 0;
     int x, y, z;
@@ -182,21 +182,22 @@ static int surface_pushes(const surface_work *w, int inside, int axis, int way) 
             for (z = -1; z < 2; z++)
                 if (w->size[inside + x * surface_step[0] + y * surface_step[1] + z] > w->threshold_n)
                     normal[0] -= x, normal[1] -= y, normal[2] -= z;
-    if (normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2] < 10) return way * w->force[inside][axis] > 0;
+    if (normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2] < 10) return way * w->force[inside][axis] > 0 ? 1 : -1;
     for (x = 0; x < 3; x++) normal[x] /= w->field->grid.spacing_m[x], length += normal[x] * normal[x];
     for (x = 0; x < 3; x++) normal[x] /= sqrt(length), along += normal[x] * w->force[inside][x];
-    return along > 0.3 * size && (along > 0.9 * size || size < w->strong_n || !surface_is_rim(w, inside, normal, along));
+    if (along < 0.3 * size) return along < -0.3 * size ? -1 : 0;
+    return along > 0.9 * size || size < w->strong_n || !surface_is_rim(w, inside, normal, along);
 }
 
 /* The square about the edge from a sample to the next one along an axis, if the surface cuts it and pushes outwards. */
 static void surface_edge(surface_work *w, int x, int y, int z, int axis) {
     int at = (x + 2) * surface_step[0] + (y + 2) * surface_step[1] + z + 2, there = at + surface_step[axis];
-    int is_in = w->size[at] > w->threshold_n, inside = is_in ? at : there, n;
+    int is_in = w->size[at] > w->threshold_n, inside = is_in ? at : there, pushes, n;
     uint32_t corner[4], *to;
     if (is_in == (w->size[there] > w->threshold_n)) return;
-    w->squares++;
-    if (!w->takes_all && !surface_pushes(w, inside, axis, is_in ? 1 : -1)) return;
-    w->outward++;
+    pushes = surface_pushes(w, inside, axis, is_in ? 1 : -1);
+    w->across += pushes != 0, w->outward += pushes > 0;
+    if (!w->takes_all && pushes < 1) return;
     for (n = 0; n < 4; n++) { /* cells about it, in turn */
         int q[3], b = (axis + 1) % 3, c = (axis + 2) % 3;
         q[0] = x + 1, q[1] = y + 1, q[2] = z + 1;
@@ -263,13 +264,13 @@ static void surface_make(const touch_field *f, double threshold_n, double depth_
     if (memory) mesh->vertex = (float *)memory, mesh->index = (uint32_t *)(mesh->vertex + 7 * (uint64_t)counted.vertices);
     else w.takes_all = 0;
     do {
-        mesh->vertices = mesh->indices = 0, w.squares = w.outward = 0;
+        mesh->vertices = mesh->indices = 0, w.across = w.outward = 0;
         for (entry = 0; entry <= f->mask; entry++)
             if (f->table[2 * entry]) {
                 int64_t brick[3];
                 surface_position(f, entry, brick);
                 surface_of_brick(&w, brick);
             }
-    } while (!memory && !w.takes_all && 4 * w.outward < w.squares && (w.takes_all = 1));
+    } while (!memory && !w.takes_all && 4 * w.outward < w.across && (w.takes_all = 1));
 }
 #endif
