@@ -72,7 +72,10 @@ def compare(
 ) -> Answer:
     """Measure a stream against its source, and draw both."""
     target = picture or _free_name(source, stream)
-    check_results((source, stream), target, plot=None if no_picture else picture)
+    if picture is None or no_picture:  # a picture that was not asked for may be left out
+        check_results((source, stream), target)
+    else:
+        check_results((source, stream), plot=picture)
     if not no_picture and target.exists() and not is_our_picture(target):
         hint = "Name another --picture, or take --no-picture."
         raise InvalidArgument(
