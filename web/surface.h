@@ -4,7 +4,8 @@
    cuts. Along an edge it lies where the force, taken on as it falls towards the outside, is zero: |F| itself is cut
    at zero there. Only sides that push outwards are kept, so that the inner side of a wall is not drawn; where almost
    nothing does (a field that pulls), all are. A side along which a strong force stays as it is bounds the source, not
-   the object, such as the rim of a terrain: it is not drawn. */
+   the object, such as the rim of a terrain: it is not drawn. A field that is strong from its surface on has no such
+   sides. */
 #ifndef TOUCH_SURFACE_H
 #define TOUCH_SURFACE_H
 
@@ -17,6 +18,7 @@ typedef struct {
 enum { SURFACE_PAD = 12, SURFACE_CELLS = 9, SURFACE_STEPS = 48 };
 
 static const double SURFACE_RIM = 1.5, SURFACE_STRONG = 0.2; /* samples along a rim; fraction of the largest force */
+static const double SURFACE_NEVER = 1e300; /* no force is as strong */
 
 typedef struct {
     const touch_field *field;
@@ -27,7 +29,7 @@ typedef struct {
     int32_t cell[SURFACE_CELLS * SURFACE_CELLS * SURFACE_CELLS]; /* vertex of each; -1: none yet */
     surface_mesh *mesh;
     int is_written, takes_all;
-    uint64_t across, outward; /* squares where the force crosses the boundary */
+    uint64_t across, outward, aligned, abrupt; /* squares: the force crosses, pushes outwards, straight, strongly */
 } surface_work;
 
 static const int surface_step[3] = {SURFACE_PAD * SURFACE_PAD, SURFACE_PAD, 1};
@@ -174,7 +176,7 @@ static int surface_is_rim(const surface_work *w, int inside, const double normal
 
 /* 1 where the force of a sample at the edge pushes outwards, across the boundary as the samples about it tell it, or,
    where a wall is too thin for that, along the edge; -1 where it pushes inwards; 0 along the boundary, or at a rim. */
-static int surface_pushes(const surface_work *w, int inside, int axis, int way) {
+static int surface_pushes(surface_work *w, int inside, int axis, int way) {
     double normal[3] = {0, 0, 0}, along = 0, size = w->size[inside], length = 0;
     int x, y, z;
     for (x = -1; x < 2; x++)
@@ -186,7 +188,9 @@ static int surface_pushes(const surface_work *w, int inside, int axis, int way) 
     for (x = 0; x < 3; x++) normal[x] /= w->field->grid.spacing_m[x], length += normal[x] * normal[x];
     for (x = 0; x < 3; x++) normal[x] /= sqrt(length), along += normal[x] * w->force[inside][x];
     if (along < 0.3 * size) return along < -0.3 * size ? -1 : 0;
-    return along > 0.9 * size || size < w->strong_n || !surface_is_rim(w, inside, normal, along);
+    if (along < 0.9 * size) return size < w->strong_n || !surface_is_rim(w, inside, normal, along);
+    w->aligned++, w->abrupt += size > w->strong_n;
+    return 1;
 }
 
 /* The square about the edge from a sample to the next one along an axis, if the surface cuts it and pushes outwards. */
@@ -253,24 +257,29 @@ static void surface_largest(const touch_field *f, double out[4]) {
     out[0] = sqrt(best);
 }
 
+/* Whether squares are counted again, by another rule: without rims, or all of them. */
+static int surface_again(surface_work *w) {
+    if (w->strong_n < SURFACE_NEVER && 2 * w->abrupt >= w->aligned) return w->strong_n = SURFACE_NEVER, 1;
+    return !w->takes_all && 4 * w->outward < w->across && (w->takes_all = 1);
+}
+
 /* Count what there is, or, with memory, write it: `mesh` has the counts then. */
 static void surface_make(const touch_field *f, double threshold_n, double depth_m, uint8_t *memory, surface_mesh *mesh) {
     static surface_work w;
     surface_mesh counted = *mesh;
     double largest[4];
     uint32_t entry;
-    surface_largest(f, largest), w.strong_n = SURFACE_STRONG * largest[0];
     w.field = f, w.threshold_n = threshold_n, w.depth_m = depth_m, w.mesh = mesh, w.is_written = memory != 0;
     if (memory) mesh->vertex = (float *)memory, mesh->index = (uint32_t *)(mesh->vertex + 7 * (uint64_t)counted.vertices);
-    else w.takes_all = 0;
+    else surface_largest(f, largest), w.strong_n = SURFACE_STRONG * largest[0], w.takes_all = 0;
     do {
-        mesh->vertices = mesh->indices = 0, w.across = w.outward = 0;
+        mesh->vertices = mesh->indices = 0, w.across = w.outward = w.aligned = w.abrupt = 0;
         for (entry = 0; entry <= f->mask; entry++)
             if (f->table[2 * entry]) {
                 int64_t brick[3];
                 surface_position(f, entry, brick);
                 surface_of_brick(&w, brick);
             }
-    } while (!memory && !w.takes_all && 4 * w.outward < w.across && (w.takes_all = 1));
+    } while (!memory && surface_again(&w));
 }
 #endif

@@ -42,6 +42,15 @@ def ball() -> tf.ForceField:
     return tf.ForceField.from_dense(grid, (size_n * x / distance_m).astype(np.float32))
 
 
+def abrupt_block() -> tf.ForceField:
+    """A block whose force is full from its faces on and points away from the middle, oblique to most of them."""
+    grid = tf.Grid((20, 20, 28), (0.002, 0.0015, 0.002), (-0.019, -0.01425, -0.027))
+    x = np.stack(np.meshgrid(*[grid.axis_m(axis) for axis in range(3)], indexing="ij"), axis=-1)
+    is_inside = (abs(x) < [0.012, 0.009, 0.022]).all(axis=-1, keepdims=True)
+    directions = x / np.linalg.norm(x, axis=-1, keepdims=True)
+    return tf.ForceField.from_dense(grid, np.where(is_inside, 2.0 * directions, 0).astype(np.float32))
+
+
 def bars(wide: float) -> tf.ForceField:
     """Forces along y in a long bar along x, and, at `wide` of its length, many small ones across it."""
     grid = tf.Grid((50, 40, 16), (0.002,) * 3, (-0.049, -0.039, -0.015))
@@ -74,15 +83,21 @@ def states(folder: Path, page: str, fields: dict[str, tf.ForceField]) -> dict[st
 
 
 def test_a_surface_is_closed_and_ends_where_its_source_does(page: str, tmp_path: Path) -> None:
-    fields = {"ball": ball(), "pull": ball().scaled(-1.0), "left": bars(0.6), "right": bars(0.85)}
+    fields = {
+        "ball": ball(),
+        "pull": ball().scaled(-1.0),
+        "abrupt": abrupt_block(),
+        "left": bars(0.6),
+        "right": bars(0.85),
+    }
     for slope in SLOPES:
         fields |= {f"{slope} {depth_m}": block_of_terrain(depth_m, slope) for depth_m in DEPTHS_M}
     found = states(tmp_path, page, fields)
-    head = found["ball"]["head"]
-    threshold_n = min(head["threshold"], 0.05 * head["peak"]) or 0.02 * head["peak"]  # as the page has it
-    faces = boundary_faces(fields["ball"], threshold_n)
-    for name in ("ball", "pull"):
-        assert found[name]["triangles"] == pytest.approx(2 * faces, rel=0.01), "no hole in the ball"
+    for name in ("ball", "pull", "abrupt"):
+        head = found[name]["head"]
+        threshold_n = min(head["threshold"], 0.05 * head["peak"]) or 0.02 * head["peak"]  # as the page has it
+        faces = boundary_faces(fields[name], threshold_n)
+        assert found[name]["triangles"] == pytest.approx(2 * faces, rel=0.01), f"{name} has no hole"
     for name, wide in (("left", 0.6), ("right", 0.85)):
         x_m = fields[name].grid.axis_m(0)[2 + round(wide * 45)]
         assert found[name]["axis"] == 0 and found[name]["cut"] == pytest.approx(x_m, abs=0.0035)
