@@ -43,7 +43,7 @@ def ball() -> tf.ForceField:
 
 
 def abrupt_block() -> tf.ForceField:
-    """A block whose force is full from its faces on and points away from the middle, oblique to most of them."""
+    """A block whose force is full from its faces on, and oblique to most: it points away from a middle."""
     grid = tf.Grid((20, 20, 28), (0.002, 0.0015, 0.002), (-0.019, -0.01425, -0.027))
     x = np.stack(np.meshgrid(*[grid.axis_m(axis) for axis in range(3)], indexing="ij"), axis=-1)
     is_inside = (abs(x) < [0.012, 0.009, 0.022]).all(axis=-1, keepdims=True)
