@@ -182,6 +182,13 @@ ARGUMENTS: Final = {
 
 EXPECTED: Final[dict[str, dict[str, Case]]] = {
     "encode": {
+        "report": Case(None, {"compare_prepared": CALLED}),
+        "plot": case(
+            _DRAWN,
+            "compare_prepared().draw.0",
+            _DRAWN,
+            **{"compare_prepared": CALLED, "compare_prepared().draw": CALLED},
+        ),
         "workers": _WORKERS,
         "device-compute": _DEVICE_COMPUTE,
         **_scene(),
@@ -200,6 +207,7 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
     },
     "filter": {
         "report": Case(None, {"filter_report": CALLED}),
+        "plot": case(_DRAWN, "draw_filtered.path", _DRAWN, draw_filtered=CALLED),
         "workers": _WORKERS,
         **_filters(),
         **_scene(),
@@ -395,6 +403,7 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         **{name: own for name, own in _coder().items() if name != "coder"},
         "coder": case("paper", "coder.coder", "paper"),
         "cull": case("{tmp}/shell.touch", "reduce_medium.cull", "{tmp}/shell.touch"),
+        "plot": Case(_DRAWN, {"reduce_medium().draw": CALLED, "reduce_medium().draw.0": _DRAWN}),
         "modes": case("bricks", "spec.modes", "bricks"),
         "rank": case("7", "spec.rank", 7),
         "nmse-db": case("-22", "spec.nmse_db", -22.0),
@@ -428,6 +437,7 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "modes": case("3", "fewest_points.modes", 3),
         "next": Case(None, {"fewest_points": MISSING, "next_points": CALLED, "next_points.count": 5}),
         "measured": case("seen.csv", "next_points.measured", "seen.csv", "--next"),
+        "plot": Case(_DRAWN, {"fewest_points().draw": CALLED, "fewest_points().draw.0": _DRAWN}),
     },
     "demo": {},
     "devices": {

@@ -85,6 +85,7 @@ for name in tf.__all__:
     assert getattr(tf, name) is not None
 assert tf.render.sampler.FieldSampler is tf.FieldSampler and tf.sources.laws and tf.codec.registry
 assert tf.devices() == tf.devices.devices() and tf.devices.device is tf.device
+assert all(callable(getattr(tf.exchange, name)) for name in tf.exchange.__all__)
 assert set(dir(tf)) == {{*tf.__all__, *{PACKAGES}}}
 """
     subprocess.run([sys.executable, "-c", program], check=True, timeout=300)

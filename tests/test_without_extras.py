@@ -147,9 +147,17 @@ def test_datagrams_name_their_extra() -> None:
 
 def test_shapes_are_encoded_and_compared_without_kernels(tmp_path: Path) -> None:
     out = tmp_path / "shapes.touch"
-    lines = f"encode sample:shapes {out} --nw 4", f"compare sample:shapes {out}"
+    lines = f"encode sample:shapes {out} --nw 4 --report", f"compare sample:shapes {out}"
     done = run_without_extras(COMMANDS, *lines)
     assert done.returncode == 0, done.stderr
+    assert done.stdout.count("nmse_db") == 2
+
+
+def test_a_picture_is_refused_before_the_work(tmp_path: Path) -> None:
+    line = f"encode sample:shapes {tmp_path / 'a.touch'} --nw 4 --plot {tmp_path / 'a.png'}"
+    done = run_without_extras(COMMANDS, line)
+    assert done.returncode != 0 and 'pip install "touchfield[report]"' in done.stderr
+    assert os.listdir(tmp_path) == []
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,9 @@
    One vertex in each cell of eight samples that the surface cuts, one square for each edge between two samples that it
    cuts. Along an edge it lies where the force, taken on as it falls towards the outside, is zero: |F| itself is cut
    at zero there. Only sides that push outwards are kept, so that the inner side of a wall is not drawn; where almost
-   nothing does (a field that pulls), all are. */
+   nothing does (a field that pulls), all are. A side along which a strong force stays as it is bounds the source, not
+   the object, such as the rim of a terrain: it is not drawn. A field that is strong from its surface on has no such
+   sides. */
 #ifndef TOUCH_SURFACE_H
 #define TOUCH_SURFACE_H
 
@@ -15,16 +17,19 @@ typedef struct {
 
 enum { SURFACE_PAD = 12, SURFACE_CELLS = 9, SURFACE_STEPS = 48 };
 
+static const double SURFACE_RIM = 1.5, SURFACE_STRONG = 0.2; /* samples along a rim; fraction of the largest force */
+static const double SURFACE_NEVER = 1e300; /* no force is as strong */
+
 typedef struct {
     const touch_field *field;
-    double threshold_n, depth_m;
+    double threshold_n, depth_m, strong_n;
     int64_t low[3];                                            /* sample (0, 0, 0) of the brick */
     float size[SURFACE_PAD * SURFACE_PAD * SURFACE_PAD];       /* |F| from two samples before the brick to two behind */
     float force[SURFACE_PAD * SURFACE_PAD * SURFACE_PAD][3];
     int32_t cell[SURFACE_CELLS * SURFACE_CELLS * SURFACE_CELLS]; /* vertex of each; -1: none yet */
     surface_mesh *mesh;
     int is_written, takes_all;
-    uint64_t squares, outward;
+    uint64_t across, outward, aligned, abrupt; /* squares: the force crosses, pushes outwards, straight, strongly */
 } surface_work;
 
 static const int surface_step[3] = {SURFACE_PAD * SURFACE_PAD, SURFACE_PAD, 1};
@@ -152,32 +157,51 @@ static uint32_t surface_vertex(surface_work *w, int x, int y, int z) {
     return (uint32_t)w->cell[own];
 }
 
-/* Whether the force of a sample at the edge pushes outwards, across the boundary as the samples about
-   it tell it, or, where a wall is too thin for that, along the edge. */
-static int surface_pushes(const surface_work *w, int inside, int axis, int way) {
-    double normal[3] = {0, 0, 0}, along, size;
+/* Whether the strong, oblique force of a sample at the boundary stays as it is where it points to along the boundary.
+   It falls there where an object begins. */
+static int surface_is_rim(const surface_work *w, int inside, const double normal[3], double along) {
+    const touch_grid *g = &w->field->grid;
+    const int at[3] = {inside / surface_step[0], inside / surface_step[1] % SURFACE_PAD, inside % SURFACE_PAD};
+    double tangent[3], samples = 0, p[3], f[3];
+    int n;
+    for (n = 0; n < 3; n++) {
+        tangent[n] = w->force[inside][n] - along * normal[n];
+        samples = fmax(samples, fabs(tangent[n]) / g->spacing_m[n]);
+    }
+    for (n = 0; n < 3; n++)
+        p[n] = g->origin_m[n] + g->spacing_m[n] * (double)(w->low[n] + at[n] - 2) + SURFACE_RIM * tangent[n] / samples;
+    touch_sample(w->field, p, f);
+    return sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2]) > 0.6 * w->size[inside];
+}
+
+/* 1 where the force of a sample at the edge pushes outwards, across the boundary as the samples about it tell it, or,
+   where a wall is too thin for that, along the edge; -1 where it pushes inwards; 0 along the boundary, or at a rim. */
+static int surface_pushes(surface_work *w, int inside, int axis, int way) {
+    double normal[3] = {0, 0, 0}, along = 0, size = w->size[inside], length = 0;
     int x, y, z;
     for (x = -1; x < 2; x++)
         for (y = -1; y < 2; y++)
             for (z = -1; z < 2; z++)
                 if (w->size[inside + x * surface_step[0] + y * surface_step[1] + z] > w->threshold_n)
                     normal[0] -= x, normal[1] -= y, normal[2] -= z;
-    if (normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2] < 10) return way * w->force[inside][axis] > 0;
-    for (x = 0; x < 3; x++) normal[x] /= w->field->grid.spacing_m[x] / w->field->grid.spacing_m[0];
-    along = normal[0] * w->force[inside][0] + normal[1] * w->force[inside][1] + normal[2] * w->force[inside][2];
-    size = sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2]);
-    return along > 0.3 * size * w->size[inside];
+    if (normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2] < 10) return way * w->force[inside][axis] > 0 ? 1 : -1;
+    for (x = 0; x < 3; x++) normal[x] /= w->field->grid.spacing_m[x], length += normal[x] * normal[x];
+    for (x = 0; x < 3; x++) normal[x] /= sqrt(length), along += normal[x] * w->force[inside][x];
+    if (along < 0.3 * size) return along < -0.3 * size ? -1 : 0;
+    if (along < 0.9 * size) return size < w->strong_n || !surface_is_rim(w, inside, normal, along);
+    w->aligned++, w->abrupt += size > w->strong_n;
+    return 1;
 }
 
 /* The square about the edge from a sample to the next one along an axis, if the surface cuts it and pushes outwards. */
 static void surface_edge(surface_work *w, int x, int y, int z, int axis) {
     int at = (x + 2) * surface_step[0] + (y + 2) * surface_step[1] + z + 2, there = at + surface_step[axis];
-    int is_in = w->size[at] > w->threshold_n, inside = is_in ? at : there, n;
+    int is_in = w->size[at] > w->threshold_n, inside = is_in ? at : there, pushes, n;
     uint32_t corner[4], *to;
     if (is_in == (w->size[there] > w->threshold_n)) return;
-    w->squares++;
-    if (!w->takes_all && !surface_pushes(w, inside, axis, is_in ? 1 : -1)) return;
-    w->outward++;
+    pushes = surface_pushes(w, inside, axis, is_in ? 1 : -1);
+    w->across += pushes != 0, w->outward += pushes > 0;
+    if (!w->takes_all && pushes < 1) return;
     for (n = 0; n < 4; n++) { /* cells about it, in turn */
         int q[3], b = (axis + 1) % 3, c = (axis + 2) % 3;
         q[0] = x + 1, q[1] = y + 1, q[2] = z + 1;
@@ -212,25 +236,6 @@ static void surface_position(const touch_field *f, uint32_t entry, int64_t brick
     brick[0] = number / nz / ny, brick[1] = number / nz % ny, brick[2] = number % nz;
 }
 
-/* Count what there is, or, with memory, write it: `mesh` has the counts then. */
-static void surface_make(const touch_field *f, double threshold_n, double depth_m, uint8_t *memory, surface_mesh *mesh) {
-    static surface_work w;
-    surface_mesh counted = *mesh;
-    uint32_t entry;
-    w.field = f, w.threshold_n = threshold_n, w.depth_m = depth_m, w.mesh = mesh, w.is_written = memory != 0;
-    if (memory) mesh->vertex = (float *)memory, mesh->index = (uint32_t *)(mesh->vertex + 7 * (uint64_t)counted.vertices);
-    else w.takes_all = 0;
-    do {
-        mesh->vertices = mesh->indices = 0, w.squares = w.outward = 0;
-        for (entry = 0; entry <= f->mask; entry++)
-            if (f->table[2 * entry]) {
-                int64_t brick[3];
-                surface_position(f, entry, brick);
-                surface_of_brick(&w, brick);
-            }
-    } while (!memory && !w.takes_all && 4 * w.outward < w.squares && (w.takes_all = 1));
-}
-
 /* The largest |F| of a field, and where. */
 static void surface_largest(const touch_field *f, double out[4]) {
     double best = 0;
@@ -250,5 +255,31 @@ static void surface_largest(const touch_field *f, double out[4]) {
         }
     }
     out[0] = sqrt(best);
+}
+
+/* Whether squares are counted again, by another rule: without rims, or all of them. */
+static int surface_again(surface_work *w) {
+    if (w->strong_n < SURFACE_NEVER && 2 * w->abrupt >= w->aligned) return w->strong_n = SURFACE_NEVER, 1;
+    return !w->takes_all && 4 * w->outward < w->across && (w->takes_all = 1);
+}
+
+/* Count what there is, or, with memory, write it: `mesh` has the counts then. */
+static void surface_make(const touch_field *f, double threshold_n, double depth_m, uint8_t *memory, surface_mesh *mesh) {
+    static surface_work w;
+    surface_mesh counted = *mesh;
+    double largest[4];
+    uint32_t entry;
+    w.field = f, w.threshold_n = threshold_n, w.depth_m = depth_m, w.mesh = mesh, w.is_written = memory != 0;
+    if (memory) mesh->vertex = (float *)memory, mesh->index = (uint32_t *)(mesh->vertex + 7 * (uint64_t)counted.vertices);
+    else surface_largest(f, largest), w.strong_n = SURFACE_STRONG * largest[0], w.takes_all = 0;
+    do {
+        mesh->vertices = mesh->indices = 0, w.across = w.outward = w.aligned = w.abrupt = 0;
+        for (entry = 0; entry <= f->mask; entry++)
+            if (f->table[2 * entry]) {
+                int64_t brick[3];
+                surface_position(f, entry, brick);
+                surface_of_brick(&w, brick);
+            }
+    } while (!memory && surface_again(&w));
 }
 #endif

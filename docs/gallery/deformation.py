@@ -69,17 +69,23 @@ for n in (2, 4, 6, 8):
 # ## The figure
 #
 # Left: the straight field that is stored. Middle: bent by the receiver, with the control points of the slice
-# where they now look. Right: what is off, on the same scale of newtons.
+# where they now look. Right: what is off, on the same scale of newtons. Arrows are the forces of the slice.
 slices = [part[:, 32] for part in (force_n(at, bends[0]), bent, bent - anew)]
-figure, panels = plt.subplots(1, 3, figsize=(14, 4.2), layout="constrained", sharey=True)
+figure, panels = plt.subplots(1, 3, figsize=(14, 3.0), layout="constrained", sharey=True)
 extent = 1e3 * np.array([grid.axis_m(0)[0], grid.axis_m(0)[-1], grid.axis_m(2)[0], grid.axis_m(2)[-1]])
 titles = "stored", "bent at the receiver", "beside the field made anew"
 for panel, part, title in zip(panels, slices, titles, strict=True):
     shown = panel.imshow(
         np.linalg.norm(part, axis=-1).T, origin="lower", extent=extent, cmap="cividis", vmin=0, vmax=4
     )
+    few = part[4::8, 4::8]
+    i, j = np.nonzero(np.linalg.norm(few, axis=-1) > 0.4)
+    where = 1e3 * grid.axis_m(0)[4::8][i], 1e3 * grid.axis_m(2)[4::8][j]
+    panel.quiver(*where, few[i, j, 0], few[i, j, 2], color="w", scale=70, width=0.003)
     panel.set_title(title)
     panel.set_xlabel("x / mm")
+rows = np.flatnonzero(np.linalg.norm(slices, axis=-1).any(axis=(0, 1)))
+edges_mm = 1e3 * grid.axis_m(2)[rows[[0, -1]]] + (-2, 2)
 panels[0].set_ylabel("z / mm")
 x, z = (1e3 * (np.asarray(lattice.corner_m)[a] + (np.arange(8) - 1) * lattice.spacing_m[a]) for a in (0, 2))
 u = 1e3 * tracks.displacement_m[-1].mean(axis=1)
@@ -87,7 +93,7 @@ gx, gz = np.meshgrid(x, z, indexing="ij")
 for panel, dx, dz in ((panels[0], u[..., 0], u[..., 2]), (panels[1], 0, 0)):
     for lines in ((gx + dx, gz + dz), ((gx + dx).T, (gz + dz).T)):
         panel.plot(*lines, color="w", lw=0.6, alpha=0.7)
-    panel.set_xlim(extent[:2]), panel.set_ylim(extent[2:])
+    panel.set_xlim(extent[:2]), panel.set_ylim(edges_mm)
 figure.colorbar(shown, ax=panels, label="force / N")
 figure.savefig(OUT / "deformation.png", dpi=100)
 plt.close(figure)

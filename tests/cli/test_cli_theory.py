@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+import sys
+from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -212,8 +216,11 @@ def test_filter_to_a_stream_with_its_report(sphere: Path, tmp_path: Path, capsys
     # the stream's provenance has the filter, so a comparison filters its source as well
     assert _exit_code(["compare", str(sphere), str(out), "--json", "--no-picture"]) == 0
     assert json.loads(capsys.readouterr().out)["nmse_db"] < -15
-    assert _exit_code(arguments) == 0
+    picture = tmp_path / "rough.png"
+    has_matplotlib = find_spec("matplotlib") is not None
+    assert _exit_code([*arguments, *(["--plot", str(picture)] if has_matplotlib else [])]) == 0
     assert "mask_violation_share" in capsys.readouterr().out
+    assert picture.exists() == has_matplotlib
 
 
 def test_filter_of_a_stream(stream: Path, tmp_path: Path, capsys: Capture) -> None:
@@ -276,6 +283,29 @@ def test_filter_rejects_invalid_options_before_it_starts(
     assert "Filter twice" in capsys.readouterr().err and not out.exists()
     assert _exit_code(["filter", str(stream), str(tmp_path / "out.foo"), "--gaussian", "2mm"]) == 2
     assert "OUT.touch" in capsys.readouterr().err
+    missing = str(tmp_path / "nowhere" / "a.png")
+    assert _exit_code(["filter", str(stream), str(out), "--gaussian", "2mm", "--plot", missing]) == 2
+    assert "no folder" in capsys.readouterr().err and not out.exists()
+
+
+def test_the_picture_of_a_filter_shows_the_field_before_and_after(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    spec = pipeline.EncodeSpec(nw=5, filters=(("gaussian", "5mm"), ("gaussian", "2mm")))
+    drawn: list[tuple[Any, ...]] = []
+    monkeypatch.setattr(
+        sys.modules["touchfield.pipeline.comparison"], "draw_comparison", lambda *a: drawn.append(a)
+    )
+    scene = tiny_scenes()[0]
+    pipeline.draw_filtered(scene, spec, tmp_path / "x.png")
+    before, after = (pipeline.prepare(scene, s).medium for s in (replace(spec, filters=()), spec))
+    middle = len(before) // 2
+    ((path, first, second, title, axes, mask, names),) = drawn
+    assert (first, second) == (before[middle], after[middle]) and first != second
+    assert path == tmp_path / "x.png" and axes == before.axes and names == ("before", "after", "change")
+    assert mask == (spec.paper.k, 0.05) and "before and after gaussian, gaussian" in title
+    pipeline.draw_filtered(scene, replace(spec, filters=()), tmp_path / "x.png")
+    assert drawn[1][1] == drawn[1][2] and "no filter" in drawn[1][3]
 
 
 def test_range_of_frames_uses_the_clock_of_the_trace(stream: Path, tmp_path: Path, capsys: Capture) -> None:

@@ -118,6 +118,7 @@ TASKS = {
     "encode": (
         "pipeline:encode",
         "pipeline:encode_to_target",
+        "pipeline:compare_prepared",
         "cli.encode:computing",
         "cli.encode:executor_of",
     ),
@@ -126,6 +127,7 @@ TASKS = {
         "pipeline:prepare",
         "pipeline:write_field",
         "pipeline:filter_report",
+        "pipeline:draw_filtered",
         "cli.encode:executor_of",
     ),
     "field": ("pipeline:prepare", "tasks.view:draw_preview", "pipeline:write_field", "cli.encode:computing"),

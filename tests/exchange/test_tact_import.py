@@ -11,9 +11,8 @@ from hypothesis import given, strategies as st
 
 from effect_makers import check_error, key_paths, with_value, written
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.exchange.effect_files import MIN_SPAN_MS, write_tact
-from touchfield.exchange.symbolic import ArrayEffect, ImportedEffect
-from touchfield.exchange.tact_read import read_tact
+from touchfield.exchange import ArrayEffect, ImportedEffect, read_tact, write_tact
+from touchfield.exchange.effect_files import MIN_SPAN_MS
 
 
 def span(start_ms: int, end_ms: int, dots: dict[int, Any], playback: str = "NONE") -> dict[str, Any]:

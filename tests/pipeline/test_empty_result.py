@@ -63,6 +63,7 @@ def test_an_empty_result_is_an_error_and_leaves_no_file(
     ("changes", "remedy"),
     [
         ({"mapping": "1"}, "try --mapping fit"),
+        ({"mapping": "1", "stiffness_n_per_m": 0.5}, "in N/mm is --stiffness-n-per-m 500"),
         ({"thickness_m": 1e-6}, "try --thickness-m 0.0"),
         ({}, "try --nw 5"),
     ],

@@ -123,6 +123,11 @@ def test_a_wall_thinner_than_the_spacing_is_noted() -> None:
     for thickness_m, nw, is_noted in ((0.002, 5, True), (0.002, 7, False), (None, 5, False)):
         notes = prepare(scene, EncodeSpec(nw=nw, thickness_m=thickness_m)).notes
         assert any("2 mm is thinner than the 5 mm" in note for note in notes) == is_noted
+    for thickness_m, is_noted in ((3.0, True), (0.1, False)):
+        notes = prepare(scene, EncodeSpec(nw=5, thickness_m=thickness_m)).notes
+        assert any("3 mm are --thickness-m 0.003" in note for note in notes) == is_noted
+    with pytest.raises(InvalidArgument, match=r"band_m: found 3; expected metres, less than half"):
+        prepare(scene, EncodeSpec(nw=5, law="proximity", band_m=3.0))
     pins = prepare(scene, EncodeSpec(device="graphiti", thickness_m=0.002)).notes
     assert not any("is thinner than" in note for note in pins), "an array pools what lies between"
 

@@ -94,6 +94,18 @@ def test_invalid_texts_of_regions_are_refused(text: str) -> None:
         region_of(text)
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("ball:0,0,0,15", "'15'; expected a length with its unit"),
+        ("half-space:x,0,1,0,0,0", "'x'; expected a number"),
+    ],
+)
+def test_a_length_without_a_unit_is_named_as_such(text: str, message: str) -> None:
+    with pytest.raises(InvalidArgument, match=message):
+        region_of(text)
+
+
 def test_texts_of_operators(stream: Path) -> None:
     opened = read_medium(stream)
     field = opened.medium[0]

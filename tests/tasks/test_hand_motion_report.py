@@ -5,17 +5,18 @@ import json
 import numpy as np
 import pytest
 
-from touchfield.cli.main import run
+from touchfield.cli.main import _exit_code, run
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.medium import HapticMedium, PoseTrack
 from touchfield.perception.hand_motion import margin_of
-from touchfield.pipeline import compare, encode, prepare
+from touchfield.pipeline import Target, compare, compare_prepared, encode, encode_to_target, prepare
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.physics.body_scene import BodyScene
 from touchfield.sources.scene import Body
 from touchfield.sources.shapes.analytic_scene import AnalyticScene
 from touchfield.sources.shapes.shapes import Sphere
 from touchfield.sources.stored import StoredScene
+from touchfield.viewer.page import is_our_picture
 
 BALL = AnalyticScene((Sphere((0.0, 0.0, 0.0), 0.03),))
 SPEC = EncodeSpec(nw=5)
@@ -100,3 +101,56 @@ def test_the_command_line_reports_the_figures_and_their_threshold(tmp_path, caps
         run(arguments)
     output = capsys.readouterr().out
     assert "threshold_margin_db" in output and "speed_mm_s" in output and "error_thirds" not in output
+
+
+def test_encode_reports_what_compare_reports(tmp_path, capsys):
+    """The report is measured against what was coded; `compare` prepares the source again."""
+    scene, out, plot = tmp_path / "ball.toml", tmp_path / "ball.touch", tmp_path / "ball.png"
+    scene.write_text('[[shape]]\nkind = "sphere"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.03\n')
+    arguments = [str(scene), str(out), "--nw", "5"]
+    assert _exit_code(["encode", *arguments, "--json"]) == 0
+    plain = json.loads(capsys.readouterr().out)
+    assert _exit_code(["encode", *arguments, "--report", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    compared = json.loads(json.dumps(compare(str(scene), out).summary()))
+    # the ratio is that which the file states
+    stated, measured = report["worst_mask_ratio"], compared.pop("worst_mask_ratio")
+    assert stated == plain["worst_mask_ratio"] == pytest.approx(measured, abs=1e-4)
+    assert {**plain, **compared, "encode_s": 0, "notes": 0} == {**report, "encode_s": 0, "notes": 0}
+    assert report["nmse_db"] < -15 and report["promise_kept"] and set(plain["notes"]) <= set(report["notes"])
+    assert _exit_code(["encode", *arguments, "--report"]) == 0
+    output = capsys.readouterr().out
+    assert "nmse_db" in output and "speed_mm_s" in output and "error_bound" in output
+    pytest.importorskip("matplotlib", reason="pictures need the extra report")
+    assert _exit_code(["encode", *arguments, "--plot", str(plot)]) == 0
+    assert f"the picture is {plot}" in capsys.readouterr().out.replace("\n", "") and is_our_picture(plot)
+
+
+def test_objects_and_a_requested_size_are_reported_too(tmp_path):
+    turning = PoseTrack(np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)), np.zeros((3, 3)))
+    scene = BodyScene((Body("ball", BALL, turning),), 30.0)
+    done = encode(scene, tmp_path / "o.touch", EncodeSpec(nw=5, representation="object"))
+    report = compare_prepared(done.prepared, tmp_path / "o.touch").summary()
+    assert report == compare(scene, tmp_path / "o.touch").summary() and report["bits_poses"] > 0
+    done = encode_to_target(BALL, tmp_path / "b.touch", SPEC, Target(bytes=2500))
+    report = compare_prepared(done.prepared, tmp_path / "b.touch").summary()
+    assert report == compare(BALL, tmp_path / "b.touch").summary() and report["file_bytes"] <= 2500
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["ball.zarr", "--report"], "work with OUT.touch, not with .zarr"),
+        (["s3://bucket/ball.touch", "--plot", "ball.png"], "not with an address"),
+        (["ball.touch", "--plot", "ball.touch"], "found the name of two results"),
+        (["ball.touch", "--plot", "nowhere/ball.png"], "no folder nowhere"),
+    ],
+)
+def test_a_report_that_cannot_be_made_is_refused_before_the_work(
+    tmp_path, monkeypatch, capsys, arguments, message
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "ball.toml").write_text('[[shape]]\nkind = "sphere"\ncenter_m = [0, 0, 0]\nradius_m = 0.03\n')
+    assert _exit_code(["encode", "ball.toml", *arguments]) == 2
+    assert message in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["ball.toml"]

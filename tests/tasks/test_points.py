@@ -5,6 +5,7 @@ bad input.
 from __future__ import annotations
 
 import json
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from touchfield.reduction.modes import ModePoints, Modes, mode_points, pod
 from touchfield.sources.recordings.contact_trace import CurlFree, covariances
 from touchfield.sources.registry import open_source
 from touchfield.tasks.reduction import fewest_points, next_points
+from touchfield.viewer import reduction as reduction_pictures
 
 RNG = np.random.default_rng
 KERNEL = Kernel(0.2, 1e-3)
@@ -249,10 +251,51 @@ def test_the_next_point_is_in_the_least_measured_region(contacts: Path, moving: 
     assert (positions_m > low).all() and (positions_m < high).all()
 
 
+def test_points_are_drawn_with_the_field_and_the_rebuilt_field(
+    contacts: Path, moving: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("matplotlib", reason="pictures need the extra report")
+    figures: list = []
+    monkeypatch.setattr(reduction_pictures, "write_png", lambda figure, path: figures.append(figure))
+    rebuilt = tmp_path / "rebuilt.npz"
+    done = fewest_points(moving, 6, rebuilt)
+    done.draw(tmp_path / "a.png")
+    field, back, error = (axis for axis in figures[0].axes if axis.get_label() != "<colorbar>")
+    medium = open_source(moving).stored
+    middle = medium[len(medium) // 2]
+    size_n = np.linalg.norm(middle.sample_n(done.positions_m), axis=1)
+    stored = open_source(rebuilt).stored[len(medium) // 2]
+    rebuilt_n = stored.sample_n(done.positions_m)
+    difference = np.linalg.norm(rebuilt_n - middle.sample_n(done.positions_m), axis=1)
+    spans = np.ptp(done.positions_m, axis=0)
+    across, up = sorted(np.argsort(spans, kind="stable")[1:])
+    for panel, values, within in (
+        (field, size_n, 1e-5),
+        (back, np.linalg.norm(rebuilt_n, axis=1), 0.051),
+        (error, difference / np.maximum(0.05, 0.1 * size_n), 1.02),
+    ):  # what is below F_0 is not stored
+        dots, rings = panel.collections
+        np.testing.assert_allclose(
+            np.sort(np.asarray(dots.get_array())), np.sort(values), rtol=0, atol=within
+        )
+        assert (np.diff(dots.get_array()) >= 0).all(), "the largest on top"
+        np.testing.assert_allclose(rings.get_offsets(), 1e3 * done.points_m[:, [across, up]])
+        assert panel.get_xlabel() == f"{'xyz'[across]} / mm" and panel.get_ylabel() == f"{'xyz'[up]} / mm"
+    next_points(contacts, 3).draw(tmp_path / "a.png")
+    views = [axis for axis in figures[1].axes if axis.get_label() != "<colorbar>"]
+    assert len(views) == 2 and "the next 3 points, after 200 samples" in figures[1].get_suptitle()
+    assert {axis.get_title() for axis in views} < {f"seen along {name}" for name in "xyz"}
+    assert sorted(views[0].texts[0].get_text().split(", "))[0] == "1"
+
+
 def test_the_command(
     contacts: Path, moving: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert _exit_code(["points", "6", str(moving), str(tmp_path / "a.touch"), "--json"]) == 0
+    picture = tmp_path / "a.png"
+    plot = ["--plot", str(picture)] if find_spec("matplotlib") else []
+    assert _exit_code(["points", "6", str(moving), str(tmp_path / "a.touch"), *plot, "--json"]) == 0
+    assert picture.exists() == bool(plot)
+    picture.unlink(missing_ok=True)
     summary = json.loads(capsys.readouterr().out)
     assert summary["points"] == 6 and summary["file_bytes"] > 0
     assert _exit_code(["points", "3", str(contacts), "--next"]) == 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from touchfield.reduction import (
 from touchfield.reduction.kernels import weak_cells
 from touchfield.reduction.reach import _Flood, _layers
 from touchfield.tasks.reduction import reduce_medium, without_unreachable
+from touchfield.viewer import reduction as reduction_pictures
 
 HAND = Hand(push_n=1.0, mass_kg=0.1, speed_m_s=0.2)
 STEP_M, COUNT = 0.003, 40
@@ -391,9 +393,36 @@ def test_the_command_reports_and_writes(tmp_path: Path, capsys: pytest.CaptureFi
             (medium[3].to_dense() != 0).any(-1) & reach_of(medium, HAND).samples
         )
         assert reachable.any()
-    assert _exit_code(["reduce", str(field), "--trace", str(log), "--device", "touch", *hand, "--json"]) == 0
+    picture = tmp_path / "a.png"
+    plot = ["--plot", str(picture)] if find_spec("matplotlib") else []
+    again = ["reduce", str(field), "--trace", str(log), "--device", "touch", *hand, *plot, "--json"]
+    assert _exit_code(again) == 0
     report = json.loads(capsys.readouterr().out)
+    assert picture.exists() == bool(plot)
     assert report["never_visited_samples"] > report["behind_samples"]
+
+
+def test_a_reduction_is_drawn_with_what_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("matplotlib", reason="pictures need the extra report")
+    figures: list = []
+    monkeypatch.setattr(reduction_pictures, "write_png", lambda figure, path: figures.append(figure))
+    tf.write_field(tmp_path / "floor.npz", floor(4))
+    done = reduce_medium(tmp_path / "floor.npz", spec=ReductionSpec(push_n=1.0, mass_kg=0.1))
+    done.draw(tmp_path / "a.png")
+    curve, slice_panel, _ = figures[0].axes
+    decibels = curve.lines[0].get_ydata()
+    rank = done.figures["rank"]
+    assert decibels[0] == 0 and decibels[rank] == pytest.approx(done.figures["nmse_db_beforehand"], abs=1e-6)
+    size_n = np.linalg.norm(done.middle_frame.to_dense(), axis=-1)
+    left_out = (size_n > 0) & ~done.perceptible
+    counts = [left_out.sum(axis=tuple(n for n in range(3) if n != axis)).max() for axis in range(3)]
+    force, grey = slice_panel.images
+    drawn = np.ma.filled(grey.get_array().astype(float), 0)
+    assert 0 < drawn.sum() in counts, "the slice with the most samples that are left out"
+    assert np.nanmax(np.ma.filled(force.get_array(), np.nan)) <= size_n.max()
+    assert "grey: left out" in slice_panel.get_title()
+    replace(done, perceptible=np.ones_like(done.perceptible)).draw(tmp_path / "a.png")
+    assert "nothing is left out" in figures[1].axes[1].get_title()
 
 
 def test_bad_input_is_a_one_line_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -51,7 +51,7 @@ def block(seed: int = 0) -> np.ndarray:
     """Distinct forces in a block off the centre."""
     forces = np.zeros((*GRID.shape, 3), np.float32)
     forces[3:8, 2:9, 5:12] = np.random.default_rng(seed).uniform(0.3, 1.5, (5, 7, 7, 3))
-    forces[3:8, 6, 5:12] *= 2  # in the plane of the slice
+    forces[3:8, 6, 5:12] *= 6  # in the plane of the slice
     return forces
 
 
@@ -115,6 +115,11 @@ def test_an_interaction_is_drawn(drawn: Drawn) -> None:
         shadow = np.linalg.norm(block(), axis=-1).max(axis=3 - up)
         np.testing.assert_allclose(filled(panel.images[0]), shadow.T, rtol=1e-6)
         assert (panel.get_xlabel(), panel.get_ylabel()) == ("x, mm", f"{'xyz'[up]}, mm")
+        path_mm, forces_mm = 1e3 * log["position_m"], 1e3 * field.grid.to_m(field.positions())
+        seen_mm = np.concatenate([path_mm, forces_mm])[:, [0, up]]
+        margin = 0.05 * np.ptp(seen_mm, axis=0).max()
+        for limits, ends in zip((panel.get_xlim(), panel.get_ylim()), seen_mm.T, strict=True):
+            assert sorted(limits) == pytest.approx([ends.min() - margin, ends.max() + margin])
     draw_interaction(Path("x.png"), InteractionView("t", "c", AXES, log, 2.1 * top, None))
     assert len(figures[1].axes[1].lines) == 3, "a limit far above takes no room"
 
@@ -225,7 +230,7 @@ def test_slices_of_a_comparison_show_the_forces_and_their_errors(drawn: Drawn) -
     np.testing.assert_allclose(
         filled(panels[8].images[0]), np.where(both[:, cut], angle, np.nan).T, rtol=1e-3, atol=1e-3
     )
-    names = ["first contact"] * 2 + ["worst error"] + ["|F|"] * 2 + ["error, in"] + ["direction"] * 2
+    names = ["first contact"] * 2 + ["largest error"] + ["|F|"] * 2 + ["error, in"] + ["direction"] * 2
     names.append("direction error")
     for panel, title in zip(panels, names, strict=True):
         assert title in panel.get_title()
@@ -264,22 +269,28 @@ def test_a_preview_states_its_frame_and_position(drawn: Drawn) -> None:
     assert f"1 mm of the hand is 1 mm of the scene; the middle is the scene's (0, 0, 0) m; {AXES}" in title
     shadow = np.max([np.linalg.norm(block(n), axis=-1) for n in (0, 2, 5)], axis=0).max(axis=2)
     assert_shows(figure.axes[0], shadow, shadow > 0)
-
-
-def test_a_medium_is_drawn_with_the_box_of_its_lattice(tmp_path: Path) -> None:
-    figure = draw_medium(HapticMedium.from_frames([ForceField.from_dense(GRID, block())], 30.0, AXES))
-    assert figure.get_suptitle().startswith("frame 1 of 1, on the medium's lattice (dashed)")
-    assert GRID.description in figure.get_suptitle()
     low, high = 1e3 * np.stack(GRID.box_m)
     margin = 0.12 * (high - low).max()
+    limits = low[0] - margin, high[0] + margin
+    assert figure.axes[0].get_xlim() == pytest.approx(limits), "all of the workspace is shown"
+
+
+def test_a_medium_is_drawn_cropped_to_its_forces(tmp_path: Path) -> None:
+    frames = [ForceField.from_dense(GRID, np.roll(block(), shift, axis=0)) for shift in (0, 2)]
+    figure = draw_medium(HapticMedium.from_frames(frames, 30.0, AXES))
+    title = "frames 1, 2 of 2, cropped to the forces; edges of the lattice (dashed)"
+    assert figure.get_suptitle().startswith(title) and GRID.description in figure.get_suptitle()
+    low, high = 1e3 * np.stack(GRID.box_m)
+    first, stop, step = np.array((3, 2, 5)), np.array((10, 9, 12)), 1e3 * np.array(GRID.spacing_m)
+    margin = 0.05 * ((stop - first) * step).max()
     axes_of_panels = (0, 1, False), (2, 1, True), (0, 2, False)
     for panel, (across, up, is_inverted) in zip(figure.axes, axes_of_panels, strict=False):
         (box,) = panel.patches
         assert box.get_xy() == pytest.approx((low[across], low[up]))
         assert (box.get_width(), box.get_height()) == pytest.approx(((high - low)[across], (high - low)[up]))
-        limits = sorted(panel.get_xlim()), sorted(panel.get_ylim())
-        assert limits[0] == pytest.approx([low[across] - margin, high[across] + margin])
-        assert limits[1] == pytest.approx([low[up] - margin, high[up] + margin])
+        for axis, limits in ((across, panel.get_xlim()), (up, panel.get_ylim())):
+            ends = low[axis] + np.array((first[axis], stop[axis])) * step[axis]
+            assert sorted(limits) == pytest.approx([ends[0] - margin, ends[1] + margin])
         assert (panel.get_xlabel(), panel.get_ylabel()) == (f"{'xyz'[across]} / mm", f"{'xyz'[up]} / mm")
         assert panel.xaxis_inverted() == is_inverted and panel.yaxis_inverted() == (up == 2)
     tf.tasks.view.draw_medium(HapticMedium.from_frames([ForceField.empty(GRID)], 30.0), tmp_path / "x.png")

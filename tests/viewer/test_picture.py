@@ -58,7 +58,8 @@ def test_a_picture_is_aligned_with_the_samples() -> None:
         assert low_mm == pytest.approx(first - 3 * half) and high_mm == pytest.approx(last + 3 * half), (
             "one around"
         )
-    assert panels._slice_name() == f"slice at y = {1e3 * (GRID.origin_m[1] + 4 * GRID.spacing_m[1]):.1f} mm"
+    at_mm = 1e3 * (GRID.origin_m[1] + 6 * GRID.spacing_m[1])
+    assert panels._slice_name() == f"slice at y = {at_mm:.1f} mm", "the middle one of equal slices"
 
 
 def test_an_error_is_in_units_of_the_mask() -> None:

@@ -211,9 +211,10 @@ def test_slices_pass_through_the_greatest_force(tmp_path: Path, monkeypatch: pyt
     titles = [panel.get_title() for panel in drawn[0].axes]
     assert sum("slice at y = 15.0 mm" in title for title in titles) == 4
     arrows = [quiver for panel in drawn[0].axes for quiver in panel.findobj(Quiver)]
-    assert [len(quiver.U) for quiver in arrows] == [16**2] * 2, (
-        "one for each thirtieth of the page that holds a force"
-    )
+    cells = (
+        int(39 * 0.5 // (22 / 30)) + 1
+    )  # of 22 mm that are shown, for samples 0 to 39 of half a millimetre
+    assert [len(quiver.U) for quiver in arrows] == [cells**2] * 2, "one in each cell of the panel"
     assert all((quiver.V > 0).all() and not quiver.U.any() for quiver in arrows)
 
 

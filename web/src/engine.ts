@@ -360,7 +360,7 @@ export class Engine {
       if (strongest[0]! >= largest[0]!) largest = strongest.slice();
     }
     const grid = head.type === 2 ? this.grid() : null;
-    const at = cutAt ?? this.middling(cutAxis, meshes, poses);
+    const at = cutAt ?? this.firstCut(cutAxis, meshes, poses);
     const cut = head.type === 1 ? this.cut(cutAxis, at) : null;
     return { time, parts, poses, meshes, cut, grid, largest, memory: this.memory, ms: performance.now() - start };
   }
@@ -380,8 +380,8 @@ export class Engine {
     return this.forces(origin, 0, 1, spacing, shape);
   }
 
-  /** A position for a first slice: three quarters along the surface, towards the viewer's right. */
-  private middling(axis: number, meshes: Mesh[], poses: Float64Array): number {
+  /** Position of a first slice: in the viewer's right half of the surface, where the forces in its plane vary most. */
+  private firstCut(axis: number, meshes: Mesh[], poses: Float64Array): number {
     let [low, high] = [Infinity, -Infinity];
     for (const { part, vertex } of meshes) {
       const p = poses.subarray(12 * part, 12 * part + 12);
@@ -393,7 +393,15 @@ export class Engine {
     }
     const { origin, spacing, shape } = this.opened();
     const middle = origin[axis]! + 0.5 * spacing[axis]! * shape[axis]!;
-    return low < high ? low + 0.78 * (high - low) : middle;
+    let [best, most] = [middle, -1];
+    for (let part = 0.5; low < high && part < 0.9; part += 0.04) {
+      const at = low + part * (high - low);
+      const { forces } = this.cut(axis, at);
+      let variation = 0;
+      for (let i = 3; i < forces.length; i++) if (i % 3 !== axis) variation += Math.abs(forces[i]! - forces[i - 3]!);
+      if (variation > most) [best, most] = [at, variation];
+    }
+    return best;
   }
 
   /** Forces on a plane across an axis, at a position in metres, over the whole box. */

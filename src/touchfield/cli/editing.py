@@ -184,7 +184,7 @@ def texture(
     from touchfield.sources.recordings.recording import read_recording
     from touchfield.tasks.texture import merge_materials, store_materials, texture_of
 
-    check_results((*sources, into), out, plot)
+    check_results((*sources, into), out, plot=plot)
     tables = [read_materials(path) for path in sources if path.suffix.lower() == ".json"]
     recorded = [path for path in sources if path.suffix.lower() != ".json"]
     if recorded:
@@ -265,7 +265,7 @@ def deform(
 @command(
     "Study",
     "reduce fox.touch",
-    "reduce ground.touch --cull shell.touch --mode lossless",
+    "reduce ground.touch --cull shell.touch --mode lossless --plot reduced.png",
     "reduce fox.touch few-modes.touch --rank 20 --trace log.csv",
 )
 @with_options(rows_of(ReductionSpec), CODER)
@@ -274,12 +274,18 @@ def reduce(
     medium: Medium,
     out: Annotated[Path | None, typer.Argument(help="File to write from the modes that were used.")] = None,
     cull: Annotated[Path | None, "OUT.touch without what the hand can never feel."] = None,
+    plot: Annotated[Path | None, "PNG to draw: the error by modes, and a slice of what is left out."] = None,
 ) -> Answer:
     """Reduce MEDIUM to a few modes; report degrees of freedom, their entropy, and unreachable samples."""
     from touchfield.tasks.reduction import reduce_medium
 
-    check_results((medium,), out, cull)
+    check_results((medium,), out, cull, plot=plot)
     spec = ReductionSpec(**fields_of(ReductionSpec, options))
     with progress("reduce") as report:
         done = reduce_medium(medium, out, cull, spec, coder_spec(options), report)
-    return Answer(done.summary(), medium, done.notes, {"held_out": "frames that were not learnt"})
+    picture = () if plot is None else (f"the picture is {plot}",)
+    if plot is not None:
+        done.draw(plot)
+    return Answer(
+        done.summary(), medium, (*done.notes, *picture), {"held_out": "frames that were not learnt"}
+    )

@@ -26,6 +26,7 @@ from touchfield.cli.options import (
     with_options,
 )
 from touchfield.cli.output import (
+    HAND_TABLES,
     Answer,
     check_results,
     literal_console,
@@ -47,6 +48,7 @@ from touchfield.tasks.plan import Plan, Trial
     "encode scan.ply scan.touch",
     "encode depth-folder room.touch --frames 0:90 --k 0.2",
     "encode sample:terrain small.touch --target-bytes 60000",
+    "encode scan.ply scan.touch --report --plot scan.png",
 )
 @with_options(SCENE, ALLOW_EMPTY, FORCE_ROWS, CODER, TARGET)
 def encode(
@@ -58,22 +60,31 @@ def encode(
             metavar="OUT", help="The .touch file, also s3://...; or OUT.zarr, tiles of a huge lattice."
         ),
     ],
+    with_report: Annotated[
+        bool,
+        typer.Option(
+            "--report", help="Also measure the file against SOURCE: error, bits, what a hand feels."
+        ),
+    ] = False,
+    plot: Annotated[Path | None, "PNG to draw: SOURCE, the file and the error, the middle frame."] = None,
     workers: Workers = None,
     device_compute: DeviceCompute = "cpu",
 ) -> Answer:
     """Turn SOURCE into a .touch file."""
-    out = Path(to)
-    refuse_overwriting(out, source)
+    out, is_measured = Path(to), with_report or plot is not None
+    check_results((source,), None if is_remote(to) else out, plot=plot)
     require_ending(to, "OUT.touch", "OUT.zarr", hint="For a field take: touchfield field.")
     spec, target = encode_spec(options), target_of(options)
-    if is_remote(to) and (target is not None or out.suffix == ".zarr"):
-        raise InvalidArgument("targets and .zarr work with a path, not with an address")
+    if is_remote(to) and (target is not None or is_measured or out.suffix == ".zarr"):
+        raise InvalidArgument("--report, --plot, targets and .zarr work with a path, not with an address")
     if target is not None and workers is not None:
         raise InvalidArgument(
             f"--workers works without {target.option}: one encoding after another finds a target"
         )
     if target is not None and out.suffix == ".zarr":
         raise InvalidArgument(f"{target.option} works with OUT.touch, not with .zarr")
+    if is_measured and out.suffix == ".zarr":
+        raise InvalidArgument("--report and --plot work with OUT.touch, not with .zarr")
     later = ("fusion",) if Path(source).is_dir() else ()  # a folder is a depth sequence, most often
     with (
         computing(device_compute),
@@ -87,10 +98,27 @@ def encode(
             done = pipeline.encode(source, to, spec, report, executor=executor)
         else:
             done = pipeline.encode_to_target(source, out, spec, target, report)
-    return Answer(done.summary(), to, done.notes)
+        if not is_measured:
+            return Answer(done.summary(), to, done.notes)
+    with computing(device_compute), progress("report") as report:
+        compared = pipeline.compare_prepared(done.prepared, out, report=report)
+    if plot is not None:
+        compared.draw(plot)
+    return _with_comparison(to, done, compared, plot)
 
 
-@command("Make", "filter room.touch soft.touch --gaussian sigma=2mm --report", name="filter")
+def _with_comparison(
+    to: str, done: pipeline.Encoded, compared: pipeline.Comparison, plot: Path | None
+) -> Answer:
+    """Return the answer of an encoding with the figures of its comparison, and the name of its picture."""
+    encoding, comparison = done.summary(), compared.summary()
+    picture = () if plot is None else (f"the picture is {plot}",)
+    new_figures = {name: value for name, value in comparison.items() if name not in encoding}
+    notes = tuple(dict.fromkeys((*done.notes, *compared.notes, *picture)))
+    return Answer({**encoding, **new_figures}, to, notes, HAND_TABLES)
+
+
+@command("Make", "filter room.touch soft.touch --gaussian sigma=2mm --report --plot soft.png", name="filter")
 @with_options(filter_rows(), FORCE_ROWS, SCENE, ALLOW_EMPTY, CODER)
 def filter_(
     options: Options,
@@ -100,6 +128,7 @@ def filter_(
         bool,
         typer.Option("--report", help="Also measure what each filter does: bits, energy, what a hand feels."),
     ] = False,
+    plot: Annotated[Path | None, "PNG to draw: the middle frame before and after the filters."] = None,
     workers: Workers = None,
 ) -> Answer:
     """Filter SOURCE, a scene or a .touch file, in the order of the options, and write OUT."""
@@ -113,7 +142,7 @@ def filter_(
     stray = [name for name, value in {**force_options, "workers": workers}.items() if value is not None]
     if stray and not is_stream:
         raise InvalidArgument(f"--{stray[0]} works with OUT.touch, not with {out.suffix}, a field file")
-    check_results((source,), out)
+    check_results((source,), out, plot=plot)
     measured = None
     if with_report:  # first: what it cannot be made of must not leave a file behind
         with progress("report") as report:
@@ -127,6 +156,9 @@ def filter_(
             prepared = pipeline.prepare(source, spec)
             summary, notes = prepared.summary(), prepared.notes
             out = pipeline.write_field(out, felt_medium(prepared), report, prepared.placement)
+    if plot is not None:
+        pipeline.draw_filtered(source, spec, plot)
+        notes = (*notes, f"the picture is {plot}")
     summary["filters"] = "; ".join(f"{step.name} {step.text}" for step in spec.chain) or "none"
     if not measured:
         return Answer(summary, str(out), notes)
@@ -154,7 +186,7 @@ def field(
         raise InvalidArgument(
             "touchfield field makes FIELD.npz or FIELD.vti, or draws --preview PNG: name one"
         )
-    check_results((source,), preview, out)
+    check_results((source,), out, plot=preview)
     summary: dict[str, Any] = {}
     with computing(device_compute), progress("field") as report:
         prepared = pipeline.prepare(source, encode_spec(options))
@@ -187,7 +219,7 @@ def plan(
     if spec.nw is None:
         raise InvalidArgument("--nominal does not go with plan: name --nw, the finest lattice to try")
     search = replace(search, nw=tuple(range(max(3, spec.nw - 2), spec.nw + 1)), k=tuple(k or search.k))
-    check_results((source,), plot)
+    check_results((source,), plot=plot)
     spec = replace(spec, touch=replace(spec.touch, effort=effort))
     with progress("plan") as report, executor_of(workers) as executor:
         result = tasks.plan.plan(source, amount, spec, search, report, executor)

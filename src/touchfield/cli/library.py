@@ -136,7 +136,7 @@ def correlate(
     return Answer(done.summary(), title, done.notes, {"looks": ""})
 
 
-@command("Study", "points 15 fox.touch rebuilt.touch", "points 5 recorded.csv --next")
+@command("Study", "points 15 fox.touch rebuilt.touch --plot points.png", "points 5 recorded.csv --next")
 @with_options(CODER)
 def points(
     options: Options,
@@ -152,11 +152,14 @@ def points(
         bool, typer.Option("--next", help="Where to record next, and how little is known there.")
     ] = (False),
     measured: Annotated[Path | None, "With --next: a recording of what was measured of IN."] = None,
+    plot: Annotated[
+        Path | None, "PNG to draw: the points, the field, the rebuilt field and its error."
+    ] = None,
 ) -> Answer:
     """Find the fewest points of IN that tell the rest, or where to measure next."""
     from touchfield.tasks.reduction import fewest_points, next_points
 
-    check_results((source,), out)
+    check_results((source,), out, plot=plot)
     if is_next and (out is not None or modes is not None):
         raise InvalidArgument("--next", "OUT or --modes with it", "neither: nothing is rebuilt yet")
     if measured is not None and not is_next:
@@ -166,6 +169,8 @@ def points(
     else:
         with progress("points") as report:
             done = fewest_points(source, count, out, modes, coder_spec(options), report)
-    return Answer(
-        done.summary(), f"{count} points of {source}", done.notes, {"next": "places, the first one first"}
-    )
+    picture = () if plot is None else (f"the picture is {plot}",)
+    if plot is not None:
+        done.draw(plot)
+    title, notes = f"{count} points of {source}", (*done.notes, *picture)
+    return Answer(done.summary(), title, notes, {"next": "places, the first one first"})

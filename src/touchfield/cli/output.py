@@ -11,10 +11,11 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from itertools import accumulate
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from touchfield.errors import InvalidArgument
 from touchfield.files import refuse_overwriting
+from touchfield.viewer.page import require_matplotlib
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -23,15 +24,20 @@ if TYPE_CHECKING:
 _GAP = 2  # blanks between columns
 
 
-def check_results(reads: Sequence[str | Path | None], *results: Path | None) -> None:
+def check_results(
+    reads: Sequence[str | Path | None], *results: Path | None, plot: Path | None = None
+) -> None:
     """Raise InvalidArgument before the work if a result cannot be written.
 
-    The folder of each result must exist, and no result may be one of the files that are read. None is
-    ignored.
+    The folder of each result must exist, and no result may be one of the files that are read, or another
+    result. `plot` is a result that is drawn: MissingExtra if matplotlib is not installed. None is ignored.
     """
-    for out in results:
-        if out is None:
-            continue
+    if plot is not None:
+        require_matplotlib(f"the picture {plot}")
+    named = [out for out in (*results, plot) if out is not None]
+    for n, out in enumerate(named):
+        if out.absolute() in (other.absolute() for other in named[:n]):
+            raise InvalidArgument(str(out), "the name of two results", "a name for each")
         if not out.parent.is_dir():
             raise InvalidArgument(str(out), f"no folder {out.parent}", "a folder that is there")
         refuse_overwriting(out, *(read for read in reads if read is not None))
@@ -81,6 +87,13 @@ class Answer:
                 part = self.values.get(key)
                 if part:
                     show_rows([part] if isinstance(part, Mapping) else part, title)
+
+
+HAND_TABLES: Final = {
+    "slides": "a hand that slides at |F| = 1 N, 40 to 400 Hz",
+    "hold": "a hand that holds still, frame to frame and 40 to 400 Hz",
+}
+"""Tables of what a hand feels of a coding."""
 
 
 def show_notes(notes: Sequence[str]) -> None:

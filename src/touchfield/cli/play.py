@@ -75,7 +75,7 @@ def play(
         if not verdict["can_play"]:
             raise typer.Exit(1)
         return
-    check_results((stream,), log, plot)
+    check_results((stream,), log, plot=plot)
     is_logged = not (log is plot is None)
     derived = {"is_logged": is_logged, "is_drawn": plot is not None, "render": render_spec(options)}
     spec = PlaySpec(**{**fields_of(PlaySpec, options), **derived})

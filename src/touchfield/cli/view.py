@@ -14,6 +14,7 @@ from touchfield import pipeline, tasks
 from touchfield.cli.main import Options, Source, Stream, command
 from touchfield.cli.options import SCENE, encode_spec, fields_of, rows_of, with_options
 from touchfield.cli.output import (
+    HAND_TABLES,
     Answer,
     check_results,
     literal_console,
@@ -71,7 +72,10 @@ def compare(
 ) -> Answer:
     """Measure a stream against its source, and draw both."""
     target = picture or _free_name(source, stream)
-    check_results((source, stream), target)
+    if picture is None or no_picture:  # a picture that was not asked for may be left out
+        check_results((source, stream), target)
+    else:
+        check_results((source, stream), plot=picture)
     if not no_picture and target.exists() and not is_our_picture(target):
         hint = "Name another --picture, or take --no-picture."
         raise InvalidArgument(
@@ -90,11 +94,7 @@ def compare(
             if picture is not None:
                 raise
             notes = (*notes, f"no picture: {missing}")
-    tables = {
-        "slides": "a hand that slides at |F| = 1 N, 40 to 400 Hz",
-        "hold": "a hand that holds still, frame to frame and 40 to 400 Hz",
-    }
-    return Answer(compared.summary(), f"{stream} against {source}", notes, tables)
+    return Answer(compared.summary(), f"{stream} against {source}", notes, HAND_TABLES)
 
 
 def _free_name(source: str, stream: str) -> Path:
@@ -124,7 +124,7 @@ def measure(
     encode = encode_spec({**options, "device": reference})
     measure_fields = fields_of(MeasureSpec, options)
     spec = MeasureSpec(**measure_fields, devices=tuple(device or ()), limits=not no_limits, encode=encode)
-    check_results((medium,), plot)
+    check_results((medium,), plot=plot)
     with progress("measure") as report:
         measurement = tasks.measure.measure_medium(medium, spec, report)
     if plot is not None:

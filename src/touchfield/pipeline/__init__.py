@@ -19,7 +19,13 @@ from typing import TYPE_CHECKING
 from touchfield._lazy import lazy_attributes
 
 if TYPE_CHECKING:
-    from touchfield.pipeline.comparison import Comparison, compare, filter_report
+    from touchfield.pipeline.comparison import (
+        Comparison,
+        compare,
+        compare_prepared,
+        draw_filtered,
+        filter_report,
+    )
     from touchfield.pipeline.decoding import open_file, write_field
     from touchfield.pipeline.encoding import Encoded, encode
     from touchfield.pipeline.partition import partition_workspace
@@ -39,7 +45,9 @@ __all__ = [
     "Target",
     "Tiled",
     "compare",
+    "compare_prepared",
     "decode",
+    "draw_filtered",
     "encode",
     "encode_tiles",
     "encode_to_target",
@@ -51,7 +59,7 @@ __all__ = [
 ]
 
 _MODULES = {
-    "comparison": ("Comparison", "compare", "filter_report"),
+    "comparison": ("Comparison", "compare", "compare_prepared", "draw_filtered", "filter_report"),
     "decoding": ("open_file", "write_field"),
     "encoding": ("Encoded", "encode"),
     "partition": ("partition_workspace",),

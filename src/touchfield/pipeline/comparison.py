@@ -1,5 +1,5 @@
 """Compares a ``.touch`` file with its source, for `touchfield compare`: error in numbers, and what a
-simulated hand feels in both. It also reports what each haptic filter changed.
+simulated hand feels in both. It also reports and draws what haptic filters changed.
 
 The filter report measures a medium before and after each haptic filter (paper 3.2).
 """
@@ -134,36 +134,60 @@ def compare(
     outside its own folder; `slides` replaces the default slides of the hand.
     """
     with open_file(stream) as opened:
-        head = opened.reader.head
         original = source_medium(source, opened, allow_outside)
-        decoded, scene, notes = opened.medium, original.objects, original.notes
-        drawn_frame = len(decoded) // 2 if frame is None else frame
-        if not 0 <= drawn_frame < len(decoded):
-            raise InvalidArgument("frame", repr(frame), f"0 to {len(decoded) - 1}")
-        # a stream without F_0 is measured with the smallest threshold that a meter takes
-        floor_n = (head.force_threshold_n or NO_FLOOR_N) if f0_n is None else f0_n
-        masking = opened.masking if k is None and f0_n is None else None
-        meter = FidelityMeter(head.weber_fraction if k is None else k, floor_n, masking)
-        hand, supported = HandMeter(opened, scene, original.exact, slides), 0
-        for i in range(len(decoded)):
-            x, y = original.medium[i], decoded[i]
-            meter.add(x, y)
-            hand.add(i, x, y)
-            supported += y.support_count
-            if i == drawn_frame:
-                drawn = (i, x, y)
-            report(i + 1, len(decoded))
-        voxels = opened.bits_of_voxels(supported)
-        composed = None
-        if scene is not None and opened.scene is not None and "place_tolerance_um" in opened.summary():
-            composed = compare_scenes(scene, opened.scene, meter.k, floor_n)
-            distance = f"at most {1e6 * composed[1]:.1f} um off"
-            notes = (
-                *notes,
-                f"the mask is that of the source with each body at its decoded pose, {distance}; *_in_place "
-                "are without that tolerance",
-            )
-        bits, summary = opened.bits, opened.summary()
+        return _compare(original, opened, k, f0_n, frame, slides, report)
+
+
+def compare_prepared(
+    prepared: Prepared, stream: str | Path, slides: SlideSpec | None = None, report: Progress = silent
+) -> Comparison:
+    """Measure a stream against what was coded, ``Encoded.prepared`` of `encode`; see `compare`.
+
+    The source is not opened and placed again.
+    """
+    with open_file(stream) as opened:
+        return _compare(prepared, opened, slides=slides, report=report)
+
+
+def _compare(
+    original: Prepared,
+    opened: OpenStream,
+    k: float | None = None,
+    f0_n: float | None = None,
+    frame: int | None = None,
+    slides: SlideSpec | None = None,
+    report: Progress = silent,
+) -> Comparison:
+    """Compare the frames of an open stream with those of its source; see `compare`."""
+    head = opened.reader.head
+    decoded, scene, notes = opened.medium, original.objects, original.notes
+    drawn_frame = len(decoded) // 2 if frame is None else frame
+    if not 0 <= drawn_frame < len(decoded):
+        raise InvalidArgument("frame", repr(frame), f"0 to {len(decoded) - 1}")
+    # a stream without F_0 is measured with the smallest threshold that a meter takes
+    floor_n = (head.force_threshold_n or NO_FLOOR_N) if f0_n is None else f0_n
+    masking = opened.masking if k is None and f0_n is None else None
+    meter = FidelityMeter(head.weber_fraction if k is None else k, floor_n, masking)
+    hand, supported = HandMeter(opened, scene, original.exact, slides), 0
+    for i in range(len(decoded)):
+        x, y = original.medium[i], decoded[i]
+        meter.add(x, y)
+        hand.add(i, x, y)
+        supported += y.support_count
+        if i == drawn_frame:
+            drawn = (i, x, y)
+        report(i + 1, len(decoded))
+    voxels = opened.bits_of_voxels(supported)
+    composed = None
+    if scene is not None and opened.scene is not None and "place_tolerance_um" in opened.summary():
+        composed = compare_scenes(scene, opened.scene, meter.k, floor_n)
+        distance = f"at most {1e6 * composed[1]:.1f} um off"
+        notes = (
+            *notes,
+            f"the mask is that of the source with each body at its decoded pose, {distance}; *_in_place "
+            "are without that tolerance",
+        )
+    bits, summary = opened.bits, opened.summary()
     bits = replace(bits, side=0)
     bits = replace(bits, side=8 * summary["file_bytes"] - bits.total)
     return Comparison(meter, bits, summary, drawn, notes, hand.motion(), voxels, composed)
@@ -295,6 +319,24 @@ def filter_report(source: str | Path | Scene, spec: EncodeSpec, report: Progress
             meter.add(stages[0], field, quantise(field).object_symbols)
         report(i + 1, len(medium))
     return Result({"quantiser": quantise.text, "stages": [meter.row() for meter in meters]})
+
+
+def draw_filtered(source: str | Path | Scene, spec: EncodeSpec, path: str | Path) -> None:
+    """Write the picture of the middle frame before and after the filters of ``spec.filters``, PNG.
+
+    The error is in units of the mask of ``spec.paper.k``. MissingExtra if matplotlib is not installed.
+    """
+    prepared = prepare(source, replace(spec, filters=()))
+    medium, middle = prepared.medium, len(prepared.medium) // 2
+    stages = _stages(prepared, spec.chain)(middle)
+    before, after = stages[0], stages[-1]
+    meter = FidelityMeter(spec.paper.k, DEFAULT_F0_N)
+    meter.add(before, after)
+    chain = ", ".join(step.name for step in spec.chain) or "no filter"
+    title = f"frame {middle + 1} of {len(medium)} for {prepared.device.name}, before and after {chain}"
+    changed = f"{100 * meter.mask_violation_share:.1f} % of voxels changed by more than the mask"
+    mask, names = (meter.k, meter.f0_n), ("before", "after", "change")
+    draw_comparison(Path(path), before, after, f"{title}\n{changed}", medium.axes, mask, names)
 
 
 def _stages(prepared: Prepared, chain: tuple[FieldFilter, ...]) -> Callable[[int], list[ForceField]]:

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from touchfield.pipeline.preparation import Prepared
 
 _ALLOW = "--allow-empty writes it all the same."
+_WEAK_FRACTION = 0.02  # of the device's largest force; its filter drops forces below half of that
 
 
 def refuse_empty(prepared: Prepared, supported: int, silent_frames: int = 0) -> None:
@@ -58,6 +59,10 @@ def _remedy(prepared: Prepared) -> str:
     spec = prepared.spec
     if not prepared.has_law:
         return "The source itself has no force there: take other --frames, or another source"
+    largest_n = spec.stiffness_n_per_m * min(prepared.device.workspace_m)
+    if largest_n < _WEAK_FRACTION * prepared.device.force_max_n:
+        weak = f"{spec.stiffness_n_per_m:g} N/m makes less than {largest_n:.2g} N in the whole workspace"
+        return f"{weak}; the same in N/mm is --stiffness-n-per-m {1e3 * spec.stiffness_n_per_m:g}"
     if spec.mapping != "fit":
         return f"With --mapping {spec.mapping} the scene may lie outside the workspace: try --mapping fit"
     spacing_m = max(prepared.medium.grid.spacing_m)

@@ -96,6 +96,9 @@ def _option_notes(mapping: Mapping, spec: EncodeSpec) -> tuple[str, ...]:
     if thickness_mm < spacing_mm and not device.is_array:
         gap = f"A wall of {thickness_mm:.3g} mm is thinner than the {spacing_mm:.3g} mm between samples"
         notes += (f"{gap}: it is weak, and may have gaps (--thickness-m, --nw).",)
+    if max(device.workspace_m) < (spec.thickness_m or 0.0):
+        unit = f"as metres: {spec.thickness_m:g} mm are --thickness-m {1e-3 * (spec.thickness_m or 0.0):g}"
+        notes += (f"Is the unit right? The wall is thicker than the workspace, {unit}.",)
     ignored = ("nw", "nominal") if device.is_array else ("pool", "cutoff")
     changed = spec.changed_options()
     unused = ", ".join(f"--{name}" for name in ignored if name in changed)

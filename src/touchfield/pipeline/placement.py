@@ -109,6 +109,9 @@ def _lattice(
         workspace = (workspace[0], workspace[1], math.inf)
     elif scene.stored is None:
         margin_m = max(0.0, profile.high_m)
+        if 2 * margin_m >= min(workspace):
+            expected = f"metres, less than half the workspace, {min(workspace) / 2:g} m"
+            raise InvalidArgument("band_m", f"{spec.band_m:g}", expected, "4 mm are 0.004.")
         margin_m += FIT_MARGIN * min(workspace) if spec.mapping == "fit" else 0.0
     if spec.factor is None:
         placement = Placement.fit(box_m, workspace, margin_m=margin_m)

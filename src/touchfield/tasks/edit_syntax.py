@@ -94,9 +94,11 @@ def _numbers(where: str, text: str, *forms: str) -> list[float]:
         raise InvalidArgument(where, repr(text), f"{expected} numbers between commas")
     numbers = []
     for part, kind in zip(parts, form, strict=True):
+        if kind == "L" and part.lstrip("+-") not in ("inf", "0"):
+            numbers.append(length_m(part, where))
+            continue
         try:
-            is_length = kind == "L" and part.lstrip("+-") not in ("inf", "0")
-            numbers.append(length_m(part, where) if is_length else float(part))
+            numbers.append(float(part))
         except ValueError:
             raise InvalidArgument(where, repr(part), "a number") from None
     return numbers

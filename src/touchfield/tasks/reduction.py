@@ -34,7 +34,7 @@ from touchfield.medium.selection import evenly_spaced
 from touchfield.medium.trace import ContactTrace, read_trace
 from touchfield.pipeline.preparation import Prepared
 from touchfield.pipeline.result import Result
-from touchfield.pipeline.spec import EncodeSpec, ReductionSpec
+from touchfield.pipeline.spec import DEFAULT_F0_N, EncodeSpec, ReductionSpec
 from touchfield.reduction import Hand, ReducedMedium, freedom, held_out, reach_of, reduce_to_modes
 from touchfield.reduction.kernel_points import (
     Kernel,
@@ -53,6 +53,7 @@ from touchfield.sources.recordings.contact_trace import (
 )
 from touchfield.tasks.editing import fidelity_of, write_result
 from touchfield.tasks.matching import read_medium
+from touchfield.viewer.reduction import draw_points, draw_reduction
 
 _HAND_KG, _INERTIA_KG = (
     0.05,
@@ -60,6 +61,27 @@ _HAND_KG, _INERTIA_KG = (
 )  # as in `touchfield.render.spec`; the second is that of the lightest device
 _SPEED_M_S: Final = 0.2  # the fastest slide of `touchfield.perception.hand_motion`
 _PUSH_FRACTION: Final = 0.25  # fraction of a device's largest force, if its continuous force is unknown
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reduction(Result):
+    """Figures of a reduction, the singular values, the middle frame, and the samples that a hand can feel."""
+
+    singular_values: Float64s = field(repr=False)  # [n]
+    middle_frame: ForceField = field(repr=False)
+    perceptible: Bools = field(repr=False)  # [nx, ny, nz]
+    axes: str = ""
+
+    def draw(self, path: str | Path) -> None:
+        """Write the picture of the error by the number of modes, and of the samples left out, PNG.
+
+        MissingExtra if matplotlib is not installed.
+        """
+        rank, hand = self.figures["rank"], self.figures["hand"]
+        title = f"rank {rank}; what is left out changes nothing for {hand}"
+        draw_reduction(
+            Path(path), self.singular_values, self.middle_frame, self.perceptible, title, self.axes
+        )
 
 
 def hand_of(device: Device, spec: ReductionSpec) -> Hand:
@@ -94,7 +116,7 @@ def reduce_medium(
     spec: ReductionSpec | None = None,
     coder: EncodeSpec | None = None,
     report: Progress = silent,
-) -> Result:
+) -> Reduction:
     """Reduce a medium to a few modes.
 
     Reports degrees of freedom, their entropy, and unreachable samples.
@@ -158,7 +180,14 @@ def reduce_medium(
         figures |= {"file": str(written.path), "file_bytes": written.path.stat().st_size}
         figures |= {name: value for name, value in written.figures.items() if name in BOUND_KEYS}
         notes += written.notes
-    return Result(figures, notes)
+    return Reduction(
+        figures,
+        notes,
+        singular_values=approximation.modes.values,
+        middle_frame=medium[len(medium) // 2],
+        perceptible=perceptible,
+        axes=medium.axes,
+    )
 
 
 def _modes(prepared: Prepared, spec: ReductionSpec) -> tuple[ReducedMedium, dict[str, Any]]:
@@ -208,9 +237,26 @@ _COLUMNS: Final = "x_m,y_m,z_m,fx_n,fy_n,fz_n"
 
 @dataclass(frozen=True, kw_only=True)
 class FewestPoints(Result):
-    """Points of a medium or a recording, in the order of selection."""
+    """Points of a medium or a recording, in the order of selection.
+
+    `positions_m` are the samples where the force is known, `forces_n` the forces there, in the middle frame
+    of a medium, and `rebuilt_n` those rebuilt from the points; None if the points are yet to be measured.
+    """
 
     points_m: Float64s = field(repr=False)  # [n, 3]
+    positions_m: Float64s = field(repr=False)  # [m, 3]
+    forces_n: Float64s = field(repr=False)  # [m, 3]
+    rebuilt_n: Float64s | None = field(default=None, repr=False)  # [m, 3]
+    mask: tuple[float, float] = (EncodeSpec().k, DEFAULT_F0_N)  # k and F_0 of max(F_0, k |F|)
+    axes: str = ""
+
+    def draw(self, path: str | Path) -> None:
+        """Write the picture of the points, the field, the rebuilt field and its error, PNG.
+
+        MissingExtra if matplotlib is not installed.
+        """
+        known = self.positions_m, self.forces_n, self.rebuilt_n
+        draw_points(Path(path), self.points_m, *known, self.mask, self.axes)
 
 
 class _Domain:
@@ -295,6 +341,8 @@ def fewest_points(
             measured = domain.forces_n(field)[indices].astype(np.float64)
             return np.asarray(by_modes.modes.rebuild(by_modes.coefficients(measured)).reshape(-1, 3))
 
+        rebuilt_n = rebuild(prepared.medium[len(prepared.medium) // 2])
+
     meter = FidelityMeter(prepared.spec.k, prepared.spec.f0_n or EncodeSpec().f0_n)
     provenance = add_note(prepared.medium.provenance, "edits", f"rebuilt from {count} points")
     medium = replace(prepared.medium, vibration=None, segments=None, provenance=provenance)
@@ -306,7 +354,15 @@ def fewest_points(
     figures |= {
         name: getattr(meter, name) for name in ("nmse_db", "worst_mask_ratio", "mask_violation_share")
     }
-    result = FewestPoints(figures, points_m=domain.positions_m[indices])
+    result = FewestPoints(
+        figures,
+        points_m=domain.positions_m[indices],
+        positions_m=domain.positions_m,
+        forces_n=middle,
+        rebuilt_n=rebuilt_n,
+        mask=(meter.k, meter.f0_n),
+        axes=prepared.medium.axes,
+    )
     if out is None or Path(out).suffix == ".csv":
         return _with_points(result, out, middle[indices])
     written = write_result(prepared, [source], medium, out, report)
@@ -332,9 +388,14 @@ def _points_of_recording(
         **_kernel_figures(kernel),
         "nmse_db": _decibels(error / energy),
     }
-    return _with_points(
-        FewestPoints(figures, points_m=trace.positions_m[indices]), out, trace.forces_n[indices]
+    result = FewestPoints(
+        figures,
+        points_m=trace.positions_m[indices],
+        positions_m=trace.positions_m,
+        forces_n=trace.forces_n,
+        rebuilt_n=rebuilt_n,
     )
+    return _with_points(result, out, trace.forces_n[indices])
 
 
 def _best_points(points_m: Float64s, forces_n: Float64s, count: int) -> tuple[Int64s, Kernel, Float64s]:
@@ -412,7 +473,12 @@ def next_points(source: str | Path, count: int, measured: str | Path | None = No
         "deviation_nowhere_measured_n": interpolant.scale_n * 3**0.5,
         "next": rows,
     }
-    return FewestPoints(figures, points_m=points_and_candidates_m[indices])
+    return FewestPoints(
+        figures,
+        points_m=points_and_candidates_m[indices],
+        positions_m=recording.positions_m,
+        forces_n=recording.forces_n,
+    )
 
 
 def _kernel_figures(kernel: Kernel, criterion: str = "error") -> dict[str, Any]:

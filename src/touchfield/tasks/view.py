@@ -176,23 +176,27 @@ def draw_preview(prepared: Prepared, path: str | Path) -> None:
 def draw_medium(medium: HapticMedium, path: str | Path | None = None) -> Any:
     """Draw the forces of a medium as a matplotlib figure; also a PNG if `path` is given.
 
-    The views are those of `draw_preview`. Raises MissingExtra if matplotlib is not installed.
+    The views are those of `draw_preview`, cropped to the samples with forces. Raises MissingExtra if
+    matplotlib is not installed.
     """
     turn = axes_matrix(BOX_AXES, medium.axes, "auto")
-    figure = _shadows(medium, "on the medium's lattice", f"{medium.grid.description}; {medium.axes}", turn)
+    caption = f"{medium.grid.description}; {medium.axes}"
+    figure = _shadows(medium, "cropped to the forces; edges of the lattice", caption, turn, is_cropped=True)
     if path is not None:
         write_png(figure, Path(path))
     return figure
 
 
-def _shadows(medium: HapticMedium, where: str, caption: str, permutation: Float64s) -> Any:
+def _shadows(
+    medium: HapticMedium, where: str, caption: str, permutation: Float64s, *, is_cropped: bool = False
+) -> Any:
     """Draw the first, the middle and the last frame of a medium."""
     frames = np.unique(np.linspace(0, len(medium) - 1, _DRAWN_FRAMES).astype(int)).tolist()
     title = (
         f"frame{'s' * (len(frames) > 1)} {', '.join(str(n + 1) for n in frames)} of {len(medium)}, {where} "
         "(dashed)"
     )
-    return shadows([medium[i] for i in frames], f"{title}\n{caption}", permutation)
+    return shadows([medium[i] for i in frames], f"{title}\n{caption}", permutation, is_cropped=is_cropped)
 
 
 class FineSource(NamedTuple):

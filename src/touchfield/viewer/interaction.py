@@ -108,8 +108,13 @@ def _draw_force(axis: Any, view: InteractionView) -> None:
 
 
 def _draw_path(figure: Any, axis: Any, view: InteractionView, horizontal: int, vertical: int) -> None:
-    """Draw the path along the third axis, coloured by the device's |F|, over the shadow of the field."""
-    field = view.background
+    """Draw the path along the third axis, coloured by the device's |F|, over the shadow of the field.
+
+    The panel is cropped to the path and the samples with forces.
+    """
+    field, axes = view.background, [horizontal, vertical]
+    size, positions_mm = np.linalg.norm(view.rows["force_n"], axis=1), 1e3 * view.rows["position_m"]
+    seen_mm = [positions_mm[:, axes]]
     if field is not None and len(field.bricks):
         low, high = 1e3 * np.stack(field.grid.box_m)
         shadow = shadow_n([field], horizontal, vertical)
@@ -118,17 +123,29 @@ def _draw_path(figure: Any, axis: Any, view: InteractionView, horizontal: int, v
             vmin=0, vmax=2 * max(float(shadow.max()), 1e-9),
             extent=(low[horizontal], high[horizontal], low[vertical], high[vertical]), aspect="equal",
         )  # fmt: skip
+        seen_mm.append(1e3 * field.grid.to_m(field.positions())[:, axes])
     else:
         axis.set_aspect("equal", adjustable="datalim")
-    size, positions_mm = np.linalg.norm(view.rows["force_n"], axis=1), 1e3 * view.rows["position_m"]
     order = np.argsort(size, kind="stable")
     drawn = axis.scatter(
         positions_mm[order, horizontal], positions_mm[order, vertical],
         c=size[order], s=5, cmap="viridis", vmin=0, vmax=max(float(size.max(initial=0.0)), 1e-9),
     )  # fmt: skip
     figure.colorbar(drawn, ax=axis, label="|F| put out, N", shrink=0.85)
+    _crop(axis, np.concatenate(seen_mm))
     names, axis_words = "xyz", view.axes.split(",")
     if vertical < len(axis_words) and "down" in axis_words[vertical].split():
         axis.invert_yaxis()  # as the viewer sees it
     axis.set_xlabel(f"{names[horizontal]}, mm")
     axis.set_ylabel(f"{names[vertical]}, mm")
+
+
+def _crop(axis: Any, points_mm: Float64s) -> None:
+    """Limit a panel to points [n, 2], with a margin of a twentieth of their larger side."""
+    points_mm = points_mm[np.isfinite(points_mm).all(axis=1)]
+    if not len(points_mm):
+        return
+    low, high = points_mm.min(axis=0), points_mm.max(axis=0)
+    margin = max(0.05 * float((high - low).max()), 1.0)
+    axis.set_xlim(low[0] - margin, high[0] + margin)
+    axis.set_ylim(low[1] - margin, high[1] + margin)

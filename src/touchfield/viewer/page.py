@@ -21,13 +21,18 @@ _LINE_INCH = 1.3 * _SIZE_PT / 72
 _LETTERS_PER_INCH = 9.0  # of text of that size, with a margin: the mean is 11
 
 
+def require_matplotlib(purpose: str) -> None:
+    """Raise MissingExtra, which names the `purpose`, if matplotlib is not installed."""
+    import_extra("matplotlib", purpose, "matplotlib", "report")
+
+
 def titled_figure(purpose: str, title: str, width_inch: float, height_inch: float) -> Figure:
     """Return an empty figure with a title.
 
     `height_inch` is the height of the figure with a title of one line. Raises MissingExtra, which names the
     `purpose` ("the picture of a comparison"), if matplotlib is not installed.
     """
-    import_extra("matplotlib", purpose, "matplotlib", "report")
+    require_matplotlib(purpose)
     from matplotlib.figure import Figure
 
     lines = lines_that_fit(title, width_inch)

@@ -7,14 +7,15 @@ uniform and safe for colour-blind readers; compared panels share a scale with a 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.arrays import Bools, Float32s, Float64s, lengths_of
+from touchfield.arrays import Float32s, Float64s, lengths_of
 from touchfield.perception.mask import mask_n
 from touchfield.viewer.page import titled_figure, write_png
+from touchfield.viewer.slices import choose_slice, supported_span
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -23,11 +24,9 @@ if TYPE_CHECKING:
 
     from touchfield.medium import ForceField
 
-
 _X, _Y, _Z = 0, 1, 2
 _ARROWS = 30  # along the longer side of the direction panels
 _EMPTY = "0.86"
-_COLUMNS = ("source", "decoded")
 
 
 def draw_comparison(
@@ -37,19 +36,22 @@ def draw_comparison(
     title: str,
     axes: str,
     mask: tuple[float, float],
+    names: tuple[str, str, str] = ("source", "decoded", "error"),
 ) -> None:
     """Write a PNG that compares two fields on one grid.
 
-    The rows show the first contact of a hand that comes from the viewer's side, |F| on a slice along the line
-    of sight, and the direction on the same slice; for an array of actuators, the single row shows |F| of
-    each. The columns are source, decoded and error. `axes` are those of the medium, such as "x right, y down,
-    z forward"; `mask` is (k, F_0) of max(F_0, k |F|). `MissingExtra` if matplotlib is not installed.
+    The rows show the first contact of a hand that comes from the viewer's side, |F| on the slice that shows
+    the most (`choose_slice`), and the direction on the same slice, as arrows of the part in the plane; for an
+    array of actuators, the single row shows |F| of each. Each row is cropped to the samples with forces. The
+    columns are the two fields and their difference, by `names`. `axes` are those of the medium, such as "x
+    right, y down, z forward"; `mask` is (k, F_0) of max(F_0, k |F|). `MissingExtra` if matplotlib is not
+    installed.
     """
-    panels = _Panels(original, decoded, axes, mask)
+    panels = _Panels(original, decoded, axes, mask, names)
     rows = [panels.draw_amplitudes]
     if not panels.is_array:
         rows = [panels.draw_contact, *rows, panels.draw_directions]
-    heights = panels.row_heights()[: len(rows)]
+    heights = panels.row_heights()[-len(rows) :]
     figure = titled_figure("the picture of a comparison", title, 14.0, 1.2 + 4.3 * sum(heights))
     subplots = figure.subplots(len(rows), 3, squeeze=False, gridspec_kw={"height_ratios": heights})
     for draw, row in zip(rows, subplots, strict=True):
@@ -57,8 +59,17 @@ def draw_comparison(
     write_png(figure, path)
 
 
+class _View(NamedTuple):
+    """The horizontal and vertical axis of a panel, and its box [across, up], millimetres."""
+
+    across: int
+    up: int
+    low_mm: tuple[float, float]
+    high_mm: tuple[float, float]
+
+
 class _Panels:
-    """The panels of a comparison: both fields, cropped to the box with forces."""
+    """The panels of a comparison: both fields, cropped to the box with forces, and one slice of them."""
 
     def __init__(
         self,
@@ -66,17 +77,16 @@ class _Panels:
         decoded: ForceField,
         axes: str,
         mask: tuple[float, float],
+        names: tuple[str, str, str] = ("source", "decoded", "error"),
     ) -> None:
-        self.axes, self.mask = axes, mask
+        self.axes, self.mask, self.names = axes, mask, names
         grid = original.grid
         # an array of actuators is one sample deep: only the force of each is shown
         self.is_array = grid.shape[_Z] == 1
         x, y = original.to_dense(), decoded.to_dense()
         supported = (x != 0).any(-1) | (y != 0).any(-1)
-        crop = [
-            _span(supported.any(axis=tuple(b for b in range(3) if b != a)), grid.shape[a]) for a in range(3)
-        ]
-        x, y, supported = x[tuple(crop)], y[tuple(crop)], supported[tuple(crop)]
+        crop = tuple(supported_span(supported, axis) for axis in range(3))
+        x, y, supported = x[crop], y[crop], supported[crop]
         self.low_mm = [1e3 * (grid.box_m[0][a] + crop[a].start * grid.spacing_m[a]) for a in range(3)]
         self.step_mm = [1e3 * h for h in grid.spacing_m]
         self.shape = supported.shape
@@ -84,7 +94,9 @@ class _Panels:
         self.forces = tuple(lengths_of(v) for v in self.vectors)
         error = lengths_of(y - x) / mask_n(self.forces[0], *mask)
         self.error = np.where(supported, error, np.nan)
-        self.cut = int(np.argmax(self.forces[0].sum(axis=(_X, _Z), dtype=np.float64)))
+        self.cut = choose_slice(x if x.any() else y, grid.spacing_m, axes)
+        in_slice = self.cut.of(supported)
+        self.window = (supported_span(in_slice, 0), supported_span(in_slice, 1))
         self.top_n = float(max(*(f.max(initial=0) for f in self.forces), 1e-6))
         # a viewer along +z meets the lowest z first; with z towards the viewer, the highest
         self.from_low_z = "z forward" in axes
@@ -93,28 +105,51 @@ class _Panels:
 
     def row_heights(self) -> list[float]:
         """Return height over width of the front view and of the slice (twice), limited."""
-        width, height, depth = (n * h for n, h in zip(self.shape, self.step_mm, strict=True))
-        return [float(np.clip(side / width, 0.35, 1.3)) for side in (height, depth, depth)]
+        views = self._front_view(), self._slice_view(), self._slice_view()
+        sides = [[hi - lo for lo, hi in zip(v.low_mm, v.high_mm, strict=True)] for v in views]
+        return [float(np.clip(height / width, 0.35, 1.3)) for width, height in sides]
 
-    def _frame(self, panel: Any, up: int, title: str) -> list[float]:
-        high = [lo + n * h for lo, n, h in zip(self.low_mm, self.shape, self.step_mm, strict=True)]
+    def _view(self, across: int, up: int, window: tuple[slice, ...]) -> _View:
+        ends = [
+            [self.low_mm[axis] + end * self.step_mm[axis] for axis, end in ((across, i), (up, j))]
+            for i, j in ((window[0].start, window[1].start), (window[0].stop, window[1].stop))
+        ]
+        (left, bottom), (right, top) = ends
+        return _View(across, up, (left, bottom), (right, top))
+
+    def _front_view(self) -> _View:
+        return self._view(_X, _Y, (slice(0, self.shape[_X]), slice(0, self.shape[_Y])))
+
+    def _slice_view(self) -> _View:
+        return self._view(self.cut.across, self.cut.up, self.window)
+
+    def _in_slice(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return the part of an array [x, y, z, ...] that the panels of the slice show, [across, up, ...]."""
+        return self.cut.of(values)[self.window]
+
+    def _frame(self, panel: Any, view: _View, title: str) -> list[float]:
         panel.set_title(title, fontsize=9, parse_math=False)
-        panel.set_xlabel("x / mm", fontsize=8)
-        panel.set_ylabel(f"{'xyz'[up]} / mm", fontsize=8)
+        panel.set_xlabel(f"{'xyz'[view.across]} / mm", fontsize=8)
+        panel.set_ylabel(f"{'xyz'[view.up]} / mm", fontsize=8)
         panel.tick_params(labelsize=7)
         panel.set_facecolor(_EMPTY)
-        return [self.low_mm[_X], high[_X], self.low_mm[up], high[up]]
+        return [view.low_mm[0], view.high_mm[0], view.low_mm[1], view.high_mm[1]]
 
-    def _image(self, panel: Any, up: int, values: NDArray[Any], title: str, **style: Any) -> Any:
-        extent = self._frame(panel, up, title)
-        image = panel.imshow(values.T, origin="lower", extent=extent, interpolation="nearest", **style)
-        if f"{'xyz'[up]} down" in self.axes:
+    def _turn(self, panel: Any, view: _View) -> None:
+        """Draw a vertical axis that points down downwards."""
+        if f"{'xyz'[view.up]} down" in self.axes:
             panel.invert_yaxis()
+
+    def _image(self, panel: Any, view: _View, values: NDArray[Any], title: str, **style: Any) -> Any:
+        extent = self._frame(panel, view, title)
+        image = panel.imshow(values.T, origin="lower", extent=extent, interpolation="nearest", **style)
+        self._turn(panel, view)
         return image
 
-    def _mask_bar(self, figure: Any, panel: Any, up: int, values: NDArray[Any], title: str) -> None:
-        worst = self._image(panel, up, values, title, vmin=0, vmax=2, cmap="PuOr_r")
-        _bar(figure, worst, panel, f"|error| / max({self.mask[1]:g} N, {self.mask[0]:g} |F|)", extend="max")
+    def _mask_bar(self, figure: Any, panel: Any, view: _View, values: NDArray[Any], title: str) -> None:
+        worst = self._image(panel, view, values, title, vmin=0, vmax=2, cmap="PuOr_r")
+        label = f"|{self.names[2]}| / max({self.mask[1]:g} N, {self.mask[0]:g} |F|)"
+        _bar(figure, worst, panel, label, extend="max")
 
     # -- rows -----------------------------------------------------------------------------------------------
 
@@ -129,11 +164,14 @@ class _Panels:
             if low == high:  # a flat scene: show the small parts that stand out
                 low, high = both.min(), both.max()
             scale |= {"vmin": low, "vmax": high}
-        for panel, depth, name in zip(row, depths, _COLUMNS, strict=False):
-            image = self._image(panel, _Y, depth, f"{name}: first contact along z", **scale)
+        view = self._front_view()
+        for panel, depth, name in zip(row, depths, self.names, strict=False):
+            image = self._image(panel, view, depth, f"{name}: first contact along z", **scale)
         _bar(figure, image, list(row[:2]), "z of first contact / mm")
         worst = np.nanmax(np.where(np.isnan(self.error), -1, self.error), axis=_Z)
-        self._mask_bar(figure, row[2], _Y, np.where(worst < 0, np.nan, worst), "worst error along z")
+        self._mask_bar(
+            figure, row[2], view, np.where(worst < 0, np.nan, worst), f"largest {self.names[2]} along z"
+        )
 
     def _contact_mm(self, force: Float32s) -> Float64s:
         perceptible = force > self.mask[1]
@@ -146,66 +184,63 @@ class _Panels:
         return np.where(perceptible.any(axis=_Z), z, np.nan)
 
     def _slice_name(self) -> str:
-        y_mm = round(self.low_mm[_Y] + (self.cut + 0.5) * self.step_mm[_Y], 1) + 0.0  # never -0
-        return f"slice at y = {y_mm:.1f} mm"
+        axis, index = self.cut.axis, self.cut.index
+        at_mm = round(self.low_mm[axis] + (index + 0.5) * self.step_mm[axis], 1) + 0.0  # never -0
+        return f"slice at {'xyz'[axis]} = {at_mm:.1f} mm"
 
     def draw_amplitudes(self, figure: Any, row: Any) -> None:
-        """Draw |F| on the slice with the most force, or of each actuator of an array."""
-        up, slice_text = _Z, f", {self._slice_name()}"
-        cut: tuple[Any, ...] = (slice(None), self.cut)
-        if self.is_array:
-            up, cut, slice_text = _Y, (..., 0), ""
-        for panel, force, name in zip(row, self.forces, _COLUMNS, strict=False):
-            supported_n = np.where(force[cut] > 0, force[cut], np.nan)
+        """Draw |F| on the slice, or of each actuator of an array."""
+        view, slice_text = self._slice_view(), "" if self.is_array else f", {self._slice_name()}"
+        for panel, force, name in zip(row, self.forces, self.names, strict=False):
+            force_n = self._in_slice(force)
+            supported_n = np.where(force_n > 0, force_n, np.nan)
             image = self._image(
-                panel, up, supported_n, f"{name} |F|{slice_text}", vmin=0, vmax=self.top_n, cmap="cividis"
+                panel, view, supported_n, f"{name} |F|{slice_text}", vmin=0, vmax=self.top_n, cmap="cividis"
             )
         _bar(figure, image, list(row[:2]), "|F| / N")
-        self._mask_bar(figure, row[2], up, self.error[cut], "error, in units of the mask")
+        self._mask_bar(
+            figure, row[2], view, self._in_slice(self.error), f"{self.names[2]}, in units of the mask"
+        )
 
     def draw_directions(self, figure: Any, row: Any) -> None:
         """Draw the direction on the same slice, and its error in degrees."""
-        units = [_unit(v[:, self.cut]) for v in self.vectors]
-        for panel, unit, name in zip(row, units, _COLUMNS, strict=False):
+        units = [_unit(self._in_slice(vectors)) for vectors in self.vectors]
+        for panel, unit, name in zip(row, units, self.names, strict=False):
             image = self._quiver(panel, unit, f"{name} direction, {self._slice_name()}")
-        _bar(figure, image, list(row[:2]), "part of the force along y")
+        _bar(figure, image, list(row[:2]), f"part of the force along {'xyz'[self.cut.axis]}")
         supported = np.logical_and(*((u != 0).any(-1) for u in units))
         across = lengths_of(np.cross(units[0], units[1]))
         angle = np.where(supported, np.degrees(np.arctan2(across, (units[0] * units[1]).sum(-1))), np.nan)
-        worst = self._image(row[2], _Z, angle, "direction error", vmin=0, vmax=20, cmap="cividis")
+        view = self._slice_view()
+        worst = self._image(
+            row[2], view, angle, f"direction {self.names[2]}", vmin=0, vmax=20, cmap="cividis"
+        )
         _bar(figure, worst, row[2], "angle / degrees", extend="max")
 
     def _quiver(self, panel: Any, unit: Float32s, title: str) -> Any:
-        extent = self._frame(panel, _Z, title)
+        view = self._slice_view()
+        extent = self._frame(panel, view, title)
+        step_mm = np.array([self.step_mm[view.across], self.step_mm[view.up]])
         cell_mm = max(extent[1] - extent[0], extent[3] - extent[2]) / _ARROWS
         # the first supported sample of each cell of the page, so that thin walls are not skipped
         positions = np.argwhere((unit != 0).any(-1))
-        cells = np.floor(positions * [self.step_mm[_X] / cell_mm, self.step_mm[_Z] / cell_mm])
-        _, first = np.unique(cells, axis=0, return_index=True)
-        i, j = positions[first].T
-        u = unit[i, j]
+        _, first = np.unique(np.floor(positions * step_mm / cell_mm), axis=0, return_index=True)
+        drawn = positions[first]
+        u = unit[tuple(drawn.T)]
         arrows = panel.quiver(
-            self.low_mm[_X] + (i + 0.5) * self.step_mm[_X], self.low_mm[_Z] + (j + 0.5) * self.step_mm[_Z],
-            u[:, _X] * 1.3 * cell_mm, u[:, _Z] * 1.3 * cell_mm, u[:, _Y],
+            *(np.array(view.low_mm) + (drawn + 0.5) * step_mm).T,
+            u[:, view.across] * 1.3 * cell_mm, u[:, view.up] * 1.3 * cell_mm, u[:, self.cut.axis],
             angles="xy", scale_units="xy", scale=1, cmap="berlin", width=0.005, clim=(-1, 1),
         )  # fmt: skip
         panel.set_xlim(extent[:2])
         panel.set_ylim(extent[2:])
         panel.set_aspect("equal")
+        self._turn(panel, view)
         return arrows
 
 
 def _bar(figure: Any, image: Any, panels: Any, label: str, **style: Any) -> None:
     figure.colorbar(image, ax=panels, shrink=0.85, **style).set_label(label, fontsize=8)
-
-
-def _span(has_force: Bools, count: int) -> slice:
-    """Return the range with forces and a margin of a twentieth; without forces, the whole range."""
-    indices = np.flatnonzero(has_force)
-    if not len(indices):
-        return slice(0, count)
-    margin = 1 + (indices[-1] - indices[0]) // 20
-    return slice(max(0, int(indices[0] - margin)), min(count, int(indices[-1] + margin + 1)))
 
 
 def _unit(vectors: Float32s) -> Float32s:
@@ -224,22 +259,27 @@ _PANELS: Final = (
 """Each view and its horizontal and vertical direction, in x right, y up, z towards the viewer."""
 
 _MARGIN: Final = 0.12  # around the workspace, of its largest side
+_CROPPED_MARGIN: Final = 0.05  # likewise, around the samples with forces
 
 
-def shadows(fields: Sequence[ForceField], title: str, permutation: Float64s) -> Figure:
+def shadows(
+    fields: Sequence[ForceField], title: str, permutation: Float64s, *, is_cropped: bool = False
+) -> Figure:
     """Draw three projections of fields on one grid, with its box, in millimetres.
 
     `permutation` is the signed permutation [3, 3] from x right, y up, z towards the viewer to their axes.
+    The panels show the box of the grid, or, if `is_cropped`, the box of the samples with forces.
     """
     grid = fields[0].grid
     low_mm, high_mm = (1e3 * corner for corner in grid.box_m)
-    sides = high_mm - low_mm
-    margin = _MARGIN * float(sides.max())
+    shown_low_mm, shown_high_mm = _supported_box_mm(fields) if is_cropped else (low_mm, high_mm)
+    sides, shown_sides = high_mm - low_mm, shown_high_mm - shown_low_mm
+    margin = (_CROPPED_MARGIN if is_cropped else _MARGIN) * float(shown_sides.max())
     panels_of = [
         (name, *_seen_axis(permutation, across), *_seen_axis(permutation, up)) for name, across, up in _PANELS
     ]
-    widths = [float(sides[across] + 2 * margin) for _, across, _, _, _ in panels_of]
-    heights = [float(sides[up] + 2 * margin) for *_, up, _ in panels_of]
+    widths = [float(shown_sides[across] + 2 * margin) for _, across, _, _, _ in panels_of]
+    heights = [float(shown_sides[up] + 2 * margin) for *_, up, _ in panels_of]
     height_inch = 1.6 + 13.0 * max(heights) / sum(widths)
     figure = titled_figure("the preview of a field", title, 15.0, height_inch)
     from matplotlib.patches import Rectangle
@@ -255,8 +295,8 @@ def shadows(fields: Sequence[ForceField], title: str, permutation: Float64s) -> 
         )  # fmt: skip
         corner, size = (low_mm[across], low_mm[up]), (sides[across], sides[up])
         panel.add_patch(Rectangle(corner, *size, fill=False, edgecolor="0.2", linewidth=1.2, linestyle="--"))
-        panel.set_xlim(low_mm[across] - margin, high_mm[across] + margin)
-        panel.set_ylim(low_mm[up] - margin, high_mm[up] + margin)
+        panel.set_xlim(shown_low_mm[across] - margin, shown_high_mm[across] + margin)
+        panel.set_ylim(shown_low_mm[up] - margin, shown_high_mm[up] + margin)
         panel.set_title(name, fontsize=10)
         panel.set_xlabel(f"{'xyz'[across]} / mm", fontsize=9)
         panel.set_ylabel(f"{'xyz'[up]} / mm", fontsize=9)
@@ -274,6 +314,21 @@ def shadows(fields: Sequence[ForceField], title: str, permutation: Float64s) -> 
         "greatest |F| along the sight / N", fontsize=9
     )
     return figure
+
+
+def _supported_box_mm(fields: Sequence[ForceField]) -> tuple[Float64s, Float64s]:
+    """Return the corners of the box of the samples with forces; without forces, those of the grid."""
+    grid = fields[0].grid
+    corners = [end for field in fields if len(field.bricks) for end in _supported_ends(field)]
+    if not corners:
+        return 1e3 * grid.box_m[0], 1e3 * grid.box_m[1]
+    half = np.asarray(grid.spacing_m) / 2
+    return 1e3 * (np.min(corners, axis=0) - half), 1e3 * (np.max(corners, axis=0) + half)
+
+
+def _supported_ends(field: ForceField) -> tuple[Float64s, Float64s]:
+    positions = field.positions()
+    return field.grid.to_m(positions.min(axis=0)), field.grid.to_m(positions.max(axis=0))
 
 
 def _seen_axis(permutation: Float64s, direction: tuple[int, int, int]) -> tuple[int, bool]:

@@ -16,7 +16,7 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError
 from touchfield.medium import Grid
 from touchfield.medium.trace import ContactTrace, read_contacts, read_trace
-from touchfield.pipeline import encode
+from touchfield.pipeline import encode, prepare
 from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.laws import LawSpec, profile_of
@@ -251,6 +251,15 @@ def test_notes_of_a_recording(plain: ContactScene, tmp_path: Path) -> None:
     assert ContactScene(four).interpolant.points_m.shape == (4, 3)
     with pytest.raises(InvalidArgument, match="a trace has no camera"):
         open_source(written(tmp_path / "a.csv", four), SourceOptions(frame="camera"))
+
+
+@pytest.mark.parametrize(("factor", "is_noted"), [(1.0, False), (1000.0, True)])
+def test_a_recording_in_millimetres_is_noted(factor: float, is_noted: bool) -> None:
+    trace = probed(40)
+    notes = prepare(
+        ContactScene(ContactTrace(factor * trace.positions_m, trace.forces_n)), EncodeSpec(nw=4)
+    ).notes
+    assert any("Is the unit right?" in note and "positions are metres" in note for note in notes) == is_noted
 
 
 # -- MCAP --------------------------------------------------------------------------------------------------

@@ -230,6 +230,7 @@ class ContactScene(Scene):
 
     axes = UP_Z_AXES
     box_wording = "the trace"
+    unit = ("positions are metres", 1e-4, 10.0)
     has_law = False
     has_decoded_notes = True
 
