@@ -48,7 +48,7 @@ def choose_slice(forces_n: Float32s, spacing_m: tuple[float, ...], axes: str = "
     merits = np.array([_merit(forces_n, spacing_m, axis) for axis, _, _ in planes])
     axis, across, up = planes[int(np.argmax(merits >= (1 - _TOLERANCE) * merits.max()))]
     variations = _variations(forces_n, spacing_m, axis, (across, up))
-    return _turned(FieldSlice(axis, _middle_of_best(variations), across, up), axes)
+    return _upright(FieldSlice(axis, _middle_of_best(variations), across, up), axes)
 
 
 def largest_slice(samples: Bools, spacing_m: tuple[float, ...], axes: str = "") -> FieldSlice:
@@ -59,7 +59,7 @@ def largest_slice(samples: Bools, spacing_m: tuple[float, ...], axes: str = "") 
         areas.append(np.count_nonzero(samples, axis=others) * np.prod([spacing_m[n] for n in others]))
     chosen = int(np.argmax([area.max() for area in areas]))
     axis, across, up = _PLANES[chosen]
-    return _turned(FieldSlice(axis, _middle_of_best(areas[chosen]), across, up), axes)
+    return _upright(FieldSlice(axis, _middle_of_best(areas[chosen]), across, up), axes)
 
 
 def _merit(forces_n: Float32s, spacing_m: tuple[float, ...], axis: int) -> float:
@@ -89,7 +89,7 @@ def _middle_of_best(values: Float64s) -> int:
     return int(best[len(best) // 2])
 
 
-def _turned(plane: FieldSlice, axes: str) -> FieldSlice:
+def _upright(plane: FieldSlice, axes: str) -> FieldSlice:
     """Return a slice whose vertical axis is the one that points up or down by `axes`, if one does."""
     is_vertical = any(f"{'xyz'[plane.across]} {way}" in axes for way in ("up", "down"))
     return replace(plane, across=plane.up, up=plane.across) if is_vertical else plane
