@@ -40,7 +40,9 @@ class Spring(NamedTuple):
         The push is the force on the hand and the spring's on its goal, constant in a tick of `PARTS` steps.
         """
         dt_s = 1e-3 / PARTS
-        velocity = np.array([0.0, 1.0, 0.0]) + dt_s / self.kg * np.array([-self.n_per_m, -self.n_s_per_m, 1.0])
+        velocity = np.array([0.0, 1.0, 0.0]) + dt_s / self.kg * np.array(
+            [-self.n_per_m, -self.n_s_per_m, 1.0]
+        )
         part = np.array([np.array([1.0, 0.0, 0.0]) + dt_s * velocity, velocity, [0.0, 0.0, 1.0]])
         rows = np.linalg.matrix_power(part, PARTS)[:2].tolist()
         return tuple(rows[0]), tuple(rows[1])
@@ -50,25 +52,37 @@ class Runs(NamedTuple):
     """What hands felt, each float64 [hands, ticks, 3], metres and newtons.
 
     `field_n` is the force that presses on the surface and `friction_n` lies along it, both in the axes of the
-    field; `force_n` is that of the device.
+    field; `force_n` is that of the device. `proxy_m` is the position of the proxy, if it was requested.
     """
 
     position_m: Any
     field_n: Any
     friction_n: Any
     force_n: Any
+    proxy_m: Any = None
+
+    @property
+    def steps_n(self) -> Any:
+        """|F| of the change of the force from each tick to the next, newtons, float64 [hands, ticks - 1]."""
+        return np.linalg.norm(np.diff(self.force_n, axis=1), axis=2)
 
 
 class Hands:
-    """Hands on one medium, which start together; `options` are those of `Played`."""
+    """Hands on one medium, which start together; `options` are those of `Played`.
 
-    def __init__(self, medium: HapticMedium | HapticScene, late: int = 0, **options: Any) -> None:
+    With `has_proxy`, the positions of the proxy are recorded.
+    """
+
+    def __init__(
+        self, medium: HapticMedium | HapticScene, late: int = 0, *, has_proxy: bool = False, **options: Any
+    ) -> None:
         self.played = Played(medium, late, **options)
         self.memory, self.late, self.ticks = self.played.memory, late, 0
         fields = layout.RECEIVER.fields
         assert fields is not None and layout.COUNTS.fields is not None
         stop = fields["counts"][1] + layout.COUNTS.fields["periods"][1]
         self._own = self.memory.bytes[fields["clock"][1] : stop]  # clock, grip, state and counts
+        self._proxy_m = self.memory.receiver["state"]["proxy"]["position_m"] if has_proxy else None
         self._log = self.memory.array(
             layout.LOG_ROW, self.played.session.layout.log, self.played.session.layout.log_rows
         )
@@ -93,6 +107,8 @@ class Hands:
         moves = [[*start, 0.0, 0.0, 0.0] for start in np.asarray(starts_m, np.float64).tolist()]
         own = [self._own.copy() for _ in range(count)]
         found = Runs(*(np.empty((count, ticks, 3)) for _ in ROW_COLUMNS))
+        if self._proxy_m is not None:
+            found = found._replace(proxy_m=np.empty((count, ticks, 3)))
         seeks, steps = dict(seeks or {}), None if spring is None else (*spring.step(), spring.n_per_m)
         for tick, stop in self._chunks(ticks, seeks):
             if tick in seeks:
@@ -101,16 +117,17 @@ class Hands:
             on_chunk(tick)
             self._feed(tick)
             for hand in range(count):
+                proxy_m = None if found.proxy_m is None else found.proxy_m[hand, tick:stop]
                 self._own[:] = own[hand]
                 goals = goals_m[hand, tick:stop].tolist()
                 if steps is None:
-                    self._script(tick, goals)
+                    self._script(tick, goals, proxy_m)
                 else:
-                    self._swing(tick, goals, moves[hand], *steps)
+                    self._swing(tick, goals, moves[hand], *steps, proxy_m)
                 own[hand] = self._own.copy()
                 written = int(self.memory.receiver["clock"]["log_written"])
                 rows = self._log[np.arange(written - (stop - tick), written) % len(self._log)]
-                for name, column in zip(ROW_COLUMNS, found, strict=True):
+                for name, column in zip(ROW_COLUMNS, found):
                     column[hand, tick:stop] = rows[name]
         return found
 
@@ -130,14 +147,23 @@ class Hands:
             self.played.feeder.step()
         self.played.feeder.fill_lookahead(4)
 
-    def _script(self, tick: int, goals: list[list[float]]) -> None:
+    def _script(self, tick: int, goals: list[list[float]], proxy_m: Any) -> None:
         """Tick one hand along its goals."""
         cycle, memory = native.cycle, self.memory.bytes
         for n, (x, y, z) in enumerate(goals, tick):
             cycle(memory, x, y, z, n * TICK_NS)
+            if proxy_m is not None:
+                proxy_m[n - tick] = self._proxy_m
 
     def _swing(
-        self, tick: int, goals: list[list[float]], move: list[float], place: Any, speed: Any, k: float
+        self,
+        tick: int,
+        goals: list[list[float]],
+        move: list[float],
+        place: Any,
+        speed: Any,
+        k: float,
+        proxy_m: Any,
     ) -> None:
         """Tick one hand on a spring; `move` is its position and velocity."""
         cycle, memory = native.cycle, self.memory.bytes
@@ -149,4 +175,6 @@ class Hands:
             x, u = xx * x + xv * u + xu * fx, vx * x + vv * u + vu * fx
             y, v = xx * y + xv * v + xu * fy, vx * y + vv * v + vu * fy
             z, w = xx * z + xv * w + xu * fz, vx * z + vv * w + vu * fz
+            if proxy_m is not None:
+                proxy_m[n - tick] = self._proxy_m
         move[:] = x, y, z, u, v, w

@@ -82,7 +82,12 @@ class Arrivals:
         self._taken = [self.frames] if under is None else [self.frames, under]
         head = opened[0].head
         self.medium = HapticMedium(
-            self.frames.grid, head.rate_hz, ENDLESS, self.frames, axes=head.axes, provenance=opened[0].provenance
+            self.frames.grid,
+            head.rate_hz,
+            ENDLESS,
+            self.frames,
+            axes=head.axes,
+            provenance=opened[0].provenance,
         )
         self(0)
 

@@ -21,9 +21,6 @@ a loop, and a seek. Both are the worst of all points; "ratio" is the worst of `a
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -63,8 +60,8 @@ Medium = HapticMedium | HapticScene
 class Case:
     """Hands at rest on a medium.
 
-    `goals_m` and `starts_m`, float64 [hands, ticks or 1, 3] and [hands, 3], are those of scripted hands and of
-    hands on springs. `seams` are the ticks of each kind of seam; what is not around one is "rest".
+    `goals_m` and `starts_m`, float64 [hands, ticks or 1, 3] and [hands, 3], are those of scripted hands and
+    of hands on springs. `seams` are the ticks of each kind of seam; what is not around one is "rest".
     `arrivals` makes the stream of a medium that arrives while it plays.
     """
 
@@ -268,7 +265,7 @@ def cases(points: int, lattices: int) -> Iterator[Case]:
 
 @dataclass(frozen=True)
 class Felt:
-    """What hands felt in the windows of a case: float64 [hands] each, mN, and the ticks of the worst steps."""
+    """What hands felt in the windows of a case: float64 [hands], mN, and the ticks of the worst steps."""
 
     steps_mn: dict[str, Any]
     bands_mn: dict[str, Any]

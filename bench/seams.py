@@ -71,7 +71,9 @@ def resting_points(medium: HapticMedium | HapticScene, count: int) -> tuple[Any,
     return points[found], forces[found]
 
 
-def rest(medium: HapticMedium | HapticScene, points: Any, forces: Any, is_spring: bool, **options: Any) -> Any:
+def rest(
+    medium: HapticMedium | HapticScene, points: Any, forces: Any, is_spring: bool, **options: Any
+) -> Any:
     """Return the forces on hands that rest at points, newtons, float64 [hands, ticks, 3]."""
     render, is_whole = options["render"], options.get("is_whole", False)
     spec = RenderSpec(render=render, up="lattice", blend=not is_whole)
