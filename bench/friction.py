@@ -90,8 +90,8 @@ def ways(name: str, field: ForceField, speed_m_s: float, length_m: float) -> lis
     if name == "ball":
         angles = along_m / BALL_M
         circles = [((1.0, 0.0, 0.0), (0.0, 0.6, 0.8)), ((0.6, 0.0, 0.8), (-0.48, 0.8, 0.36))]
-        normals = [np.outer(np.cos(angles), a) + np.outer(np.sin(angles), b) for a, b in circles]
-        return [Way(BALL_M * normal, normal) for normal in normals]
+        arcs = [np.outer(np.cos(angles), a) + np.outer(np.sin(angles), b) for a, b in circles]
+        return [Way(BALL_M * arc, arc) for arc in arcs]
     walks = surface_walks(field, length_m, 12, np.random.default_rng(6))
     whole = np.flatnonzero(walks.steps == len(walks.points_m))[:WALKS]
     splines = CubicSpline(walks.step_m * np.arange(len(walks.points_m)), walks.points_m[:, whole])

@@ -78,6 +78,8 @@ class Hands:
     ) -> None:
         self.played = Played(medium, late, **options)
         self.memory, self.late, self.ticks = self.played.memory, late, 0
+        self._states: list[Any] = []
+        self._moves: list[list[float]] = []
         fields = layout.RECEIVER.fields
         assert fields is not None and layout.COUNTS.fields is not None
         stop = fields["counts"][1] + layout.COUNTS.fields["periods"][1]
@@ -98,14 +100,17 @@ class Hands:
     ) -> Runs:
         """Move hands through their goals, float64 [hands, ticks or 1, 3], or by springs whose ends are there.
 
-        Those on springs start at `starts_m`, float64 [hands, 3], or at their first goals. `seeks` are media
+        A later call goes on from the last tick, with as many hands. Those on springs start at `starts_m`,
+        float64 [hands, 3], or at their first goals. `seeks` are media
         times by tick. ``on_chunk(tick)`` is called before the frames of the next ticks are written.
         """
         count = len(goals_m)
         goals_m = np.broadcast_to(np.asarray(goals_m, np.float64), (count, ticks, 3))
         starts_m = goals_m[:, 0] if starts_m is None else starts_m
-        moves = [[*start, 0.0, 0.0, 0.0] for start in np.asarray(starts_m, np.float64).tolist()]
-        own = [self._own.copy() for _ in range(count)]
+        if not self._states:
+            self._states = [self._own.copy() for _ in range(count)]
+            self._moves = [[*start, 0.0, 0.0, 0.0] for start in np.asarray(starts_m, np.float64).tolist()]
+        own, moves, first = self._states, self._moves, self.ticks
         found = Runs(*(np.empty((count, ticks, 3)) for _ in ROW_COLUMNS))
         if self._proxy_m is not None:
             found = found._replace(proxy_m=np.empty((count, ticks, 3)))
@@ -113,22 +118,23 @@ class Hands:
         for tick, stop in self._chunks(ticks, seeks):
             if tick in seeks:
                 self.played.seek(seeks[tick])
-                self.played.fed_from = tick + self.late
-            on_chunk(tick)
-            self._feed(tick)
+                self.played.fed_from = first + tick + self.late
+            on_chunk(first + tick)
+            self._feed(first + tick)
             for hand in range(count):
                 proxy_m = None if found.proxy_m is None else found.proxy_m[hand, tick:stop]
                 self._own[:] = own[hand]
                 goals = goals_m[hand, tick:stop].tolist()
                 if steps is None:
-                    self._script(tick, goals, proxy_m)
+                    self._script(first + tick, goals, proxy_m)
                 else:
-                    self._swing(tick, goals, moves[hand], *steps, proxy_m)
+                    self._swing(first + tick, goals, moves[hand], *steps, proxy_m)
                 own[hand] = self._own.copy()
                 written = int(self.memory.receiver["clock"]["log_written"])
                 rows = self._log[np.arange(written - (stop - tick), written) % len(self._log)]
                 for name, column in zip(ROW_COLUMNS, found):
                     column[hand, tick:stop] = rows[name]
+        self.ticks += ticks
         return found
 
     def _chunks(self, ticks: int, seeks: Mapping[int, float]) -> list[tuple[int, int]]:

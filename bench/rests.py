@@ -1,7 +1,5 @@
 """Steps of the force on a hand that rests on a medium that changes, of `auto`, the field and the source.
 
-    python bench/rests.py [--points N] [--lattices N] [--json FILE]
-
 Hands rest at seeded points, scripted or on a spring (0.2 kg, 200 N/m, 2 N s/m). The media are:
 
 * TUM desk, ICL room: 24 frames, coded and looped, on `--lattices` lattices from nw 6. Hands are pressed 3 mm
@@ -16,14 +14,14 @@ Hands rest at seeded points, scripted or on a spring (0.2 kg, 200 N/m, 2 N s/m).
 Each is rendered by the field and by the player's choice ("auto", a proxy), and the medium before coding by
 the field ("source"). "step" is the largest change of the force from one tick of 1 ms to the next, mN, and
 "band" its part from 40 to 400 Hz, mN rms, within windows: at rest, around the start of a segment, the end of
-a loop, and a seek. Both are the worst of all points; "ratio" is the worst of `auto` over that of the field.
+a loop, and a seek. Both are the worst of all points. The device is a phantom-omni without a continuous limit.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -31,7 +29,7 @@ from typing import Any
 import numpy as np
 
 import touchfield as tf
-from hands import SPRING_N_PER_M, Hands, Spring
+from hands import Hands, Spring
 from live_offline import Arrivals, Layer, recorded
 from machine import SHARED, Bar, Figures, at_most
 from touchfield.codec.touch.spec import TouchSpec
@@ -194,7 +192,7 @@ def falling_cases(points: int) -> Iterator[Case]:
         segments = getattr(medium, "segments", None)
         segments_s = () if segments is None else tuple(first / 100.0 for first in segments.starts[1:])
         places, forces = touched(medium, [1.95], points, 1)
-        ends = places - forces / SPRING_N_PER_M
+        ends = places - forces / Spring().n_per_m
         start_s, seek, back_s = 1.3, 400, 1.6
         yield Case(
             f"bodies at rest, {kind}", medium, source, (places[:, None], ends[:, None]), places, 1100,
@@ -241,11 +239,11 @@ def live_cases(points: int) -> Iterator[Case]:
     starts_ms = [round(1e3 * segment_s * n) for n in range(1, round(2.4 / segment_s) + 1)]
     loops = tuple(starts_ms[n - 1] for n in (3, 6, 9) if 800 < starts_ms[n - 1] < 2400)
     others = tuple(tick for tick in starts_ms if tick > QUIET and tick not in loops)
-    for name, layer, lost in (("live", None, ()), ("live and coarse", coarse, range(1, 99, 3))):
+    for name, layer, lost in (("live", None, range(0)), ("live and coarse", coarse, range(1, 99, 3))):
         yield Case(
             name, medium, medium, (goals, goals), starts, 2600, is_loop=False,
             seams={"segment": others, "loop": loops},
-            arrivals=lambda layer=layer, lost=lost: Arrivals(fine, layer, lost, segment_s),
+            arrivals=partial(Arrivals, fine, layer, lost, segment_s),
         )  # fmt: skip
 
 
@@ -321,17 +319,21 @@ def rests(points: int, lattices: int) -> Figures:
 
 
 def ratios(row: Figures) -> dict[str, float]:
-    """Return `auto` over the field, or over the source if that is more, of step and vibration."""
+    """Return `auto` over the field, or over the source if that is less, of step and vibration."""
     found = {}
     for key, least in (("step", LEAST_STEP_MN), ("band", LEAST_BAND_MN)):
-        found[key] = row[f"auto_{key}"] / max(row[f"field_{key}"], row[f"source_{key}"], least)
+        found[key] = row[f"auto_{key}"] / max(min(row[f"field_{key}"], row[f"source_{key}"]), least)
     return found
 
 
 def bars(rows: Figures) -> list[Bar]:
-    """Require that `auto` steps and hums by at most twice as much as the field."""
+    """Require that `auto` steps and hums by at most twice as much as field and source, in every window."""
+    worst: dict[tuple[str, str], float] = {}
+    for name, row in rows.items():
+        for key, ratio in ratios(row).items():
+            case = name.rpartition(", ")[0], key
+            worst[case] = max(worst.get(case, 0.0), ratio)
     return [
-        at_most(f"{name}: {key} of auto over the field's", ratio, MAX_RATIO)
-        for name, row in rows.items()
-        for key, ratio in ratios(row).items()
+        at_most(f"{name}: {key} of auto over the field's and the source's", ratio, MAX_RATIO)
+        for (name, key), ratio in worst.items()
     ]

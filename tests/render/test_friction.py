@@ -147,7 +147,7 @@ def test_drag_along_a_curved_surface_is_mu_times_the_normal_force(
         stretch_m = mu * normal_n / played.value("settings.stick_n_per_m")
         slides = slid_m(friction_n, moved_m) > 1.2 * stretch_m + 0.0005
         slides[: len(down_m)] = False
-        assert slides.sum() > 50 and normal_n[slides].min() > 0.02
+        assert slides.sum() > 50 and normal_n[slides].min() > 0.01
         assert drag_n[slides] == pytest.approx(mu * normal_n[slides], rel=0.02)
 
 
