@@ -48,7 +48,7 @@ SURFACES, KINDS = ("block", "ball", "terrain"), ("auto", "field", "tool")
 MUS, DEPTHS_M, SPEEDS_M_S = (0.1, 0.3, 1.0), (0.0005, 0.002, 0.008), (0.005, 0.05, 0.2)
 WALKS, REST_MUS, REST_KG = 4, (0.1, 0.4), (0.05, 0.2)
 BALL_M, TOP_M, TOOL_M = 0.025, 0.015, 0.005
-TOOL = Tool.sphere(TOOL_M, 200)
+TOOL = Tool.sphere(TOOL_M, 100)
 STRONG = replace(device("phantom-omni"), force_max_n=30.0, force_continuous_n=None, torque_max_nm=5.0)
 OUTSIDE_M, PRESS, HOLD, REST_TICKS = 0.002, 150, 50, 5000
 """Where a hand starts, and ticks of pressing and waiting."""
