@@ -5,15 +5,16 @@ feel: clicks, chatter at rest, and walls that give way.
 
 Twenty seeded hands (0.2 kg on a spring of 200 N/m with 2 N s/m, whose end moves as a person's intent does)
 share `--minutes` of medium time. They travel, press with 0.5 to 3 N, tap, rest, and slide at 5 to 200 mm/s,
-towards random points of the surface as it is at that time. The media are a terrain and a ball with mu 0.3, a plate of
-2 mm, TUM fr1_rpy (24 frames, looped), and bodies that fall (`sample:falling-7`, looped). Each is rendered by
-the proxy ("auto"), and the same intents by the field. Along the path of the proxy's hand, the field is read
-too ("beside").
+towards random points of the surface as it is at that time. The media are a terrain and a ball with mu 0.3, a
+plate of 2 mm, TUM fr1_rpy (24 frames, looped), and bodies that fall (`sample:falling-7`, looped). Each is
+rendered by the proxy ("auto"), and the same intents by the field. Along the path of the proxy's hand, the
+field is read too ("beside").
 
 * clicks: steps of the force from one tick of 1 ms to the next of more than twice what explains them: the
-  largest step beside within 5 ms, or K v dt + c dv, whichever is more. K is the stiffness of the wall and of
-  friction, v the speed of the hand beside the fastest body, and c 2 N s/m. 30 mN are always allowed, and a
-  raised cosine from the full force within 0.1 s of the end of a loop. Steps within 50 ms are one click.
+  largest step beside within 5 ms, or K v dt + c dv, whichever is more, and c v where contact begins or ends.
+  K is the stiffness of the wall and of friction, v the speed of the hand beside the fastest body, and c 2 N
+  s/m. 30 mN are always allowed, and a raised cosine from the full force within 0.1 s of the end of a loop.
+  Steps within 50 ms are one click.
 * jumps: steps beyond twice K v dt + c dv alone, also of the field.
 * chatter: quarters of a second of rest, a second after the hand has come, with more than 2 mN rms from 40 to
   400 Hz, and more than twice as much as beside.
@@ -33,7 +34,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import rests
-from hands import Hands, Spring
+from hands import Hands, Runs, Spring
 from machine import SHARED, Bar, Figures, at_most, bench
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.perception.hand_motion import in_band, surface_walks
@@ -48,8 +49,10 @@ from proxy_makers import field_of
 HANDS, PART_TICKS, BAND_TICKS, SEED = 20, 20_000, 250, 47
 WALK_M, WALKS, OUTSIDE_M, STICK_N_PER_M = 0.06, 40, 0.012, 1000.0
 DAMPER_N_S_PER_M, ALLOWED_N, RATIO, NEAR, FADE, APART = 2.0, 0.030, 2.0, 5, 105, 50
-CHATTER_N, LARGEST_N, FADE_STEP = 2e-3, 3.3, 0.0173
-"""Least vibration that counts; the limit of the force; and the steepest tick of a fade, a fraction of it."""
+CHATTER_N, EDGE_N, LARGEST_N, FADE_STEP = 2e-3, 0.1, 3.3, 0.0173
+"""Least vibration that counts; a force at the edge of contact; the limit of the force; and the steepest tick
+of a fade, a fraction of it.
+"""
 SPRING = Spring()
 
 
@@ -102,8 +105,8 @@ class Intents:
         self._at = [self._start() for _ in range(HANDS)]
 
     def _start(self) -> Any:
-        ways, normals = self._way(0)
-        return ways[0] + OUTSIDE_M * normals[0]
+        points, normals = self._way(0)
+        return points[0] + OUTSIDE_M * normals[0]
 
     def _way(self, tick: int) -> tuple[Any, Any]:
         """Return points and normals of a way over the surface at a tick, float64 [n, 3] each."""
@@ -112,14 +115,14 @@ class Intents:
         if key not in self._walks:
             field = self._world.surface(key * every)
             walks = surface_walks(field, WALK_M, WALKS, self._rng)
-            ways = [walks.points_m[:steps, n] for n, steps in enumerate(walks.steps) if steps > 1]
-            self._walks[key] = [self._ended(field, way, walks.step_m) for way in ways]
-            self._walks[key] = [way for way in self._walks[key] if len(way[0]) > 1]
+            walked = [walks.points_m[:steps, n] for n, steps in enumerate(walks.steps) if steps > 1]
+            ended = [self._ended(field, way) for way in walked]
+            self._walks[key] = [way for way in ended if len(way[0]) > 1]
         ways = self._walks[key]
-        found: tuple[Any, Any] = ways[self._rng.integers(len(ways))]
-        return found
+        points, normals = ways[self._rng.integers(len(ways))]
+        return points, normals
 
-    def _ended(self, field: ForceField, way: Any, step_m: float) -> tuple[Any, Any]:
+    def _ended(self, field: ForceField, way: Any) -> tuple[Any, Any]:
         """Return the part of a way that is within reach, and its normals."""
         is_off = (np.abs(way) > self._world.reach_m).any(axis=1)
         way = way[: int(is_off.argmax())] if is_off.any() else way
@@ -151,27 +154,26 @@ class Intents:
         moves.append(np.tile(outside, (150, 1)))
         kind = rng.choice(["press", "tap", "rest", "slide"])
         push_n = rng.uniform(0.5, 3.0)
-        inside = lambda n: points[n] - push_n * (1 / SPRING.n_per_m + 1 / stiffness) * normals[n]  # noqa: E731
+        inside = points - push_n * (1 / SPRING.n_per_m + 1 / stiffness) * normals
         before, presses = sum(map(len, moves)), list[Press]()
         if kind == "tap":
             for _ in range(rng.integers(2, 6)):
-                moves += [smooth(outside, inside(0), 90), smooth(inside(0), outside, 110)]
+                moves += [smooth(outside, inside[0], 90), smooth(inside[0], outside, 110)]
             return np.concatenate(moves), presses
         approach = int(rng.uniform(300, 700))
         hold = int(rng.uniform(3000, 6000) if kind == "rest" else rng.uniform(500, 2000))
-        moves += [smooth(outside, inside(0), approach), np.tile(inside(0), (hold, 1))]
+        moves += [smooth(outside, inside[0], approach), np.tile(inside[0], (hold, 1))]
         presses.append(
             Press(hand, before + approach, before + approach + hold, points[0], normals[0], push_n)
         )
         last = 0
         if kind == "slide":
             last = len(points) - 1
-            ends = np.array([inside(n) for n in range(len(points))])
             along = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))]
             speed = float(np.exp(rng.uniform(np.log(0.005), np.log(0.2))))
             at = np.arange(0.0, min(along[-1], 3.0 * speed), speed * 1e-3)
             last = min(last, int(np.searchsorted(along, at[-1])))
-            moves.append(np.stack([np.interp(at, along, column) for column in ends.T], axis=1))
+            moves.append(np.stack([np.interp(at, along, column) for column in inside.T], axis=1))
         away = points[last] + OUTSIDE_M * normals[last]
         moves.append(smooth(moves[-1][-1], away, 300))
         return np.concatenate(moves), presses
@@ -252,9 +254,18 @@ def worlds() -> dict[str, Callable[[], World]]:
 # -- what they feel ----------------------------------------------------------------------------------------
 
 
-def explained_n(world: World, tick: int, position_m: Any, stiffness: float, beside: Any) -> tuple[Any, Any]:
+def grown(values: Any) -> Any:
+    """Return the largest value within `NEAR` ticks, of the same type, [hands, ticks]."""
+    found = values
+    for shift in range(1, NEAR + 1):
+        found = np.maximum(found, np.pad(values, ((0, 0), (shift, 0)))[:, :-shift])
+        found = np.maximum(found, np.pad(values, ((0, 0), (0, shift)))[:, shift:])
+    return found
+
+
+def explained_n(world: World, tick: int, runs: Runs, stiffness: float, beside: Any) -> tuple[Any, Any]:
     """Return what explains each step, with those beside and without, float64 [hands, ticks - 1]."""
-    moved_m = np.diff(position_m, axis=1)
+    moved_m = np.diff(runs.position_m, axis=1)
     speeds_m = np.linalg.norm(moved_m, axis=2)
     changes_m = np.linalg.norm(np.diff(moved_m, axis=1, prepend=moved_m[:, :1]), axis=2)
     ticks = tick + 1 + np.arange(speeds_m.shape[1])
@@ -262,15 +273,13 @@ def explained_n(world: World, tick: int, position_m: Any, stiffness: float, besi
         speeds_m = speeds_m + 1e-3 * world.speeds_m_s[ticks % world.period]
     sum_n_per_m = stiffness + STICK_N_PER_M * world.friction
     bound = sum_n_per_m * speeds_m + DAMPER_N_S_PER_M * 1e3 * changes_m
+    is_edge = grown(np.linalg.norm(runs.field_n, axis=2)[:, 1:] < EDGE_N)
+    bound = bound + np.where(is_edge, DAMPER_N_S_PER_M * 1e3 * speeds_m, 0.0)  # metres a tick
     allowed = np.full(len(ticks), ALLOWED_N)
     if world.period:
         is_fading = (ticks % world.period < FADE) & (ticks >= world.period)
         allowed = allowed + np.where(is_fading, FADE_STEP * LARGEST_N, 0.0)
-    near = beside
-    for shift in range(1, NEAR + 1):
-        near = np.maximum(near, np.pad(beside, ((0, 0), (shift, 0)))[:, :-shift])
-        near = np.maximum(near, np.pad(beside, ((0, 0), (0, shift)))[:, shift:])
-    return RATIO * np.maximum(bound, near) + allowed, RATIO * bound + allowed
+    return RATIO * np.maximum(bound, grown(beside)) + allowed, RATIO * bound + allowed
 
 
 def events(is_beyond: Any) -> int:
@@ -338,8 +347,8 @@ def wander(world: World, minutes: float) -> Figures:
         runs = {render: hands.run(goals, PART_TICKS, SPRING) for render, hands in crowd.items()}
         beside = shadow.run(runs["auto"].position_m, PART_TICKS)
         auto, field = runs["auto"], runs["field"]
-        with_beside, alone = explained_n(world, part * PART_TICKS, auto.position_m, stiffness, beside.steps_n)
-        _, of_field = explained_n(world, part * PART_TICKS, field.position_m, stiffness, beside.steps_n)
+        with_beside, alone = explained_n(world, part * PART_TICKS, auto, stiffness, beside.steps_n)
+        _, of_field = explained_n(world, part * PART_TICKS, field, stiffness, beside.steps_n)
         steps = auto.steps_n
         row["clicks"] += events(steps > with_beside)
         row["worst_click_mn"] = max(

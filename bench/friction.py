@@ -7,8 +7,8 @@ from 0.1 to 1. The normal force is |F| of the surface at the hand or the proxy, 
 
 * over: the largest |friction| / (mu |F|) - 1 of all ticks.
 * off: the largest deviation of |friction| from mu |F| while a hand slides, over mu |F|: after the
-  point that friction acts on (the hand, or the proxy) has moved by what stretches the spring of the anchor to
-  the cone, while friction opposes the motion.
+  point that friction acts on (the hand, or the proxy) has pulled the anchor without a turn by twice what
+  stretches its spring to the cone.
 * felt_off: of scripted hands on the block and the ball, the mean of the whole force against the motion over
   the mean along the exact normal, beside mu, over mu: it has the errors of the field's normals, too.
 * given_mj: the most energy that friction has given to a hand at any time, mJ, less what a spring that is
@@ -52,7 +52,7 @@ TOOL = Tool.sphere(TOOL_M, 100)
 STRONG = replace(device("phantom-omni"), force_max_n=30.0, force_continuous_n=None, torque_max_nm=5.0)
 OUTSIDE_M, PRESS, HOLD, REST_TICKS = 0.002, 150, 50, 5000
 """Where a hand starts, and ticks of pressing and waiting."""
-MARGIN_M, LEAST_M, LEAST_N = 0.0005, 0.012, 0.02
+MARGIN_M, LEAST_M, LEAST_N = 0.0005, 0.016, 0.02
 """Beyond the stretched spring of the anchor; the shortest way; the least normal force that counts."""
 MAX_OVER, MAX_OFF, MAX_BAND_MN, MAX_GIVEN_MJ = 1e-6, 0.02, 0.05, 1e-3
 
@@ -138,19 +138,16 @@ def slide_of(runs: Runs, hand: int, mu: float, k: float, way: Way) -> Slide:
     normal_n, drag_n = np.linalg.norm(field_n, axis=1), np.linalg.norm(friction_n, axis=1)
     ratio = drag_n / np.maximum(mu * normal_n, 1e-12)
     ratio[normal_n <= 0] = 0.0
-    normals = field_n / np.maximum(normal_n, 1e-12)[:, None]
     moved_m = np.diff(position_m, axis=0, prepend=position_m[:1])
     work_j = np.cumsum(np.r_[0.0, (friction_n[:-1] * moved_m[1:]).sum(axis=1)])
     allowed_j = np.cumsum(0.5 * k * (moved_m**2).sum(axis=1))
     if runs.proxy_m is not None:  # friction acts there; on a curved surface it goes another way than the hand
         moved_m = np.diff(runs.proxy_m[hand], axis=0, prepend=runs.proxy_m[hand, :1])
-    moved_m = moved_m - (moved_m * normals).sum(axis=1, keepdims=True) * normals
-    step_m = np.linalg.norm(moved_m, axis=1)
-    opposes = -(friction_n * moved_m).sum(axis=1) > 0.5 * drag_n * step_m
-    is_sliding, since_m = np.zeros(len(step_m), np.bool_), 0.0
-    for n in range(PRESS + HOLD, len(step_m)):
-        since_m = since_m + step_m[n] if opposes[n] and step_m[n] > 1e-7 else 0.0
-        is_sliding[n] = since_m > 1.2 * mu * normal_n[n] / k + MARGIN_M and normal_n[n] > LEAST_N
+    is_sliding = (
+        pulled_m(moved_m, field_n, friction_n) > 2 * mu * np.maximum.accumulate(normal_n) / k + MARGIN_M
+    )
+    is_sliding &= normal_n > LEAST_N
+    is_sliding[: PRESS + HOLD] = False
     off = np.where(is_sliding, np.abs(ratio - 1), 0.0)
     given_j = float((work_j - allowed_j).max())
     return Slide(
@@ -160,6 +157,24 @@ def slide_of(runs: Runs, hand: int, mu: float, k: float, way: Way) -> Slide:
         int(is_sliding.sum()),
         felt_off(runs, hand, mu, is_sliding, way),
     )
+
+
+def pulled_m(moved_m: Any, field_n: Any, friction_n: Any) -> Any:
+    """Return how far the point that friction acts on has pulled the anchor without a turn, metres [n].
+
+    The way counts along the friction. It begins anew where friction does not oppose the motion within 60
+    degrees, or the motion turns by more.
+    """
+    normals = field_n / np.maximum(np.linalg.norm(field_n, axis=1), 1e-12)[:, None]
+    moved_m = moved_m - (moved_m * normals).sum(axis=1, keepdims=True) * normals
+    sizes_m, drag_n = np.linalg.norm(moved_m, axis=1), np.linalg.norm(friction_n, axis=1)
+    against_m = -(friction_n * moved_m).sum(axis=1) / np.maximum(drag_n, 1e-12)
+    turns = np.r_[1.0, (moved_m[1:] * moved_m[:-1]).sum(axis=1)] < 0.5 * sizes_m * np.r_[1.0, sizes_m[:-1]]
+    is_pulling = (against_m > 0.5 * sizes_m) & ~turns & (sizes_m > 1e-7)
+    ways_m = np.zeros(len(sizes_m))
+    for n in range(1, len(ways_m)):
+        ways_m[n] = (ways_m[n - 1] + against_m[n]) * is_pulling[n]
+    return ways_m
 
 
 def felt_off(runs: Runs, hand: int, mu: float, is_sliding: Any, way: Way) -> float:
@@ -178,7 +193,7 @@ def slides(name: str, nw: int, kind: str, is_spring: bool) -> Iterator[tuple[str
     """Yield the slides on one surface, each with what it was."""
     field = surface(name, nw)
     for mu, speed_m_s in itertools.product(MUS, SPEEDS_M_S):
-        length_m = LEAST_M if speed_m_s < 0.01 else 0.02
+        length_m = LEAST_M if speed_m_s < 0.01 else 0.024
         some = ways(name, field, speed_m_s, length_m)
         kinds = list(itertools.product(DEPTHS_M, some))
         paths = [pressed(way, kind, depth_m) for depth_m, way in kinds]
