@@ -62,7 +62,7 @@ class World:
 
     ``surface(tick)`` is its field then, from which hands choose where to go; `centre_m` is what they go round
     on their way, if there is something to go round. `period` is that of a loop, ticks; `speeds_m_s` are those
-    of the fastest body, float64 [period].
+    of the fastest body, float64 [period]. Touches begin within `reach_m` of the middle: off a rim, hands slip.
     """
 
     medium: Any
@@ -241,7 +241,9 @@ def worlds() -> dict[str, Callable[[], World]]:
     """Return how to make each medium that the data allow."""
     plate = Box((0.0, 0.0, 0.0), (0.03, 0.02, 0.001))
     found: dict[str, Callable[[], World]] = {
-        "terrain": lambda: still(prepare("sample:terrain", EncodeSpec()).medium[0], friction=0.3),
+        "terrain": lambda: still(
+            prepare("sample:terrain", EncodeSpec()).medium[0], friction=0.3, reach_m=(0.068, 0.05, 1.0)
+        ),
         "ball": lambda: still(field_of(Sphere((0.0, 0.0, 0.0), 0.025)), friction=0.3, centre_m=np.zeros(3)),
         "plate 2 mm": lambda: still(field_of(plate), centre_m=np.zeros(3), reach_m=(0.022, 0.012, 1.0)),
         "falling bodies": bodies,

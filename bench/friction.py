@@ -159,18 +159,21 @@ def slide_of(runs: Runs, hand: int, mu: float, k: float, way: Way) -> Slide:
     )
 
 
-def pulled_m(moved_m: Any, field_n: Any, friction_n: Any) -> Any:
+def pulled_m(moved_m: Any, field_n: Any, friction_n: Any, max_n_per_m: float) -> Any:
     """Return how far the point that friction acts on has pulled the anchor without a turn, metres [n].
 
     The way counts along the friction. It begins anew where friction does not oppose the motion within 60
-    degrees, or the motion turns by more.
+    degrees, the motion turns by more, or the normal force grows by more than `max_n_per_m` of the pull: then
+    the point sticks.
     """
-    normals = field_n / np.maximum(np.linalg.norm(field_n, axis=1), 1e-12)[:, None]
+    normal_n = np.linalg.norm(field_n, axis=1)
+    normals = field_n / np.maximum(normal_n, 1e-12)[:, None]
     moved_m = moved_m - (moved_m * normals).sum(axis=1, keepdims=True) * normals
     sizes_m, drag_n = np.linalg.norm(moved_m, axis=1), np.linalg.norm(friction_n, axis=1)
     against_m = -(friction_n * moved_m).sum(axis=1) / np.maximum(drag_n, 1e-12)
     turns = np.r_[1.0, (moved_m[1:] * moved_m[:-1]).sum(axis=1)] < 0.5 * sizes_m * np.r_[1.0, sizes_m[:-1]]
     is_pulling = (against_m > 0.5 * sizes_m) & ~turns & (sizes_m > 1e-7)
+    is_pulling &= np.diff(normal_n, prepend=normal_n[:1]) <= max_n_per_m * against_m
     ways_m = np.zeros(len(sizes_m))
     for n in range(1, len(ways_m)):
         ways_m[n] = (ways_m[n - 1] + against_m[n]) * is_pulling[n]
