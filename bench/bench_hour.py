@@ -62,7 +62,7 @@ class World:
 
     ``surface(tick)`` is its field then, from which hands choose where to go; `centre_m` is what they go round
     on their way, if there is something to go round. `period` is that of a loop, ticks; `speeds_m_s` are those
-    of the fastest body, float64 [period]. Touches begin within `reach_m` of the middle: off a rim, hands slip.
+    of the fastest body, float64 [period]. Touches are within `reach_m` of the middle: hands slip off a rim.
     """
 
     medium: Any

@@ -143,9 +143,8 @@ def slide_of(runs: Runs, hand: int, mu: float, k: float, way: Way) -> Slide:
     allowed_j = np.cumsum(0.5 * k * (moved_m**2).sum(axis=1))
     if runs.proxy_m is not None:  # friction acts there; on a curved surface it goes another way than the hand
         moved_m = np.diff(runs.proxy_m[hand], axis=0, prepend=runs.proxy_m[hand, :1])
-    is_sliding = (
-        pulled_m(moved_m, field_n, friction_n) > 2 * mu * np.maximum.accumulate(normal_n) / k + MARGIN_M
-    )
+    least_m = 2 * mu * np.maximum.accumulate(normal_n) / k + MARGIN_M
+    is_sliding = pulled_m(moved_m, field_n, friction_n, k / mu) > least_m
     is_sliding &= normal_n > LEAST_N
     is_sliding[: PRESS + HOLD] = False
     off = np.where(is_sliding, np.abs(ratio - 1), 0.0)
