@@ -23,7 +23,7 @@ import itertools
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -77,7 +77,15 @@ def surface(name: str, nw: int) -> ForceField:
     return field
 
 
-def ways(name: str, field: ForceField, speed_m_s: float, length_m: float) -> list[Way]:
+@cache
+def terrain_ways(nw: int, length_m: float) -> Any:
+    """Return ways over the terrain as functions of the length along them, metres."""
+    walks = surface_walks(surface("terrain", nw), length_m, 12, np.random.default_rng(6))
+    whole = np.flatnonzero(walks.steps == len(walks.points_m))[:WALKS]
+    return CubicSpline(walks.step_m * np.arange(len(walks.points_m)), walks.points_m[:, whole])
+
+
+def ways(name: str, nw: int, speed_m_s: float, length_m: float) -> list[Way]:
     """Return ways along a surface at a speed."""
     along_m = np.arange(0.0, length_m, speed_m_s * 1e-3)
     if name == "block":
@@ -92,12 +100,9 @@ def ways(name: str, field: ForceField, speed_m_s: float, length_m: float) -> lis
         circles = [((1.0, 0.0, 0.0), (0.0, 0.6, 0.8)), ((0.6, 0.0, 0.8), (-0.48, 0.8, 0.36))]
         arcs = [np.outer(np.cos(angles), a) + np.outer(np.sin(angles), b) for a, b in circles]
         return [Way(BALL_M * arc, arc) for arc in arcs]
-    walks = surface_walks(field, length_m, 12, np.random.default_rng(6))
-    whole = np.flatnonzero(walks.steps == len(walks.points_m))[:WALKS]
-    splines = CubicSpline(walks.step_m * np.arange(len(walks.points_m)), walks.points_m[:, whole])
     found = []
-    for points_m in splines(along_m).swapaxes(0, 1):
-        normals = field.sample_n(points_m).astype(np.float64)
+    for points_m in terrain_ways(nw, length_m)(along_m).swapaxes(0, 1):
+        normals = surface(name, nw).sample_n(points_m).astype(np.float64)
         found.append(Way(points_m, normals / np.linalg.norm(normals, axis=1, keepdims=True)))
     return found
 
@@ -110,13 +115,23 @@ def pressed(way: Way, kind: str, depth_m: float) -> Any:
     return np.concatenate([down, way.points_m + (out_m - depth_m) * way.normals])
 
 
-def crowd(field: ForceField, kind: str, mu: float) -> Hands:
-    """Return hands on a surface."""
+@lru_cache(maxsize=3)
+def _crowd(name: str, nw: int, kind: str) -> Hands:
     spec = RenderSpec(
-        friction=mu, up="lattice", render="auto" if kind == "auto" else "field",
+        friction=MUS[0], up="lattice", render="auto" if kind == "auto" else "field",
         tool=TOOL if kind == "tool" else None,
     )  # fmt: skip
-    return Hands(HapticMedium.from_frames([field], 30.0), device=STRONG, spec=spec, has_proxy=kind == "auto")
+    medium = HapticMedium.from_frames([surface(name, nw)], 30.0)
+    return Hands(medium, device=STRONG, spec=spec, has_proxy=kind == "auto")
+
+
+def crowd(name: str, nw: int, kind: str, mu: float) -> Hands:
+    """Return hands that have not started, on a surface of a friction."""
+    hands = _crowd(name, nw, kind)
+    hands.restart()
+    receiver = hands.memory.receiver
+    receiver["settings"]["friction"] = receiver["state"]["friction"] = mu
+    return hands
 
 
 # -- figures -----------------------------------------------------------------------------------------------
@@ -193,16 +208,15 @@ def felt_off(runs: Runs, hand: int, mu: float, is_sliding: Any, way: Way) -> flo
 
 def slides(name: str, nw: int, kind: str, is_spring: bool) -> Iterator[tuple[str, Slide]]:
     """Yield the slides on one surface, each with what it was."""
-    field = surface(name, nw)
     for mu, speed_m_s in itertools.product(MUS, SPEEDS_M_S):
         length_m = LEAST_M if speed_m_s < 0.01 else 0.024
-        some = ways(name, field, speed_m_s, length_m)
+        some = ways(name, nw, speed_m_s, length_m)
         kinds = list(itertools.product(DEPTHS_M, some))
         paths = [pressed(way, kind, depth_m) for depth_m, way in kinds]
         ticks = min(map(len, paths), default=0)
         if not ticks:
             continue
-        hands = crowd(field, kind, mu)
+        hands = crowd(name, nw, kind, mu)
         k = float(hands.memory.receiver["settings"]["stick_n_per_m"])
         runs = hands.run(np.array([path[:ticks] for path in paths]), ticks, Spring() if is_spring else None)
         for hand, (depth_m, way) in enumerate(kinds):
@@ -214,13 +228,13 @@ def slides(name: str, nw: int, kind: str, is_spring: bool) -> Iterator[tuple[str
 
 def rest_band_mn(name: str, nw: int, kind: str) -> float:
     """Return the vibration of hands on springs that were pulled along the surface, mN rms."""
-    field, worst = surface(name, nw), 0.0
+    worst = 0.0
     for mu, kg in itertools.product(REST_MUS, REST_KG):
-        some = ways(name, field, 0.015, 0.003)
+        some = ways(name, nw, 0.015, 0.003)
         paths = [pressed(way, kind, 0.012) for way in some]
         ends = [np.concatenate([path, np.tile(path[-1], (REST_TICKS - len(path), 1))]) for path in paths]
         if ends:
-            forces = crowd(field, kind, mu).run(np.array(ends), REST_TICKS, Spring(kg=kg)).force_n
+            forces = crowd(name, nw, kind, mu).run(np.array(ends), REST_TICKS, Spring(kg=kg)).force_n
             bands = [in_band(force[-1500:], 1000.0) for force in forces]
             worst = max(worst, *(1e3 * float(np.sqrt((band**2).sum(axis=1).mean())) for band in bands))
     return worst

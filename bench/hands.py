@@ -84,10 +84,16 @@ class Hands:
         assert fields is not None and layout.COUNTS.fields is not None
         stop = fields["counts"][1] + layout.COUNTS.fields["periods"][1]
         self._own = self.memory.bytes[fields["clock"][1] : stop]  # clock, grip, state and counts
+        self._initial = self._own.copy()
         self._proxy_m = self.memory.receiver["state"]["proxy"]["position_m"] if has_proxy else None
         self._log = self.memory.array(
             layout.LOG_ROW, self.played.session.layout.log, self.played.session.layout.log_rows
         )
+
+    def restart(self) -> None:
+        """Let other hands start, on a medium of one frame, which stays written."""
+        self._states, self._moves, self.ticks = [], [], 0
+        self._own[:] = self._initial
 
     def run(
         self,
