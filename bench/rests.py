@@ -195,7 +195,7 @@ def falling_cases(points: int) -> Iterator[Case]:
         ends = places - forces / Spring().n_per_m
         start_s, seek, back_s = 1.3, 400, 1.6
         yield Case(
-            f"bodies at rest, {kind}", medium, source, (places[:, None], ends[:, None]), places, 1100,
+            f"bodies at rest, {kind}", medium, source, (places[:, None], ends[:, None]), places, 952,
             start_s=start_s, quiet=130, seeks={seek: back_s},
             seams={
                 "segment": tuple(round(1e3 * (s - start_s)) for s in segments_s if start_s < s < back_s),
