@@ -16,11 +16,13 @@ A simulated hand of 0.1 kg is rendered with the proxy and with the plain field:
 * energy: the largest net energy that the hand receives in `--seconds` (60) of random pressing.
 * speed: time of a proxy query while a hand slides over the surface.
 * hum: vibration from 40 to 400 Hz while a hand slides at 50 mm/s.
+* friction: drag over normal force, vibration at rest and energy, also on curved surfaces (``friction.py``).
 * seams: the largest step of the force at the end of a loop, at seeks and at the start of a segment, beside
   the field's own (``seams.py``), for hands that rest at `--points` points.
-* rests: the same of hands that rest on TUM fr1_rpy and ICL-NUIM while these change (``rests.py``).
+* rests: the same of as many hands that rest on depth sequences, bodies that fall, a terrain, a live stream
+  and a deformed medium while these change (``rests.py``).
 
-`--walks` is the number of paths over the surface in the two tests before the last.
+`--walks` is the number of paths over the surface in the tests of speed and hum.
 """
 
 from __future__ import annotations
@@ -32,6 +34,7 @@ from typing import Any
 
 import numpy as np
 
+import friction
 import rests
 import seams
 from machine import SHARED, Bar, Figures, at_most, bench
@@ -304,6 +307,7 @@ def measure(seconds: int, walks: int, lattices: int, points: int) -> Figures:
         "energy": energies(0.3, seconds),
         "speed": speeds(fields, walks),
         "hum_mn": hums(fields, walks),
+        "friction": friction.friction(lattices),
         "seams_mn": seams.seams(points),
         "rests_mn": rests.rests(points, min(lattices, 2)),
     }
@@ -328,10 +332,11 @@ def bars(figures: Figures) -> list[Bar]:
             at_most(f"{name}: a query, p99.9", row["p99_9_us"], 5.0, "us")
             for name, row in figures["speed"].items()
         ),
+        *friction.bars(figures["friction"]),
         *seams.bars(figures["seams_mn"]),
         *rests.bars(figures["rests_mn"]),
     ]
 
 
 if __name__ == "__main__":
-    bench("proxy", __doc__, measure, bars, seconds=(60, 5), walks=(8, 4), lattices=(3, 1), points=(24, 3))
+    bench("proxy", __doc__, measure, bars, seconds=(60, 5), walks=(8, 4), lattices=(3, 1), points=(200, 3))

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 import touchfield as tf
+from hands import Hands, Spring
 from machine import Bar, Figures, at_most
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.medium import HapticMedium, HapticScene
@@ -33,7 +34,7 @@ from touchfield.render.spec import RenderSpec
 from touchfield.sources.options import SourceOptions
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "render"))
-from seam_makers import SPRING_N_PER_M, Played, steps_n
+from seam_makers import SPRING_N_PER_M, steps_n
 
 LEAST_N, MOST_N = 0.6, 2.2
 START_S, END_S, AROUND_MS = 1.2, 2.0, (3, 140)
@@ -70,16 +71,17 @@ def resting_points(medium: HapticMedium | HapticScene, count: int) -> tuple[Any,
     return points[found], forces[found]
 
 
-def rest(medium: HapticMedium | HapticScene, point: Any, force: Any, is_spring: bool, **options: Any) -> Any:
-    """Return the forces on a hand that rests at a point, newtons, float64 [ticks, 3]."""
+def rest(
+    medium: HapticMedium | HapticScene, points: Any, forces: Any, is_spring: bool, **options: Any
+) -> Any:
+    """Return the forces on hands that rest at points, newtons, float64 [hands, ticks, 3]."""
     render, is_whole = options["render"], options.get("is_whole", False)
     spec = RenderSpec(render=render, up="lattice", blend=not is_whole)
     start_s, ticks = (0.0, round(1e3 * END_S)) if is_whole else (START_S, TICKS)
-    played = Played(medium, LATE, start_s=start_s, loop=not is_whole, spec=spec)
-    if is_spring:
-        goal = point - force / SPRING_N_PER_M
-        return played.on_spring(point, goal, ticks, {} if is_whole else {SEEK: BACK_S})[0]
-    return played.at_rest(point, ticks, {} if is_whole else {SEEK: BACK_S, RETURN: RETURN_S})
+    hands = Hands(medium, LATE, start_s=start_s, loop=not is_whole, spec=spec)
+    seeks = {} if is_whole else {SEEK: BACK_S} if is_spring else {SEEK: BACK_S, RETURN: RETURN_S}
+    goals = points - forces / SPRING_N_PER_M if is_spring else points
+    return hands.run(goals[:, None], ticks, Spring() if is_spring else None, points, seeks).force_n
 
 
 def around(tick: int) -> slice:
@@ -94,15 +96,12 @@ def seams(points: int, nw: int = 6) -> Figures:
     for name, medium in media(nw).items():
         positions, forces = resting_points(medium, points)
         for is_spring in (False, True):
-            own = [
-                steps_n(rest(medium, *where, is_spring, render="field", is_whole=True))[AROUND_MS[1] :].max()
-                for where in zip(positions, forces, strict=True)
-            ]
+            whole = rest(medium, positions, forces, is_spring, render="field", is_whole=True)
+            own = max(steps_n(felt)[AROUND_MS[1] :].max() for felt in whole)
             windows = {"loop": [LOOP], "seek": [SEEK] if is_spring else [SEEK, RETURN], "segment": [SEGMENT]}
             for render in ("field", "auto"):
-                row = dict.fromkeys((*windows, "band"), 0.0) | {"field_own": 1e3 * float(max(own))}
-                for where in zip(positions, forces, strict=True):
-                    played = rest(medium, *where, is_spring, render=render)
+                row = dict.fromkeys((*windows, "band"), 0.0) | {"field_own": 1e3 * float(own)}
+                for played in rest(medium, positions, forces, is_spring, render=render):
                     steps = 1e3 * steps_n(played)
                     for key, ticks in windows.items():
                         row[key] = max(row[key], *(float(steps[around(tick)].max()) for tick in ticks))

@@ -26,9 +26,10 @@ class Played:
 
     def __init__(self, medium: HapticMedium | HapticScene, late: int = 0, **options: Any) -> None:
         spec = options.pop("spec", RenderSpec(render="field"))
-        profile = replace(
-            device("phantom-omni"), force_continuous_n=None, torque_max_nm=0.2, axes=medium.axes
+        profile = options.pop(
+            "device", replace(device("phantom-omni"), force_continuous_n=None, torque_max_nm=0.2)
         )
+        profile = replace(profile, axes=medium.axes)
         self.session = Session(medium, profile, spec, **options)
         self.memory = Memory.empty(self.session.layout.size_bytes)
         self.session.set_up(self.memory, mode=layout.PLAYING)

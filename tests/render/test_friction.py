@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
 from hypothesis import example, given, strategies as st
 from proxy_makers import STRONG, Held, Vector, field_of
+from scipy.interpolate import CubicSpline
+from seam_makers import DAMPING_N_S_PER_M, HAND_KG, SPRING_N_PER_M, Played
 from tick_makers import Bench, constant
 
 import touchfield as tf
-from touchfield.medium import Grid, HapticMedium
+from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.deformation import Deformation
+from touchfield.perception.hand_motion import surface_walks
+from touchfield.pipeline.preparation import prepare
+from touchfield.pipeline.spec import EncodeSpec
 from touchfield.render.spec import RenderSpec
 from touchfield.render.tool import Tool
 from touchfield.sources.shapes.shapes import Box, Sphere
@@ -71,6 +76,79 @@ def test_drag_of_a_sliding_hand_is_mu_times_the_normal_force(kind: str, mu: floa
         assert drag_n[is_sliding] == pytest.approx(mu * normal_n[is_sliding], rel=0.02)
         against = -(forces_n[is_sliding, :2] @ unit) / drag_n[is_sliding]
         assert against.min() > 0.999
+
+
+def ball_way(speed_m_s: float) -> tuple[ForceField, Vector, Vector]:
+    """A ball, and points and normals of an arc of 16 mm, float64 [n, 3] each."""
+    angle = np.arange(0.0, 0.016, speed_m_s * DT_S)[:, None] / 0.025
+    normals = np.cos(angle) * [0.6, 0.0, 0.8] + np.sin(angle) * [-0.48, 0.8, 0.36]
+    return field_of(Sphere((0.0, 0.0, 0.0), 0.025), nw=6), 0.025 * normals, normals
+
+
+def terrain_way(speed_m_s: float) -> tuple[ForceField, Vector, Vector]:
+    """A terrain, and points and normals of a way of 16 mm over it, float64 [n, 3] each."""
+    terrain = prepare("sample:terrain", EncodeSpec(nw=6)).medium[0]
+    walks = surface_walks(terrain, 0.016, 1, np.random.default_rng(6))
+    knots_m = walks.step_m * np.arange(walks.steps[0])
+    points_m = CubicSpline(knots_m, walks.points_m[:, 0])(np.arange(0.0, 0.016, speed_m_s * DT_S))
+    normals = terrain.sample_n(points_m).astype(np.float64)
+    return terrain, points_m, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def dragged(played: Played, goals_m: Vector, is_spring: bool) -> tuple[Vector, Vector, Vector]:
+    """Forces of the field and of friction, and motions of the point that the latter acts on, float64 [n, 3]
+    each, on a hand that is at the goals, or on a spring to them.
+    """
+    position, velocity, rows = goals_m[0].copy(), np.zeros(3), []
+    for goal_m in goals_m:
+        force_n = played.tick(position if is_spring else goal_m)
+        point_m = played.value("state.proxy.position_m") if played.value("state.proxy.is_active") else None
+        position_m = played.value("state.position_m") if point_m is None else point_m
+        rows.append([played.value("state.field_force_n"), played.value("state.friction_n"), position_m])
+        for _ in range(4):
+            pull_n = SPRING_N_PER_M * (goal_m - position) - DAMPING_N_S_PER_M * velocity + force_n
+            velocity = velocity + pull_n / HAND_KG * DT_S / 4
+            position = position + velocity * DT_S / 4
+    field_n, friction_n, points_m = np.array(rows).swapaxes(0, 1)
+    return field_n, friction_n, np.diff(points_m, axis=0, prepend=points_m[:1])
+
+
+def slid_m(friction_n: Vector, moved_m: Vector) -> Vector:
+    """The ways along which friction has opposed the motion without a break, metres, float64 [n]."""
+    steps_m, ways_m = np.linalg.norm(moved_m, axis=1), np.zeros(len(moved_m))
+    opposing_j = -(friction_n * moved_m).sum(axis=1)
+    opposes = (opposing_j > 0.5 * np.linalg.norm(friction_n, axis=1) * steps_m) & (steps_m > 1e-7)
+    for n in range(1, len(ways_m)):
+        ways_m[n] = (ways_m[n - 1] + steps_m[n]) * opposes[n]
+    return ways_m
+
+
+@pytest.mark.parametrize("is_spring", [False, True])
+@pytest.mark.parametrize("kind", ["auto", "field", "tool"])
+@pytest.mark.parametrize("way_of", [ball_way, terrain_way])
+def test_drag_along_a_curved_surface_is_mu_times_the_normal_force(
+    way_of: Callable[[float], tuple[ForceField, Vector, Vector]], kind: str, is_spring: bool
+) -> None:
+    field, points_m, normals = way_of(0.05)
+    medium = HapticMedium.from_frames([field], 30.0)
+    tool = Tool.sphere(RADIUS_M, 100) if kind == "tool" else None
+    for mu, depth_m in ((0.1, 0.002), (0.3, 0.0005), (0.3, 0.004)):
+        out_m = RADIUS_M * (kind == "tool")
+        down_m = out_m + np.r_[np.linspace(0.002, -depth_m, 100), np.full(30, -depth_m)]
+        goals_m = np.concatenate(
+            [points_m[0] + down_m[:, None] * normals[0], points_m + (out_m - depth_m) * normals]
+        )
+        spec = RenderSpec(friction=mu, render="auto" if kind == "auto" else "field", tool=tool, up="lattice")
+        played = Played(medium, device=STRONG, spec=spec)
+        field_n, friction_n, moved_m = dragged(played, goals_m, is_spring)
+        normal_n, drag_n = np.linalg.norm(field_n, axis=1), np.linalg.norm(friction_n, axis=1)
+        assert (drag_n <= mu * normal_n).all()
+        assert np.abs((friction_n * field_n).sum(axis=1)).max() < 1e-9
+        stretch_m = mu * normal_n / played.value("settings.stick_n_per_m")
+        slides = slid_m(friction_n, moved_m) > 1.2 * stretch_m + 0.0005
+        slides[: len(down_m)] = False
+        assert slides.sum() > 50 and normal_n[slides].min() > 0.01
+        assert drag_n[slides] == pytest.approx(mu * normal_n[slides], rel=0.02)
 
 
 def test_a_hand_sticks_until_the_spring_of_the_anchor_reaches_the_cone() -> None:
