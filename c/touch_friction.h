@@ -26,13 +26,12 @@ static inline touch_vector touch_along_surface(touch_vector v, touch_vector norm
     return touch_add_scaled(v, -touch_dot(v, normal), normal);
 }
 
-/* Store the anchor, also in the axes of the body that pushes most at a point of the surface. */
-static inline void touch_store_anchor(touch_stick_anchor *anchor, const touch_instant *t, touch_vector anchor_m,
-                                      touch_vector point_m) {
+/* Store the anchor, also in the axes of the body that it is on. */
+static inline void touch_store_anchor(touch_stick_anchor *anchor, const touch_instant *t, touch_vector anchor_m, int64_t body) {
     anchor->is_set = 1;
     anchor->position_m = anchor_m;
-    anchor->body = touch_carrying_body(t, point_m);
-    anchor->body_position_m = touch_point_in_body(t, anchor->body, anchor_m);
+    anchor->body = body;
+    anchor->body_position_m = touch_point_in_body(t, body, anchor_m);
 }
 
 /* The friction on a point at the surface, N, along it and at most max_n. The anchor slides where it must, in `*anchor_m`. */
@@ -52,7 +51,7 @@ static inline touch_vector touch_stick_friction(const touch_friction_rule *rule,
 
 /* Friction on the hand, N, in the field's axes, where a force presses a point of it against a surface. */
 static inline touch_vector touch_friction_force(touch_receiver *receiver, const touch_instant *t, touch_vector point_m,
-                                                touch_vector force_n, double dt_s) {
+                                                int64_t body, touch_vector force_n, double dt_s) {
     const touch_settings *settings = &receiver->settings;
     touch_tick_state *state = &receiver->state;
     touch_stick_anchor *anchor = &state->anchor;
@@ -73,7 +72,7 @@ static inline touch_vector touch_friction_force(touch_receiver *receiver, const 
     rule.normal = touch_divided(force_n, size);
     rule.velocity_m_s = velocity;
     touch_vector friction = touch_stick_friction(&rule, point_m, &anchor_m);
-    touch_store_anchor(anchor, t, anchor_m, point_m);
+    touch_store_anchor(anchor, t, anchor_m, body);
     return friction;
 }
 

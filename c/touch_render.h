@@ -272,8 +272,8 @@ static inline touch_vector touch_field_force(touch_receiver *receiver, const tou
     }
     if (!touch_is_finite(force)) force = touch_zero();
     if (!has_proxy) touch_yield(receiver, t, *point_m, force, dt_s); /* a proxy needs walls that stay */
-    touch_vector contact_m = has_proxy ? state->proxy.position_m : *point_m;
-    *friction_n = touch_friction_force(receiver, t, contact_m, force, dt_s);
+    int64_t body = has_proxy ? state->proxy.body : touch_carrying_body(t, *point_m);
+    *friction_n = touch_friction_force(receiver, t, *point_m, body, force, dt_s);
     return force;
 }
 
