@@ -374,7 +374,7 @@ def test_a_ball_that_turns_drags_a_hand_that_stays() -> None:
         hand_m, sticking = np.array([0.022, 0.0, 0.0]), 0
         for x in np.linspace(0.03, 0.022, 60):
             rendered.tick(np.array([x, 0.0, 0.0]))
-        arm_m = 0.025 if is_proxy else 0.022  # friction acts at the proxy
+        arm_m = hand_m[0]  # friction acts at the hand
         for at in np.linspace(0, 4, 401):
             rendered.at = at
             rendered.tick(hand_m)
