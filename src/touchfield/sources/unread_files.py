@@ -10,7 +10,7 @@ from typing import Final
 from touchfield.errors import SourceError
 
 READABLE: Final = (
-    "a mesh (.obj .ply .stl .off .gltf .glb), bodies (.xml .toml), heights (.tif .asc .hgt .nc .npz .png), "
+    "a mesh (.obj .ply .stl .off .gltf .glb .dae .3mf), bodies (.xml .toml), heights (.tif .asc .hgt .nc .npz .png), "
     "depth pictures (a folder, .png .npz .mcap .mkv), a field (.npz .vti .zarr) or a .touch file"
 )
 """What can be a source, in a user's words."""
@@ -33,9 +33,7 @@ _URDF: Final = (
     'mujoco.mj_saveLastXML({to!r}, mujoco.MjModel.from_xml_path({name!r}))"'
 )
 _CONVERSIONS: Final[dict[str, tuple[str, str, str]]] = {
-    ".3mf": ("a mesh in 3MF", ".glb", _TRIMESH),
     ".amf": ("a mesh in AMF", ".glb", _TRIMESH),
-    ".dae": ("a mesh in COLLADA", ".glb", _TRIMESH),
     ".step": ("a solid of CAD (STEP)", ".glb", _STEP),
     ".stp": ("a solid of CAD (STEP)", ".glb", _STEP),
     ".fbx": ("a mesh in FBX", ".glb", _BLENDER.replace("{importer}", "import_scene.fbx")),

@@ -241,13 +241,14 @@ def _named_file(path: Path, entry: JsonValue, key: str, anywhere: bool) -> Path:
 def _mesh(path: Path, entry: JsonValue, anywhere: bool) -> MeshScene:
     values = _values(entry, _MESH_KEYS)
     if "file" in values:
-        from touchfield.sources.mesh.mesh_files import read_triangles
+        from touchfield.sources.mesh.mesh_files import read_mesh
 
         file = _named_file(path, entry, "file", anywhere)
         if not file.exists():
             raise entry.at("file").wrong(f"nothing at {file}", "a mesh file", "Check the path.")
-        vertices, triangles, notes = read_triangles(file)
-        return MeshScene(vertices * values.get("unit_m", 1.0), triangles, name=str(file), notes=notes)
+        mesh = read_mesh(file)
+        unit_m = values.get("unit_m") or mesh.unit_m or 1.0
+        return MeshScene(mesh.vertices * unit_m, mesh.triangles, name=str(file), notes=mesh.notes)
     for name in ("vertices_m", "triangles"):
         if name not in values:
             raise entry.wrong(f"no {name!r}", "a mesh: file, or vertices_m and triangles")
