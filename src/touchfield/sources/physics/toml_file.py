@@ -54,7 +54,7 @@ from touchfield.medium.pose_track import PoseTrack
 from touchfield.medium.trace import Trace, read_trace
 from touchfield.sources.mesh.mesh_scene import MeshScene
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.physics.body_scene import BodyScene
+from touchfield.sources.physics.body_scene import BodyScene, notes_of_meshes
 from touchfield.sources.physics.simulation import (
     FRAME_RATE_HZ,
     SECONDS,
@@ -290,7 +290,8 @@ def open_physics(path: Path, options: SourceOptions) -> BodyScene:
     if table.floor and table.floor.touchable:
         plane = Plane((0.0, 0.0, table.floor.height_m), (0.0, 0.0, 1.0))
         bodies.append(Body("floor", AnalyticScene((plane,), "union", UP_Z_AXES), PoseTrack.constant(frames)))
-    return BodyScene(bodies, rate, UP_Z_AXES, (*_late_pose_notes(poses, frames / rate, rate), *notes))
+    notes = (*notes_of_meshes(bodies), *_late_pose_notes(poses, frames / rate, rate), *notes)
+    return BodyScene(bodies, rate, UP_Z_AXES, notes)
 
 
 def _late_pose_notes(poses: dict[str, Trace], seconds: float, rate_hz: float) -> tuple[str, ...]:
