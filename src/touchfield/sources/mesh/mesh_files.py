@@ -255,7 +255,7 @@ def _open(path: Path, options: SourceOptions) -> MeshScene:
 
 KIND = SourceKind(
     "mesh",
-    "a mesh of triangles: OBJ, STL, PLY, GLB, glTF or OFF; COLLADA or 3MF with the extra meshes",
+    "a mesh of triangles: OBJ, STL, PLY, GLB, glTF or OFF; COLLADA (.dae) or 3MF with the extra meshes",
     lambda path: path.suffix.lower() in SUFFIXES and path.is_file(),
     _open,
 )
