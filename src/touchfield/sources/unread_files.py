@@ -10,8 +10,9 @@ from typing import Final
 from touchfield.errors import SourceError
 
 READABLE: Final = (
-    "a mesh (.obj .ply .stl .off .gltf .glb .dae .3mf), bodies (.xml .urdf .toml), heights (.tif .asc .hgt .nc .npz .png), "
-    "depth pictures (a folder, .png .npz .mcap .mkv), a field (.npz .vti .zarr) or a .touch file"
+    "a mesh (.obj .ply .stl .off .gltf .glb .dae .3mf), bodies (.xml .urdf .toml), "
+    "heights (.tif .asc .hgt .nc .npz .png), depth pictures (a folder, .png .npz .mcap .mkv), "
+    "a field (.npz .vti .zarr) or a .touch file"
 )
 """What can be a source, in a user's words."""
 

@@ -447,7 +447,7 @@ Z_TURN = [0, 0, 2**-0.5, 2**-0.5]
 def test_a_sheet_in_mirrored_nodes_faces_as_a_static_pose_has_it(
     tmp_path: Path, outer: dict[str, Any], inner: dict[str, Any], moving: str, scales: list[list[float]]
 ) -> None:
-    """Each frame has the side of the wall of a file without animation in that pose, also past a scale of 0."""
+    """Each frame has the wall on the side where a file without animation has it in that pose."""
     wall = ForceProfile(((-0.1, 0.0, 4.0, 10.0),))
     grid = Grid((3, 3, 5), (0.02, 0.02, 0.02), (0.0, 0.0, -0.04))
 

@@ -8,7 +8,7 @@ not evaluated; both are noted. Source: Khronos, COLLADA 1.4.1 specification (200
 from __future__ import annotations
 
 import io
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -18,7 +18,8 @@ import numpy as np
 
 from touchfield.errors import SourceError, import_extra
 from touchfield.files import readable
-from touchfield.sources.mesh.mesh_data import MeshData, Placed, join
+from touchfield.sources.mesh.instances import ROOT, Definitions
+from touchfield.sources.mesh.mesh_data import MeshData, Placed, fans, join
 from touchfield.sources.scene import UP_Y_AXES, UP_Z_AXES
 from touchfield.sources.unread_files import without_triangles
 
@@ -30,7 +31,6 @@ _REFERENCES: Final = {
     "skin": "source",
     "morph": "source",
 }
-_MAX_EXPANDED: Final = 1 << 28  # bytes of the text of all instances, or those of the file
 _AXES: Final = {"Y_UP": UP_Y_AXES, "Z_UP": UP_Z_AXES, "X_UP": "x up, y left, z towards the viewer"}
 _LEFT_OUT: Final = {
     "lines": "lines",
@@ -57,6 +57,9 @@ def read_collada(path: Path) -> MeshData:
             bound = _bound_geometries(document.scene) if document.scene else []
             placed = [part for geometry in bound for part in _placed(collada, geometry)]
             if not sum(len(part.triangles) for part in placed):
+                if document.errors:
+                    found = f"no triangle that can be read ({_text(document.errors[0])})"
+                    raise SourceError(str(path), found, "a whole COLLADA file", "Export it again.")
                 raise without_triangles(path, sum(len(part.vertices) for part in placed))
             vertices, triangles = join(placed)
     except SourceError:
@@ -82,15 +85,15 @@ def _placed(collada: Any, geometry: Any) -> Iterator[Placed]:
     is_mirrored = float(np.linalg.det(geometry.matrix[:3, :3])) < 0
     for primitive in geometry.primitives():
         if isinstance(primitive, collada.polylist.BoundPolylist):
-            sizes = np.maximum(np.asarray(primitive.vcounts, np.int64) - 2, 0)
-            primitive = primitive.triangleset()
+            counts = np.diff(np.asarray(primitive.polyindex, np.int64), axis=1)[:, 0]
         elif isinstance(primitive, collada.triangleset.BoundTriangleSet):
-            sizes = np.ones(len(primitive.vertex_index), np.int64)
+            counts = np.full(len(primitive.vertex_index), 3)
         else:
             continue
-        if primitive.vertex is not None and len(primitive.vertex_index):
-            vertices = np.asarray(primitive.vertex, np.float64)
-            yield Placed(vertices, primitive.vertex_index, sizes[sizes > 0], is_mirrored)
+        if primitive.vertex is not None and len(counts):
+            corners, sizes = fans(counts)
+            indices = np.asarray(primitive.vertex_index, np.int64).reshape(-1)
+            yield Placed(np.asarray(primitive.vertex, np.float64), indices[corners], sizes, is_mirrored)
 
 
 def _left_out_notes(tags: Counter[str]) -> tuple[str, ...]:
@@ -109,8 +112,11 @@ def _left_out_notes(tags: Counter[str]) -> tuple[str, ...]:
 def _fault_notes(errors: list[Exception]) -> tuple[str, ...]:
     if not errors:
         return ()
-    first = " ".join(str(errors[0]).split())[:120]
-    return (f"{len(errors)} elements that cannot be read are left out; the first: {first}.",)
+    return (f"{len(errors)} elements that cannot be read are left out; the first: {_text(errors[0])}.",)
+
+
+def _text(error: Exception) -> str:
+    return " ".join(str(error).split())[:120].rstrip(".")
 
 
 # -- before pycollada reads it -----------------------------------------------------------------------------
@@ -119,29 +125,30 @@ def _check_instances(path: Path, data: bytes) -> Counter[str]:
 
     Raises `SourceError` for what is no XML, has a document type, or another root element.
     """
-    parser, tags = expat.ParserCreate(), Counter[str]()
-    enclosing = [""]  # the definition of each element around the current one
-    own, refers = defaultdict[str, int](int), defaultdict[str, list[str]](list)
-    position = 0
+    parser, tags, definitions = expat.ParserCreate(), Counter[str](), Definitions(str(path))
+    enclosing = [ROOT]  # the definition of each element around the current one
+    position = count = 0
 
     def count_bytes() -> None:
         nonlocal position
-        own[enclosing[-1]] += parser.CurrentByteIndex - position
+        definitions.sizes[enclosing[-1]] += parser.CurrentByteIndex - position
         position = parser.CurrentByteIndex
 
     def start(name: str, attributes: dict[str, str]) -> None:
+        nonlocal count
         tag = name.rpartition(":")[2]
         if not tags and tag != "COLLADA":
             raise SourceError(str(path), f"the element {tag[:40]!r}", "a COLLADA file")
         tags[tag] += 1
         count_bytes()
-        outer = enclosing[-1]
+        outer = inner = enclosing[-1]
         if tag in _REFERENCES:
-            refers[outer].append(attributes.get(_REFERENCES[tag], "").removeprefix("#"))
-        is_definition = tag in _DEFINITIONS
-        inner = (attributes.get("id") or f"#{len(own)}") if is_definition else outer
-        if is_definition and outer:
-            refers[outer].append(inner)
+            definitions.uses[outer].append(attributes.get(_REFERENCES[tag], "").removeprefix("#") or " ")
+        if tag in _DEFINITIONS:
+            count += 1
+            inner = attributes.get("id") or f" {count}"
+            if outer != ROOT:
+                definitions.uses[outer].append(inner)
         enclosing.append(inner)
 
     def end(_: str) -> None:
@@ -157,27 +164,5 @@ def _check_instances(path: Path, data: bytes) -> Counter[str]:
         parser.Parse(data, True)
     except expat.ExpatError as error:
         raise SourceError(str(path), f"no XML ({error})", "a whole COLLADA file") from error
-    expanded, limit = _expanded(path, own, refers), max(_MAX_EXPANDED, len(data))
-    if expanded > limit:
-        found = f"instances of {expanded:.3g} bytes in a file of {len(data)}"
-        raise SourceError(str(path), found, f"at most {limit} bytes", "Export fewer instances.")
+    definitions.require_bounded(len(data))
     return tags
-
-
-def _expanded(path: Path, own: dict[str, int], refers: dict[str, list[str]]) -> int:
-    """Return the bytes of the default scene with all its instances."""
-    total, opened = dict[str, int](), set[str]()
-    pending = [""]
-    while pending:
-        name = pending[-1]
-        missing = [other for other in refers.get(name, ()) if other not in total]
-        if name in opened:
-            pending.pop()
-            total.setdefault(name, own.get(name, 0) + sum(total.get(o, 0) for o in refers.get(name, ())))
-            continue
-        opened.add(name)
-        cyclic = [other for other in missing if other in opened]
-        if cyclic:
-            raise SourceError(str(path), f"{cyclic[0][:40]!r} within itself", "a tree of nodes")
-        pending += missing
-    return total[""]

@@ -34,6 +34,18 @@ class Placed(NamedTuple):
     is_mirrored: bool = False  # if its placement mirrors: its triangles are turned over
 
 
+def fans(counts: Int64s) -> tuple[Int64s, Int64s]:
+    """Divide polygons into triangles, each as a fan from its first corner.
+
+    `counts` int64 [p] are the corners of each polygon, stored one after another. Returns the indices of the
+    corners, int64 [m, 3], and the number of triangles of each polygon that has any, int64.
+    """
+    sizes = np.maximum(counts - 2, 0)
+    first = np.repeat(np.cumsum(counts) - counts, sizes)
+    after = first + np.arange(1, len(first) + 1) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    return np.stack([first, after, after + 1], axis=1), sizes[sizes > 0]
+
+
 def require_bounded(where: str, triangles: int, file_bytes: int) -> None:
     """Raise `SourceError` if a file of `file_bytes` has more triangles in its instances than it may."""
     limit = max(_MAX_TRIANGLES, file_bytes)

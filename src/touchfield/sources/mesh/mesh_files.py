@@ -26,7 +26,7 @@ from touchfield.errors import SourceError
 from touchfield.files import readable
 from touchfield.sources.gltf.model import Model
 from touchfield.sources.mesh.collada import read_collada
-from touchfield.sources.mesh.mesh_data import MeshData
+from touchfield.sources.mesh.mesh_data import MeshData, fans
 from touchfield.sources.mesh.mesh_scene import MeshScene
 from touchfield.sources.mesh.surface import weld
 from touchfield.sources.mesh.threemf import read_3mf
@@ -83,13 +83,11 @@ def read_mesh(path: Path) -> MeshData:
     except (ArithmeticError, LookupError, ValueError) as error:
         found = f"a mesh that cannot be read ({type(error).__name__}: {str(error)[:120]})"
         raise SourceError(str(path), found, "a whole mesh file", "Export it again.") from error
-    sizes = np.maximum(counts - 2, 0)  # triangles of each polygon, a fan from its first corner
-    if not sizes.any():
+    corners, sizes = fans(counts)
+    if not len(corners):
         raise without_triangles(path, len(vertices))
-    first = np.repeat(np.cumsum(counts) - counts, sizes)
-    after = first + np.arange(1, len(first) + 1) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     with np.errstate(all="ignore"):
-        return MeshData(*weld(vertices, flat[np.stack([first, after, after + 1], axis=1)], sizes[sizes > 0]))
+        return MeshData(*weld(vertices, flat[corners], sizes))
 
 
 def _numbers(texts: Iterable[bytes], kind: type) -> NDArray[Any]:

@@ -7,7 +7,9 @@ Specification 1.3, sections 3.4 (build items, transforms as rows) and 4 (objects
 from __future__ import annotations
 
 import io
+import re
 import zipfile
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -17,6 +19,7 @@ import numpy as np
 from touchfield.arrays import Float64s
 from touchfield.errors import SourceError, import_extra
 from touchfield.files import readable
+from touchfield.sources.mesh.instances import ROOT, Definitions
 from touchfield.sources.mesh.mesh_data import MeshData, Placed, join, require_bounded
 from touchfield.sources.scene import UP_Z_AXES
 from touchfield.sources.unread_files import without_triangles
@@ -26,7 +29,9 @@ _UNITS_M: Final = {
 }  # fmt: skip
 _READ_TYPES: Final = ("Model", "Surface")  # the others support the print, or are not printed
 _UNPACKED_PER_BYTE, _FREE_UNPACKED = 64, 1 << 24  # bytes that an archive may declare
-_MAX_DEPTH: Final = 64
+_ELEMENT: Final = re.compile(rb"<(/?)(?:[\w.-]+:)?(object|component|item)(?=[\s/>])([^>]*)>")
+_NUMBER, _OBJECT = (re.compile(rb"""\s%s\s*=\s*(["'])(\d+)\1""" % name) for name in (b"id", b"objectid"))
+_PATH: Final = re.compile(rb"""\s[\w.-]+:path\s*=\s*(["'])([^"']*)\1""")
 
 
 def read_3mf(path: Path) -> MeshData:
@@ -41,7 +46,7 @@ def read_3mf(path: Path) -> MeshData:
     try:
         model = lib3mf.get_wrapper().CreateModel()
         model.QueryReader("3mf").ReadFromBuffer(data)
-        build = _Build(lib3mf, path, len(data))
+        build = _Build(lib3mf)
         items = list(_each(model.GetBuildItems()))
         objects = [item.GetObjectResource() for item in items]
         require_bounded(str(path), sum(build.count(entry) for entry in objects), len(data))
@@ -60,16 +65,46 @@ def read_3mf(path: Path) -> MeshData:
     return MeshData(vertices, triangles, build.notes(), _UNITS_M[unit], UP_Z_AXES)
 
 
+# -- before lib3mf reads it --------------------------------------------------------------------------------
 def _check_archive(path: Path, data: bytes) -> None:
-    """Refuse what is no archive, and one that unpacks to far more than its size."""
+    """Refuse what is no archive, and one that unpacks, or whose components expand, to far too much."""
+    definitions = Definitions(str(path))
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             unpacked = sum(entry.file_size for entry in archive.infolist())
-    except (zipfile.BadZipFile, NotImplementedError, OSError, ValueError) as error:
+            if unpacked > _UNPACKED_PER_BYTE * len(data) + _FREE_UNPACKED:
+                found = f"an archive of {len(data)} bytes that declares {unpacked}"
+                raise SourceError(str(path), found, "a 3MF file", "Export it again.")
+            for entry in archive.infolist():
+                if entry.filename.lower().endswith(".model"):
+                    _add_definitions(path, f"/{entry.filename}", archive.read(entry), definitions)
+    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, OSError, ValueError, zlib.error) as error:
         raise SourceError(str(path), f"no zip archive ({error})", "a whole 3MF file") from error
-    if unpacked > _UNPACKED_PER_BYTE * len(data) + _FREE_UNPACKED:
-        found = f"an archive of {len(data)} bytes that declares {unpacked}"
-        raise SourceError(str(path), found, "a 3MF file", "Export it again.")
+    definitions.require_bounded(unpacked)
+
+
+def _add_definitions(path: Path, part: str, text: bytes, definitions: Definitions) -> None:
+    """Add the objects of one part of an archive, by the name of the part and their number.
+
+    They are found by their text, in which nothing may be hidden, as parsing would take most of the time.
+    """
+    if b"\0" in text or b"<!DOCTYPE" in text:
+        raise SourceError(str(path), f"{part[:60]} in another encoding, or with a DOCTYPE", "XML in UTF-8")
+    name, last = ROOT, 0
+    for found in _ELEMENT.finditer(text):
+        definitions.sizes[name] += found.start() - last
+        last, closes, tag = found.start(), found[1], found[2]
+        if tag == b"object":
+            numbered = _NUMBER.search(found[3])
+            name = ROOT if closes or numbered is None else f"{part} {int(numbered[2])}"
+            continue
+        numbered, elsewhere = _OBJECT.search(found[3]), _PATH.search(found[3])
+        if not closes:
+            if numbered is None:
+                raise SourceError(str(path), f"a {tag.decode()} without the number of an object", "one")
+            place = elsewhere[2].decode("utf-8", "replace") if elsewhere else part
+            definitions.uses[name].append(f"{place} {int(numbered[2])}")
+    definitions.sizes[name] += len(text) - last
 
 
 def _each(iterator: Any) -> Iterator[Any]:
@@ -86,8 +121,8 @@ def _matrix(transform: Any) -> Float64s:
 class _Build:
     """Counts and places the objects of a model; remembers what it leaves out."""
 
-    def __init__(self, lib3mf: Any, path: Path, file_bytes: int) -> None:
-        self._lib3mf, self._path, self._file_bytes = lib3mf, path, file_bytes
+    def __init__(self, lib3mf: Any) -> None:
+        self._lib3mf = lib3mf
         self._counts: dict[int, int] = {}
         self._meshes: dict[int, tuple[Float64s, Any]] = {}
         self._left_out: dict[str, set[int]] = {}
@@ -95,7 +130,7 @@ class _Build:
     def notes(self) -> tuple[str, ...]:
         return tuple(f"Left out: {len(ids)} {what}." for what, ids in sorted(self._left_out.items()))
 
-    def count(self, entry: Any, depth: int = 0) -> int:
+    def count(self, entry: Any) -> int:
         """Return the triangles of an object with all its components, and one for each instance."""
         key = int(entry.GetUniqueResourceID())
         if key not in self._counts:
@@ -103,12 +138,7 @@ class _Build:
             if entry.IsMeshObject():
                 total += int(entry.GetTriangleCount())
             elif entry.IsComponentsObject():
-                if depth >= _MAX_DEPTH:
-                    found = f"components that lie more than {_MAX_DEPTH} deep"
-                    raise SourceError(str(self._path), found, "fewer", "Export it with plain objects.")
-                total += sum(
-                    self.count(component.GetObjectResource(), depth + 1) for component in _components(entry)
-                )
+                total += sum(self.count(component.GetObjectResource()) for component in _components(entry))
             self._counts[key] = total
         return self._counts[key]
 

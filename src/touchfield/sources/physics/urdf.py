@@ -1,4 +1,4 @@
-"""Opens robots in URDF (``.urdf``, or ``.xml`` with the root element ``robot``) and simulates them with MuJoCo.
+"""Opens robots in URDF (``.urdf``, or ``.xml`` with the root ``robot``) and simulates them with MuJoCo.
 
 Source of the format: ROS wiki, urdf/XML. Touchable are the collision shapes of the links, or the visual ones
 if the robot has no collision shape at all. The first link does not move; the joints start at 0, and nothing
@@ -36,13 +36,15 @@ from touchfield.sources.unread_files import robot_template
 
 _MAX_BYTES: Final = 1 << 26
 _KEPT: Final = ("link", "joint", "mujoco")
-_KEPT_SETTINGS: Final = ("compiler", "option")  # of the element mujoco
+_KEPT_SETTINGS: Final[dict[str, dict[str, str]]] = {"compiler": {}, "option": {"timestep": "0.001"}}
+"""Elements of the element mujoco that are used, and what holds where a robot states nothing."""
+
 _SILENT: Final = ("material",)  # left out without a note, as it cannot be felt
 _XACRO: Final = re.compile(r"\$[{(]")
 _XACRO_NAMESPACES: Final = ("{http://www.ros.org/wiki/xacro}", "{http://ros.org/wiki/xacro}")
-_STEP_S: Final = "0.001"  # of a robot that states none; MuJoCo's own does not divide a frame of 1 ms
 _LEAST_KG, _LEAST_KG_M2 = 1e-6, 1e-9
 _OVERLAP_M: Final = 1e-6
+_THINNEST: Final = 1e-5  # thickness of a mesh, relative to its length
 
 
 def _open(path: Path, options: SourceOptions) -> BodyScene:
@@ -100,8 +102,7 @@ def _read_robot(path: Path) -> tuple[ElementTree.Element, tuple[str, ...]]:
     if source.tag != "robot":
         raise SourceError(str(path), f"the element {source.tag[:40]!r}", "robot")
     robot = ElementTree.Element("robot", {"name": source.get("name", "robot")})
-    settings = ElementTree.SubElement(robot, "mujoco")
-    ElementTree.SubElement(settings, "option", {"timestep": _STEP_S})
+    robot.append(_settings(source))
     kept = [element for element in source if element.tag in _KEPT]
     left_out = Counter(str(element.tag) for element in source if element.tag not in (*_KEPT, *_SILENT))
     notes = list[str]()
@@ -116,8 +117,6 @@ def _read_robot(path: Path) -> tuple[ElementTree.Element, tuple[str, ...]]:
             robot.append(_link(element, shapes))
         elif element.tag == "joint":
             robot.append(element)
-        else:
-            settings.extend(setting for setting in element if setting.tag in _KEPT_SETTINGS)
     if robot.find("link/collision/geometry") is None:
         raise SourceError(str(path), "no link with a shape", "collision or visual elements in a link")
     if not has_collisions:
@@ -136,6 +135,17 @@ def _refuse_templates(path: Path, source: ElementTree.Element) -> None:
     if has_elements or expression is not None:
         found = f"an expression of xacro, {expression[:60]!r}" if expression else "elements of xacro"
         raise robot_template(path, found)
+
+
+def _settings(source: ElementTree.Element) -> ElementTree.Element:
+    """Return the settings for MuJoCo that a robot has, and a time step if it states none."""
+    settings = ElementTree.Element("mujoco")
+    for tag, defaults in _KEPT_SETTINGS.items():
+        attributes = dict(defaults)
+        for element in source.findall(f"mujoco/{tag}"):
+            attributes |= element.attrib
+        ElementTree.SubElement(settings, tag, attributes)
+    return settings
 
 
 def _only_looks(link: ElementTree.Element) -> bool:
@@ -180,11 +190,20 @@ class _RobotMeshes:
         count = sum(len(self._meshes[mesh.file][1].triangles) for mesh in spec.meshes)
         require_bounded(str(self._path), count, self._path.stat().st_size)
         for mesh in spec.meshes:
-            data = self._meshes[mesh.file][1]
+            name, data = self._meshes[mesh.file]
+            self._require_volume(name, data)
             mesh.file = ""
             mesh.uservert = (data.vertices * (data.unit_m or 1.0)).astype(np.float32).reshape(-1)
             mesh.userface = data.triangles.reshape(-1)
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX  # of an open mesh, too
+
+    def _require_volume(self, name: str, data: MeshData) -> None:
+        """Refuse a flat mesh, which has no hull that could collide."""
+        points = data.vertices[np.unique(data.triangles)]
+        sizes = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+        if len(points) < 4 or not sizes[-1] > _THINNEST * sizes[0]:
+            expected = "one with a volume, as a robot collides by the hulls of its meshes"
+            raise SourceError(f"{self._path}: mesh {name}", "a flat mesh", expected, "Give it a thickness.")
 
 
 def _find(robot: Path, name: str, anywhere: bool) -> Path:
