@@ -85,7 +85,8 @@ def _placed(collada: Any, geometry: Any) -> Iterator[Placed]:
     is_mirrored = float(np.linalg.det(geometry.matrix[:3, :3])) < 0
     for primitive in geometry.primitives():
         if isinstance(primitive, collada.polylist.BoundPolylist):
-            counts = np.diff(np.asarray(primitive.polyindex, np.int64), axis=1)[:, 0]
+            start, stop = np.asarray(primitive.polyindex, np.int64).T
+            counts = stop - start
         elif isinstance(primitive, collada.triangleset.BoundTriangleSet):
             counts = np.full(len(primitive.vertex_index), 3)
         else:
