@@ -135,7 +135,7 @@ def _parse_off(data: bytes) -> _Polygons:
 
 
 def _parse_ply(data: bytes) -> _Polygons:
-    """Parse the vertices and faces of a PLY.
+    """Parse the vertices, faces and triangle strips of a PLY.
 
     A text file is first converted to bytes of float64.
     """
@@ -159,6 +159,7 @@ def _parse_ply(data: bytes) -> _Polygons:
             ]
             elements[-1][2].append((tokens[-1], types))
     at, vertices, corners, counts, corner = 0, np.zeros((0, 3)), list[bytes](), list[int](), np.dtype("i4")
+    strips = list[NDArray[Any]]()
     for name, count, properties in elements:
         rows = _equal_rows(body, at, count, properties)
         if rows is not None:
@@ -168,6 +169,8 @@ def _parse_ply(data: bytes) -> _Polygons:
             label, (*count_types, kind) = properties[0]
             if count_types and name == "face" and label.startswith("vert"):
                 corners, counts, corner = [rows[label].tobytes()], [rows[label].shape[1]] * count, kind
+            elif count_types and name == "tristrips" and label.startswith("vert"):
+                strips += [row.astype(np.int64) for row in rows[label]]
             continue
         for row in range(count):
             for label, (*count_types, kind) in properties:
@@ -179,10 +182,31 @@ def _parse_ply(data: bytes) -> _Polygons:
                         corners.append(body[at : at + n * kind.itemsize])
                         counts.append(n)
                         corner = kind
+                    elif name == "tristrips" and label.startswith("vert"):
+                        strips.append(np.frombuffer(body[at : at + n * kind.itemsize], kind).astype(np.int64))
                 at += n * kind.itemsize
                 if n < 0 or at > len(body):
                     raise ValueError(f"it ends {count - row} rows before the declared end")
-    return vertices, np.array(counts, np.int64), np.frombuffer(b"".join(corners), corner).astype(np.int64)
+    flat = np.frombuffer(b"".join(corners), corner).astype(np.int64)
+    if strips:
+        triangles = [_triangles_of_strips(strip) for strip in strips]
+        counts += [3] * sum(map(len, triangles))
+        flat = np.concatenate([flat, *(part.reshape(-1) for part in triangles)])
+    return vertices, np.array(counts, np.int64), flat
+
+
+def _triangles_of_strips(indices: NDArray[Any]) -> Int64s:
+    """Return the triangles of strips of vertices that -1 separates, int64 [m, 3].
+
+    Every second triangle of a strip is turned, and those with a vertex twice only lead on.
+    """
+    i = np.arange(max(len(indices) - 2, 0))
+    three = np.stack([indices[i], indices[i + 1], indices[i + 2]], axis=1)
+    ends = np.maximum.accumulate(np.where(indices == -1, np.arange(len(indices)), -1))[i]
+    is_turned = (i - ends) % 2 == 0  # the first triangle of a strip begins one behind its end
+    three[is_turned] = three[is_turned][:, [0, 2, 1]]
+    is_real = (three != -1).all(axis=1) & (three != np.roll(three, 1, axis=1)).all(axis=1)
+    return np.asarray(three[is_real], np.int64)
 
 
 def _equal_rows(body: bytes, at: int, count: int, properties: _Properties) -> NDArray[Any] | None:
