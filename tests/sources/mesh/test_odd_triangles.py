@@ -15,6 +15,7 @@ from touchfield.sources.mesh.mesh_scene import MeshScene
 from touchfield.sources.mesh.surface import Surface, without_duplicates
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
+from touchfield.sources.thin_walls import MinThickness
 
 QUAD = np.array([[0.5, 0, 0], [0.5, 1, 0], [0.5, 1, 1], [0.5, 0, 1]]), np.array([[0, 1, 2], [0, 2, 3]])
 
@@ -158,3 +159,20 @@ def test_turned_triangles_keep_their_edges() -> None:
     assert turned.volume_m3() == -surface.volume_m3() != 0
     np.testing.assert_array_equal(turned.edges.edge_of, again.edges.edge_of)
     np.testing.assert_allclose(turned.pseudo_normals(), again.pseudo_normals())
+
+
+@pytest.mark.parametrize("overhang", [1e-7, 1e-5, 1e-3])
+def test_a_sliver_at_an_edge_is_no_thin_wall(overhang: float) -> None:
+    """The top of a cube reaches over an edge by a little, and a sliver faces back: nothing thickens that."""
+    vertices, faces = cube()
+    a, b, c = faces[0]
+    beyond = (vertices[a] + vertices[b]) / 2
+    normal = np.cross(vertices[b] - vertices[a], vertices[c] - vertices[a])
+    beyond = beyond + overhang * (beyond - vertices[c] + 0.2 * normal)
+    split = np.array([[a, 8, c], [8, b, c], [a, b, 8]])
+    scene = MeshScene(np.concatenate([vertices, [beyond]]), np.concatenate([faces[1:], split]))
+    assert scene.is_closed
+    least = MinThickness((0.1,) * 3, (0.1,) * 3, (0.1,) * 3, 0.02)
+    assert scene.growth_of(least) is None
+    plate = MeshScene(vertices * [1, 1, 0.05], faces).growth_of(least)
+    assert plate is not None and plate.thickness_m == pytest.approx(0.05)
