@@ -41,6 +41,12 @@ def test_a_name_with_characters_of_a_shell_is_not_in_the_command(tmp_path: Path)
     assert "trimesh.load('FILE.amf').export('FILE.glb')" in message_of(path)
 
 
+def test_a_template_of_a_robot_comes_with_its_expansion(tmp_path: Path) -> None:
+    path = tmp_path / "arm.urdf.xacro"
+    path.write_text("<robot/>")
+    assert "xacro arm.urdf.xacro -o arm.urdf, then encode arm.urdf" in message_of(path)
+
+
 @pytest.mark.parametrize(
     ("name", "found"),
     [

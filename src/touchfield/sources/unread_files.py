@@ -104,7 +104,8 @@ def unread_file(path: Path) -> SourceError:
     if ending in _CONVERSIONS:
         what, to_ending, command = _CONVERSIONS[ending]
         name = _plain_name(path)
-        to = str(Path(name).with_suffix(to_ending))
+        stem = Path(name).with_suffix("").name  # that of robot.urdf.xacro has the ending already
+        to = stem.removesuffix(to_ending) + to_ending
         fix = command.format(name=name, to=to)
         then = f", then encode {to}" if ending != ".gz" else ""
         return SourceError(str(path), what, "a format that is read here", f"Convert it: {fix}{then}")

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import given, strategies as st
 
 from touchfield.errors import SourceError
 from touchfield.medium.pose_track import rotation_matrices
@@ -37,6 +38,9 @@ def link(name: str, *shapes: str, kind: str = "collision", origin: str = "0 0 0"
 
 def mesh(name: str, scale: str = "1 1 1") -> str:
     return f'<geometry><mesh filename="{name}" scale="{scale}"/></geometry>'
+
+
+ARM = link("arm", BALL, origin=".3 0 0")
 
 
 def opened(path: Path, *parts: str, head: str = "<robot name='r'>", **options: Any) -> BodyScene:
@@ -179,6 +183,21 @@ def test_faults_are_one_line_that_names_the_file(tmp_path: Path, text: str, mess
     with pytest.raises(SourceError) as caught:
         open_source(path, SourceOptions(seconds=0.001))
     assert message in str(caught.value) and "r.urdf" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_elements_within_elements_do_not_matter(tmp_path: Path) -> None:
+    deep = "<a>" * 5000 + "</a>" * 5000
+    nested = HINGE.replace("</joint>", deep + "</joint>")
+    scene = opened(tmp_path / "r.urdf", link("base", BOX).replace("</link>", deep + "</link>"), nested, ARM)
+    assert [body.name for body in scene.bodies()] == ["world", "arm"]
+
+
+@given(st.binary(max_size=60) | st.text("<robot/link name=\"'!-?${>", max_size=60).map(str.encode))
+def test_any_bytes_are_refused_by_one_error(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
+    path = tmp_path_factory.mktemp("urdf") / "x.urdf"
+    path.write_bytes(data)
+    with pytest.raises(SourceError, match=r"x\.urdf"):
+        KIND.open(path, SourceOptions(seconds=0.001))
 
 
 def test_a_robot_is_recognised_by_its_root_element(tmp_path: Path) -> None:

@@ -116,7 +116,7 @@ def _read_robot(path: Path) -> tuple[ElementTree.Element, tuple[str, ...]]:
             links_without += has_collisions and _only_looks(element)
             robot.append(_link(element, shapes))
         elif element.tag == "joint":
-            robot.append(element)
+            robot.append(_copied(element, 1))
     if robot.find("link/collision/geometry") is None:
         raise SourceError(str(path), "no link with a shape", "collision or visual elements in a link")
     if not has_collisions:
@@ -157,11 +157,19 @@ def _link(link: ElementTree.Element, shapes: str) -> ElementTree.Element:
     result = ElementTree.Element("link", dict(link.attrib))
     for element in link:
         if element.tag == "inertial":
-            result.append(element)
+            result.append(_copied(element, 1))
         elif element.tag == shapes:
             shape = ElementTree.SubElement(result, "collision")
-            shape.extend(part for part in element if part.tag in ("origin", "geometry"))
+            shape.extend(_copied(part, 1) for part in element if part.tag in ("origin", "geometry"))
     return result
+
+
+def _copied(element: ElementTree.Element, depth: int) -> ElementTree.Element:
+    """Return an element with the elements in it down to a depth; URDF has nothing below."""
+    copied = ElementTree.Element(element.tag, dict(element.attrib))
+    if depth:
+        copied.extend(_copied(inner, depth - 1) for inner in element)
+    return copied
 
 
 # -- the meshes --------------------------------------------------------------------------------------------
