@@ -12,7 +12,8 @@
         ├── CorruptFile        its contents are inconsistent
         └── UnsupportedVersion it needs another version of the format, or an unknown extension
 
-A message is one line: where, what was found, what was expected, and a hint how to fix it.
+A message is one line: where, what was found, what was expected, and a hint how to fix it. If nothing in a
+source can be felt, the notes on how it was read go with the error (`with_notes`).
 """
 
 from __future__ import annotations
@@ -20,13 +21,13 @@ from __future__ import annotations
 import copyreg
 import math
 import warnings
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields
 from importlib import import_module
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 
 class TouchfieldError(Exception):
@@ -45,12 +46,16 @@ class TouchfieldError(Exception):
             text += f"; expected {expected}"
         if hint:
             text += f". {hint}"
-        # control characters in a name or a server's reply must not reach the terminal
-        super().__init__("".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(text.split())))
+        super().__init__(_printable(text))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the error by its text and attributes, whatever the signature of its class."""
         return copyreg.__newobj__, (type(self), str(self)), self.__dict__  # type: ignore[attr-defined]
+
+
+def _printable(text: str) -> str:
+    """Return a text on one line; control characters of a name or a reply must not reach the terminal."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(text.split()))
 
 
 class InvalidArgument(TouchfieldError, ValueError):
@@ -100,6 +105,16 @@ class CorruptFile(FormatError):
 
 class UnsupportedVersion(FormatError):
     """The file has another version of the format, or needs an extension that is not available."""
+
+
+_Error = TypeVar("_Error", bound=TouchfieldError)
+
+
+def with_notes(error: _Error, notes: Iterable[str]) -> _Error:
+    """Add the notes on a source to an error (`BaseException.add_note`), each once; returns the error."""
+    for note in dict.fromkeys(notes):
+        error.add_note(_printable(note))
+    return error
 
 
 class UnboundedError(UserWarning):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -12,10 +13,12 @@ import pytest
 
 from touchfield.cli.main import _exit_code
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.errors import SourceError
+from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.pipeline import EncodeSpec, encode, open_file
 from touchfield.pipeline.rate_control import Target, encode_to_target
+from touchfield.tasks.library import similar
+from touchfield.tasks.measure import MeasureSpec, measure_medium
 
 SPEC = EncodeSpec(nw=4)
 GRID = Grid((8, 8, 8), (0.001,) * 3, (-0.0035,) * 3)
@@ -52,8 +55,10 @@ def test_an_empty_result_is_an_error_and_leaves_no_file(
             }
             with pytest.raises(SourceError) as caught:
                 calls[by]()
-        message = str(caught.value)
+        message = "\n".join([str(caught.value), *(f"note: {note}" for note in caught.value.__notes__)])
         assert [path.name for path in tmp_path.iterdir()] == ["far.toml"]
+    notes = [line for line in message.splitlines() if line.startswith("note: ")]
+    assert len(notes) == 1 and "the surface fits into the workspace" in notes[0]
     message = " ".join(message.split())
     assert "Nothing can be felt: no sample has a force" in message
     assert "try --nw 5" in message and "--allow-empty" in message
@@ -91,3 +96,31 @@ def test_permission_to_be_empty_is_not_stored_and_not_read_from_a_file() -> None
     text = EncodeSpec(allow_empty=True).to_json()
     assert "allow_empty" not in text
     assert not EncodeSpec.from_json(text[:-1] + ',"allow_empty":true}').allow_empty
+
+
+@pytest.mark.parametrize("options", [[], ["--json"]])
+def test_the_notes_on_a_source_go_with_the_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str]
+) -> None:
+    """A body that falls out of sight: the keyframe from which it falls is reported all the same."""
+    pytest.importorskip("mujoco", reason='needs the simulator: pip install "touchfield[physics]"')
+    model = tmp_path / "key.xml"
+    model.write_text(
+        '<mujoco><worldbody><body pos="0 0 .5"><freejoint/><geom size=".05"/></body></worldbody>'
+        '<keyframe><key name="home" qpos="0 0 2 1 0 0 0"/></keyframe></mujoco>'
+    )
+    assert _exit_code(["encode", str(model), str(tmp_path / "out.touch"), "--nw", "4", *options]) == 1
+    lines = capsys.readouterr().err.splitlines()
+    notes = json.loads(lines[0])["notes"] if options else [line.removeprefix("note: ") for line in lines[1:]]
+    assert any("starts from the keyframe 'home'" in note for note in notes)
+    assert any("1 mm of the hand is" in note for note in notes)
+
+
+def test_measurements_of_nothing_have_the_notes_too(tmp_path: Path) -> None:
+    path = tmp_path / "thin.obj"  # far smaller than the distance of two samples
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1e-9\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    spec = EncodeSpec(nw=4, thin="keep", mapping="1e-6")
+    for call in (lambda: measure_medium(path, MeasureSpec(encode=spec)), lambda: similar(path, path, spec)):
+        with pytest.raises(InvalidArgument) as caught:
+            call()
+        assert any("Coordinates taken as metres" in note for note in caught.value.__notes__)

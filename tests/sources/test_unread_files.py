@@ -36,9 +36,15 @@ def test_a_format_that_is_not_read_comes_with_its_conversion(tmp_path: Path, end
 
 
 def test_a_name_with_characters_of_a_shell_is_not_in_the_command(tmp_path: Path) -> None:
-    path = tmp_path / "a$(touch x) b.dae"
+    path = tmp_path / "a$(touch x) b.amf"
     path.write_bytes(b"x")
-    assert "trimesh.load('FILE.dae').export('FILE.glb')" in message_of(path)
+    assert "trimesh.load('FILE.amf').export('FILE.glb')" in message_of(path)
+
+
+def test_a_template_of_a_robot_comes_with_its_expansion(tmp_path: Path) -> None:
+    path = tmp_path / "arm.urdf.xacro"
+    path.write_text("<robot/>")
+    assert "xacro arm.urdf.xacro -o arm.urdf, then encode arm.urdf" in message_of(path)
 
 
 @pytest.mark.parametrize(

@@ -187,11 +187,13 @@ def _exit_code(arguments: list[str] | None, commands: typer.Typer = app) -> int:
     argv = sys.argv[1:] if arguments is None else arguments
     as_json = "--json" in argv
 
-    def fail(text: str, code: int, kind: str) -> int:
+    def fail(text: str, code: int, kind: str, notes: Sequence[str] = ()) -> int:
         line = " ".join(text.split())
-        output = (
-            json.dumps({"error": line, "kind": kind, "exit_code": code}) if as_json else f"touchfield: {line}"
-        )
+        if as_json:
+            noted = {"notes": list(notes)} if notes else {}
+            output = json.dumps({"error": line, "kind": kind, "exit_code": code, **noted})
+        else:
+            output = "\n".join([f"touchfield: {line}", *(f"note: {note}" for note in notes)])
         sys.stderr.write(output + "\n")
         return code
 
@@ -202,7 +204,8 @@ def _exit_code(arguments: list[str] | None, commands: typer.Typer = app) -> int:
             raise KeyboardInterrupt
         return result if isinstance(result, int) else 0
     except TouchfieldError as error:
-        return fail(str(error), error.exit_code, type(error).__name__)
+        notes = getattr(error, "__notes__", ())
+        return fail(str(error), error.exit_code, type(error).__name__, notes)
     except (KeyboardInterrupt, typer.Abort) as error:
         if isinstance(error.__cause__, EOFError):  # Typer treats it as an abort
             return fail(f"a file ended too early: {error.__cause__}. Make it anew", 1, "EOFError")

@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from touchfield.errors import SourceError
+from touchfield.errors import SourceError, with_notes
 from touchfield.medium import HapticMedium
 
 if TYPE_CHECKING:
@@ -20,20 +20,23 @@ def refuse_empty(prepared: Prepared, supported: int, silent_frames: int = 0) -> 
     """Raise `SourceError` if nothing in the result can be felt, unless the spec allows that.
 
     `supported` counts the samples with a force, `silent_frames` the frames that are decoded without theirs. A
-    medium with vibrations is never refused.
+    medium with vibrations is never refused. The notes on the source go with the error.
     """
     medium, spec = prepared.medium, prepared.spec
     if spec.allow_empty or medium.vibration is not None:
         return
     if not supported:
-        found = "no sample has a force"
-        raise SourceError(f"Nothing can be felt: {found}", hint=f"{_remedy(prepared)}. {_ALLOW}")
+        raise _refused(prepared, "no sample has a force", _remedy(prepared))
     if silent_frames == len(medium):
-        found = f"every force is below F_0, {spec.f0_n:g} N"
         remedy = f"Try --f0-n {spec.f0_n / 10:.2g}"
         if prepared.has_law:
             remedy += f" or --stiffness-n-per-m {10 * spec.stiffness_n_per_m:g}"
-        raise SourceError(f"Nothing can be felt: {found}", hint=f"{remedy}. {_ALLOW}")
+        raise _refused(prepared, f"every force is below F_0, {spec.f0_n:g} N", remedy)
+
+
+def _refused(prepared: Prepared, found: str, remedy: str) -> SourceError:
+    error = SourceError(f"Nothing can be felt: {found}", hint=f"{remedy}. {_ALLOW}")
+    return with_notes(error, (*prepared.notes, *prepared.learnt))
 
 
 def felt_medium(prepared: Prepared) -> HapticMedium:

@@ -18,7 +18,7 @@ from typing import Any, Final
 
 from touchfield.atomic import atomic_path
 from touchfield.compute.threads import Progress, silent
-from touchfield.errors import InvalidArgument, require_ending
+from touchfield.errors import InvalidArgument, require_ending, with_notes
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField
 from touchfield.medium.selection import select_frames
@@ -180,9 +180,10 @@ class _Trials:
         """Encode with a control; the distance from the aim, above 0 if the control must be raised."""
         encoded, medium = self.encode(log_control), self.prepared.medium
         if not encoded.supported_voxels and self.target.bytes is None:
-            raise InvalidArgument(
+            error = InvalidArgument(
                 self.target.option, "frames without a force", "a force to measure the error by"
             )
+            raise with_notes(error, encoded.notes)
         with open_file(self.temporary) as opened:
             reader, head = opened.reader, opened.reader.head
             segment_bytes = sum(

@@ -27,6 +27,7 @@ MODULES = (  # in the order in which they are tried: specific kinds before gener
     "physics.toml_file",
     "shapes.analytic_scene",
     "physics.mjcf",
+    "physics.urdf",
     "stored",
     "depth.recorders.ros_bag",
     "recordings.contact_trace",

@@ -221,14 +221,19 @@ class MovingScene(Scene):
 _LARGE_M: Final = 40.0  # a mesh of this size or larger may be in millimetres, as from CAD
 
 
-def size_note(extent_m: NDArray[np.floating[Any]], unit_m: float | None, when: str = "") -> str:
+def size_note(
+    extent_m: NDArray[np.floating[Any]], unit_m: float | None, when: str = "", stated_m: float | None = None
+) -> str:
     """Describe the sides of a mesh, metres [3], and its unit.
 
-    `unit_m` is the requested unit; None stands for metres.
+    `unit_m` is the requested unit, `stated_m` that of the file; None stands for metres.
     """
     extent = " x ".join(f"{side:.4g}" for side in extent_m)
     if unit_m is not None:
-        return f"One unit is {unit_m:g} m: {extent} m{when}."
+        other = f", although the file states {stated_m:g} m" if stated_m not in (None, unit_m) else ""
+        return f"One unit is {unit_m:g} m{other}: {extent} m{when}."
+    if stated_m is not None:
+        return f"One unit is {stated_m:g} m, as the file states: {extent} m{when}."
     note = f"Coordinates taken as metres: {extent} m{when}; give --unit-m if they are not"
     if extent_m.max() < _LARGE_M:
         return f"{note}."

@@ -10,8 +10,9 @@ from typing import Final
 from touchfield.errors import SourceError
 
 READABLE: Final = (
-    "a mesh (.obj .ply .stl .off .gltf .glb), bodies (.xml .toml), heights (.tif .asc .hgt .nc .npz .png), "
-    "depth pictures (a folder, .png .npz .mcap .mkv), a field (.npz .vti .zarr) or a .touch file"
+    "a mesh (.obj .ply .stl .off .gltf .glb .dae .3mf), bodies (.xml .urdf .toml), "
+    "heights (.tif .asc .hgt .nc .npz .png), depth pictures (a folder, .png .npz .mcap .mkv), "
+    "a field (.npz .vti .zarr) or a .touch file"
 )
 """What can be a source, in a user's words."""
 
@@ -28,14 +29,9 @@ _BLENDER: Final = (
 )
 _STEP: Final = 'pip install cascadio; python -c "import cascadio; cascadio.step_to_glb({name!r}, {to!r})"'
 _POISSON: Final = "pdal translate {name} {to} filters.normal filters.poisson --writers.ply.faces=true"
-_URDF: Final = (
-    'pip install mujoco; python -c "import mujoco; '
-    'mujoco.mj_saveLastXML({to!r}, mujoco.MjModel.from_xml_path({name!r}))"'
-)
+_XACRO: Final = "pip install xacro; xacro {name} -o {to}"
 _CONVERSIONS: Final[dict[str, tuple[str, str, str]]] = {
-    ".3mf": ("a mesh in 3MF", ".glb", _TRIMESH),
     ".amf": ("a mesh in AMF", ".glb", _TRIMESH),
-    ".dae": ("a mesh in COLLADA", ".glb", _TRIMESH),
     ".step": ("a solid of CAD (STEP)", ".glb", _STEP),
     ".stp": ("a solid of CAD (STEP)", ".glb", _STEP),
     ".fbx": ("a mesh in FBX", ".glb", _BLENDER.replace("{importer}", "import_scene.fbx")),
@@ -49,7 +45,7 @@ _CONVERSIONS: Final[dict[str, tuple[str, str, str]]] = {
         ".glb",
         'blender -b {name} --python-expr "import bpy; bpy.ops.export_scene.gltf(filepath={to!r})"',
     ),
-    ".urdf": ("a robot in URDF", ".xml", _URDF),
+    ".xacro": ("a template of a robot (xacro)", ".urdf", _XACRO),
     ".las": ("a point cloud", ".ply", _POISSON),
     ".laz": ("a point cloud", ".ply", _POISSON),
     ".e57": ("a point cloud", ".ply", _POISSON),
@@ -87,6 +83,13 @@ def compressed_mesh(path: Path, extension: str) -> SourceError:
     return SourceError(str(path), f"a mesh compressed with {extension!r}", "one that is not", fix)
 
 
+def robot_template(path: Path, found: str) -> SourceError:
+    """Return the error for a robot in URDF that has expressions or elements of xacro."""
+    name, to = _plain_name(path), "expanded.urdf"
+    fix = f"Expand it: {_XACRO.format(name=name, to=to)}, then encode {to}"
+    return SourceError(str(path), found, "a plain URDF file", fix)
+
+
 def _plain_name(path: Path) -> str:
     """The name of a file for a command; a stand-in where a shell would read some characters as commands."""
     return path.name if _PLAIN.fullmatch(path.name) else f"FILE{path.suffix.lower()}"
@@ -101,7 +104,8 @@ def unread_file(path: Path) -> SourceError:
     if ending in _CONVERSIONS:
         what, to_ending, command = _CONVERSIONS[ending]
         name = _plain_name(path)
-        to = str(Path(name).with_suffix(to_ending))
+        stem = Path(name).with_suffix("").name  # that of robot.urdf.xacro has the ending already
+        to = stem.removesuffix(to_ending) + to_ending
         fix = command.format(name=name, to=to)
         then = f", then encode {to}" if ending != ".gz" else ""
         return SourceError(str(path), what, "a format that is read here", f"Convert it: {fix}{then}")

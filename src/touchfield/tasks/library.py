@@ -27,7 +27,7 @@ from touchfield.atomic import atomic_path
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.compute.executors import in_order
 from touchfield.compute.threads import Progress, silent
-from touchfield.errors import InvalidArgument, SourceError, TouchfieldError, as_source_error
+from touchfield.errors import InvalidArgument, SourceError, TouchfieldError, as_source_error, with_notes
 from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, Descriptor, descriptor, part_slots
 from touchfield.measure.quantity import FewSamplesWarning
 from touchfield.measure.retrieval import MediumIndex
@@ -324,7 +324,10 @@ def similar(
     first_medium, second_medium = (item.medium for item in prepared)
     values = [np.zeros(DESCRIPTOR_LENGTH)] * 2
     for n, medium in enumerate((first_medium, second_medium)):
-        values[n] = descriptor(medium, frames).values
+        try:
+            values[n] = descriptor(medium, frames).values
+        except InvalidArgument as error:
+            raise with_notes(error, prepared[n].notes) from None
         report(n + 1, 3)
     matched, notes = match_medium(second_medium, first_medium, name="the second")
     if spec is not None and spec.changed_options():

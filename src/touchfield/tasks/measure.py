@@ -22,7 +22,7 @@ from touchfield.codec.registry import coder
 from touchfield.codec.segment import RAW_BITS_PER_VECTOR
 from touchfield.compute.threads import Progress, silent
 from touchfield.devices import device
-from touchfield.errors import InvalidArgument, require_kinds
+from touchfield.errors import InvalidArgument, require_kinds, with_notes
 from touchfield.measure.capacity import Capacity, capacity, codomain_bits, paired_ratio
 from touchfield.measure.counts import Counts
 from touchfield.measure.estimators import ESTIMATORS
@@ -223,7 +223,7 @@ def measure_medium(
                     f"a medium without any force under {quantise.text}",
                     "Take a finer --quantiser.",
                 )
-            raise InvalidArgument(name, found, "a support of at least one voxel", hint)
+            raise with_notes(InvalidArgument(name, found, "a support of at least one voxel", hint), notes)
         on_object = entropy(counts["object"], estimator=spec.estimator)
         corrected = entropy(counts["voxel"], estimator="miller-madow", interval=False)
         entropy_over = on_object if kind == "object" else voxel

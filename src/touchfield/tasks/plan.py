@@ -25,7 +25,7 @@ from touchfield.codec.registry import coder, field_decoder, field_encoder
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.compute.executors import in_order
 from touchfield.compute.threads import Progress, silent
-from touchfield.errors import InvalidArgument, is_finite
+from touchfield.errors import InvalidArgument, is_finite, with_notes
 from touchfield.filters.resample import interpolate
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField
@@ -402,7 +402,8 @@ def plan(
             for lattice in _lattices(scene, base, sorted(grid.nw)):
                 # the coarsest lattice alone may miss a thin scene that the finest one has
                 if grid is search and not any(field.support_count for field in lattice.reference):
-                    raise InvalidArgument("source of a search", "frames without a force", "a force")
+                    error = InvalidArgument("source of a search", "frames without a force", "a force")
+                    raise with_notes(error, (*scene.notes, *scene.late_notes()))
                 specs = grid.specs(lattice.spec, lattice.spec.touch.k / spec.touch.k)
                 total = len(specs) * (1 if lattice.is_array else len(grid.nw))
                 yield from ((lattice, one) for one in specs)

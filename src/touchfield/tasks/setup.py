@@ -50,6 +50,8 @@ LIBRARIES: Final = (
     ("matplotlib", "matplotlib", "report", "pictures, and sample:terrain"),
     ("scikit-image", "skimage", "motorcycle", "sample:motorcycle"),
     ("mujoco-core", "mujoco", "physics", "simulated bodies"),
+    ("pycollada", "collada", "meshes", "meshes in COLLADA"),
+    ("lib3mf", "lib3mf", "meshes", "meshes in 3MF"),
     ("av", "av", "video", "depth video and video"),
     ("mcap", "mcap", "mcap", "recordings of robots"),
     ("raptorq", "raptorq", "broadcast", "live by UDP"),

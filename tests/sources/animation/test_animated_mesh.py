@@ -429,3 +429,60 @@ def test_a_sheet_that_is_mirrored_throughout_is_one_body(tmp_path: Path) -> None
     for shown in (scene, body.scene):
         forces = shown.field(0, grid, wall).to_dense()[0, 0, :, 2]
         assert (forces[:2] > 0).all() and not forces[3:].any()
+
+
+Z_TURN = [0, 0, 2**-0.5, 2**-0.5]
+
+
+@pytest.mark.parametrize(
+    ("outer", "inner", "moving", "scales"),
+    [
+        ({}, {"scale": [-1, 1, 1]}, "outer", [[1, 1, 1], [-1, 1, 1]]),
+        ({"matrix": [-1, *[0] * 4, 1, *[0] * 4, 1, *[0] * 4, 1]}, {}, "inner", [[1, 1, 1], [-1, 1, 1]]),
+        ({"rotation": Z_TURN, "scale": [1, -2, 1]}, {}, "inner", [[1, 1, 1], [0, 2, 1], [-1, 1.5, 1]]),
+        ({"scale": [1, 1, -1]}, {"rotation": Z_TURN}, "inner", [[0, 1, 1], [1, 1, 1], [1, -0.5, 1]]),
+        ({}, {}, "both", [[1, 1, 1], [0, 0, 0], [-1, 1, 1]]),
+    ],
+)
+def test_a_sheet_in_mirrored_nodes_faces_as_a_static_pose_has_it(
+    tmp_path: Path, outer: dict[str, Any], inner: dict[str, Any], moving: str, scales: list[list[float]]
+) -> None:
+    """Each frame has the wall on the side where a file without animation has it in that pose."""
+    wall = ForceProfile(((-0.1, 0.0, 4.0, 10.0),))
+    grid = Grid((3, 3, 5), (0.02, 0.02, 0.02), (0.0, 0.0, -0.04))
+
+    def document(outer: dict[str, Any], inner: dict[str, Any]) -> Gltf:
+        gltf = Gltf()
+        corners = [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
+        sheet = gltf.put("nodes", mesh=gltf.mesh(corners, [[0, 1, 2], [0, 2, 3]]), **inner)
+        gltf.put("scenes", nodes=[gltf.put("nodes", children=[sheet], **outer)])
+        return gltf
+
+    gltf, times = document(outer, inner), np.linspace(0, 2, len(scales))
+    for node, name in enumerate(("inner", "outer")):
+        if moving in (name, "both"):
+            gltf.animate(node, "scale", times, scales)
+    scene = AnimatedMeshScene(gltf.save(tmp_path / "a.gltf"))
+    for frame in (3, 30, 59, 61, 90, 119):
+        scale = [float(np.interp(frame / 60, times, values)) for values in np.transpose(scales)]
+        pose = {name: {"scale": scale} if moving in (name, "both") else {} for name in ("outer", "inner")}
+        still = document({**outer, **pose["outer"]}, {**inner, **pose["inner"]}).save(tmp_path / "b.gltf")
+        expected = open_source(still).field(0, grid, wall).to_dense()
+        assert expected.any(), frame
+        np.testing.assert_allclose(scene.field(frame, grid, wall).to_dense(), expected, atol=1e-3)
+
+
+def test_a_cube_that_a_scale_turns_inside_out_stays_a_solid(tmp_path: Path) -> None:
+    gltf = Gltf()
+    node = gltf.put("nodes", mesh=gltf.mesh(CUBE - 0.5, CUBE_FACES))
+    gltf.animate(node, "scale", [0, 1, 2], [[1, 1, 1], [0, 1, 1], [-1, 1, 1]])
+    scene = AnimatedMeshScene(gltf.save(tmp_path / "a.gltf"))
+    grid, solid = Grid((11, 3, 3), (0.1, 0.1, 0.1), (-0.5, -0.1, -0.1)), ForceProfile(((-0.5, 0, 4.0, 1.0),))
+    for frame in (0, 30, 60, 90, 119):
+        half = abs(1 - frame / 60) / 2
+        forces = scene.field(frame, grid, solid).to_dense()[:, 1, 1, 0]
+        inside = np.abs(grid.to_m(np.argwhere(np.ones(grid.shape)))[:, 0].reshape(grid.shape)[:, 1, 1]) < half
+        x = np.linspace(-0.5, 0.5, 11)
+        clear = np.abs(np.abs(x) - half) > 1e-3
+        assert ((forces != 0) <= (np.abs(x) < half + 1e-3)).all()
+        assert (np.sign(forces) == np.sign(x) * inside)[clear & (np.abs(x) > 0.11)].all(), frame

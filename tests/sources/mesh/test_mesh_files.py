@@ -276,6 +276,27 @@ def test_numbers_of_vertices_before_a_face(tmp_path: Path) -> None:
         KIND.open(path, SourceOptions())
 
 
+@pytest.mark.parametrize("is_text", [True, False])
+def test_triangle_strips_of_a_ply_are_split_as_they_turn(tmp_path: Path, is_text: bool) -> None:
+    """A box in two strips, of which one leads on by triangles with a vertex twice."""
+    vertices, _ = cube()
+    strips = [1, 0, 5, 4, 7, 6, 3, 2, 1, 0, -1, 1, 5, 3, 7, 7, 0, 0, 2, 4, 6]
+    form = "ascii" if is_text else "binary_little_endian"
+    head = (
+        f"ply\nformat {form} 1.0\nelement vertex 8\nproperty float x\nproperty float y\nproperty float z\n"
+        "element tristrips 1\nproperty list int int vertex_indices\nend_header\n"
+    )
+    rows = [*vertices.tolist(), [len(strips), *strips]]
+    text = "\n".join(" ".join(f"{value:g}" for value in row) for row in rows).encode()
+    numbers = vertices.astype("<f4").tobytes() + struct.pack(f"<{len(strips) + 1}i", len(strips), *strips)
+    path = tmp_path / "strips.ply"
+    path.write_bytes(head.encode() + (text if is_text else numbers))
+    scene = KIND.open(path, SourceOptions())
+    assert scene.is_closed and len(scene.surface.triangles) == 12
+    assert not any("turned" in note for note in scene.notes)
+    assert scene.surface.volume_m3() == pytest.approx(1)
+
+
 def test_bytes_after_the_triangles_of_a_binary_stl_are_ignored(tmp_path: Path) -> None:
     path = tmp_path / "box.stl"
     data = trimesh.creation.box((1, 1, 1)).export(file_type="stl")

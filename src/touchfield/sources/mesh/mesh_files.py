@@ -1,12 +1,13 @@
-"""Reads the vertices and triangles of a mesh file: OBJ, STL, PLY, OFF, and glTF.
+"""Reads the vertices and triangles of a mesh file: OBJ, STL, PLY, OFF, glTF, COLLADA and 3MF.
 
-GLB and glTF are read through `touchfield.sources.gltf.model`.
+GLB and glTF are read through `touchfield.sources.gltf.model`, COLLADA (``.dae``) through
+`touchfield.sources.mesh.collada`, 3MF through `touchfield.sources.mesh.threemf`.
 
 Polygons with any number of corners are triangulated, concave ones along their outline. All geometries are
 joined, and vertices at the same position are merged, so that triangles without shared indices connect.
 Animation (skins, morph targets, node tracks) is not evaluated: an animated glTF is read in its rest pose
-(`touchfield.sources.animation.animated_mesh` evaluates it). Units are metres unless ``unit_m`` is given, as
-in glTF.
+(`touchfield.sources.animation.animated_mesh` evaluates it). Units are those that the file states (COLLADA,
+3MF), else metres, unless ``unit_m`` is given.
 """
 
 from __future__ import annotations
@@ -24,8 +25,11 @@ from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.errors import SourceError
 from touchfield.files import readable
 from touchfield.sources.gltf.model import Model
+from touchfield.sources.mesh.collada import read_collada
+from touchfield.sources.mesh.mesh_data import MeshData, fans
 from touchfield.sources.mesh.mesh_scene import MeshScene
 from touchfield.sources.mesh.surface import weld
+from touchfield.sources.mesh.threemf import read_3mf
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import size_note
@@ -45,35 +49,45 @@ _Polygons = tuple[Float64s, Int64s, Int64s]
 
 
 def read_triangles(path: Path) -> tuple[Float64s, Int32s, tuple[str, ...]]:
-    """Read vertices float64 [n, 3], triangles int32 [m, 3], and notes.
+    """Read vertices float64 [n, 3] in metres, triangles int32 [m, 3], and notes.
 
-    Vertices are in the units of the file.
+    A unit that the file does not state is taken as a metre. Raises as `read_mesh`.
+    """
+    mesh = read_mesh(path)
+    vertices = mesh.vertices if mesh.unit_m is None else mesh.vertices * mesh.unit_m
+    return vertices, mesh.triangles, mesh.notes
 
-    Raises `SourceError` if the file cannot be read, or has no triangle.
+
+def read_mesh(path: Path) -> MeshData:
+    """Read a mesh file in its own units and axes.
+
+    Raises `SourceError` if the file cannot be read, or has no triangle; `MissingExtra` if its format needs a
+    library that is not installed.
     """
     if not path.is_file():
         raise SourceError(str(path), "a folder", "one mesh file", "Name the file in it.")
-    if path.suffix.lower() in _GLTF:
+    ending = path.suffix.lower()
+    if ending in _ASSEMBLED:
+        return _ASSEMBLED[ending](path)
+    if ending in _GLTF:
         with np.errstate(all="ignore"):
             model = Model(path)
             vertices = model.at_rest()
         notes = ("The file is animated (skin, morph targets or tracks); it is read in its rest pose.",)
-        return *weld(vertices, model.triangles), (*model.notes, *notes[: model.is_animated])
+        return MeshData(*weld(vertices, model.triangles), (*model.notes, *notes[: model.is_animated]))
     try:
         with np.errstate(all="ignore"), readable(path, "a whole mesh file"):
-            vertices, counts, flat = _READERS[path.suffix.lower()](path.read_bytes())
+            vertices, counts, flat = _READERS[ending](path.read_bytes())
         if len(flat) and not 0 <= flat.min() <= flat.max() < len(vertices):
             raise ValueError(f"a face of vertices that are not there; there are {len(vertices)}")
     except (ArithmeticError, LookupError, ValueError) as error:
         found = f"a mesh that cannot be read ({type(error).__name__}: {str(error)[:120]})"
         raise SourceError(str(path), found, "a whole mesh file", "Export it again.") from error
-    sizes = np.maximum(counts - 2, 0)  # triangles of each polygon, a fan from its first corner
-    if not sizes.any():
+    corners, sizes = fans(counts)
+    if not len(corners):
         raise without_triangles(path, len(vertices))
-    first = np.repeat(np.cumsum(counts) - counts, sizes)
-    after = first + np.arange(1, len(first) + 1) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     with np.errstate(all="ignore"):
-        return *weld(vertices, flat[np.stack([first, after, after + 1], axis=1)], sizes[sizes > 0]), ()
+        return MeshData(*weld(vertices, flat[corners], sizes))
 
 
 def _numbers(texts: Iterable[bytes], kind: type) -> NDArray[Any]:
@@ -121,7 +135,7 @@ def _parse_off(data: bytes) -> _Polygons:
 
 
 def _parse_ply(data: bytes) -> _Polygons:
-    """Parse the vertices and faces of a PLY.
+    """Parse the vertices, faces and triangle strips of a PLY.
 
     A text file is first converted to bytes of float64.
     """
@@ -145,6 +159,7 @@ def _parse_ply(data: bytes) -> _Polygons:
             ]
             elements[-1][2].append((tokens[-1], types))
     at, vertices, corners, counts, corner = 0, np.zeros((0, 3)), list[bytes](), list[int](), np.dtype("i4")
+    strips = list[NDArray[Any]]()
     for name, count, properties in elements:
         rows = _equal_rows(body, at, count, properties)
         if rows is not None:
@@ -154,6 +169,8 @@ def _parse_ply(data: bytes) -> _Polygons:
             label, (*count_types, kind) = properties[0]
             if count_types and name == "face" and label.startswith("vert"):
                 corners, counts, corner = [rows[label].tobytes()], [rows[label].shape[1]] * count, kind
+            elif count_types and name == "tristrips" and label.startswith("vert"):
+                strips += [row.astype(np.int64) for row in rows[label]]
             continue
         for row in range(count):
             for label, (*count_types, kind) in properties:
@@ -165,10 +182,31 @@ def _parse_ply(data: bytes) -> _Polygons:
                         corners.append(body[at : at + n * kind.itemsize])
                         counts.append(n)
                         corner = kind
+                    elif name == "tristrips" and label.startswith("vert"):
+                        strips.append(np.frombuffer(body[at : at + n * kind.itemsize], kind).astype(np.int64))
                 at += n * kind.itemsize
                 if n < 0 or at > len(body):
                     raise ValueError(f"it ends {count - row} rows before the declared end")
-    return vertices, np.array(counts, np.int64), np.frombuffer(b"".join(corners), corner).astype(np.int64)
+    flat = np.frombuffer(b"".join(corners), corner).astype(np.int64)
+    if strips:
+        triangles = [_triangles_of_strips(strip) for strip in strips]
+        counts += [3] * sum(map(len, triangles))
+        flat = np.concatenate([flat, *(part.reshape(-1) for part in triangles)])
+    return vertices, np.array(counts, np.int64), flat
+
+
+def _triangles_of_strips(indices: NDArray[Any]) -> Int64s:
+    """Return the triangles of strips of vertices that -1 separates, int64 [m, 3].
+
+    Every second triangle of a strip is turned, and those with a vertex twice only lead on.
+    """
+    i = np.arange(max(len(indices) - 2, 0))
+    three = np.stack([indices[i], indices[i + 1], indices[i + 2]], axis=1)
+    ends = np.maximum.accumulate(np.where(indices == -1, np.arange(len(indices)), -1))[i]
+    is_turned = (i - ends) % 2 == 0  # the first triangle of a strip begins one behind its end
+    three[is_turned] = three[is_turned][:, [0, 2, 1]]
+    is_real = (three != -1).all(axis=1) & (three != np.roll(three, 1, axis=1)).all(axis=1)
+    return np.asarray(three[is_real], np.int64)
 
 
 def _equal_rows(body: bytes, at: int, count: int, properties: _Properties) -> NDArray[Any] | None:
@@ -220,22 +258,26 @@ _READERS: Final[dict[str, Callable[[bytes], _Polygons]]] = {
     ".ply": _parse_ply,
     ".off": _parse_off,
 }
-_SUFFIXES: Final = (*_READERS, *_GLTF)
+_ASSEMBLED: Final[dict[str, Callable[[Path], MeshData]]] = {".dae": read_collada, ".3mf": read_3mf}
+SUFFIXES: Final = (*_READERS, *_GLTF, *_ASSEMBLED)
+"""The endings of mesh files that are read."""
 
 
 def _open(path: Path, options: SourceOptions) -> MeshScene:
-    vertices, triangles, notes = read_triangles(path)
-    unit_m = 1.0 if options.unit_m is None else options.unit_m
+    mesh = read_mesh(path)
+    unit_m = options.unit_m or mesh.unit_m or 1.0
     with np.errstate(over="ignore", invalid="ignore"):
         mesh_options = {"shell": options.shell, "holes": options.holes, "name": str(path)}
-        scene = MeshScene(vertices * unit_m, triangles, **mesh_options, notes=notes)
-    scene.notes = (size_note(np.ptp(scene.bounds_m(), axis=0), options.unit_m), *scene.notes)
+        scene = MeshScene(mesh.vertices * unit_m, mesh.triangles, **mesh_options, notes=mesh.notes)
+    scene.axes = mesh.axes
+    size = size_note(np.ptp(scene.bounds_m(), axis=0), options.unit_m, stated_m=mesh.unit_m)
+    scene.notes = (size, *scene.notes)
     return scene
 
 
 KIND = SourceKind(
     "mesh",
-    "a mesh of triangles: OBJ, STL, PLY, GLB, glTF or OFF",
-    lambda path: path.suffix.lower() in _SUFFIXES and path.is_file(),
+    "a mesh of triangles: OBJ, STL, PLY, GLB, glTF or OFF; COLLADA (.dae) or 3MF with the extra meshes",
+    lambda path: path.suffix.lower() in SUFFIXES and path.is_file(),
     _open,
 )

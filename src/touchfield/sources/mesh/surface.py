@@ -223,11 +223,7 @@ def without_duplicates(triangles: NDArray[Any]) -> tuple[NDArray[Any], int]:
     Returns the others in their order, and the number removed. `triangles` integer [m, 3], each of three
     different vertices.
     """
-    marks = np.arange(int(triangles.max()) + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
-    marks *= marks ^ (marks >> np.uint64(32))
-    sums = marks[triangles[:, 0]] + marks[triangles[:, 1]] + marks[triangles[:, 2]]
-    sums.sort()
-    if not (sums[1:] == sums[:-1]).any():  # of most meshes: no two have the same corners
+    if not _have_same_corners(triangles):  # as in most meshes
         return triangles, 0
     # rows that are equal up to rotation are equal once each starts with its smallest vertex
     start = triangles.argmin(axis=1)[:, None]
@@ -236,6 +232,34 @@ def without_duplicates(triangles: NDArray[Any]) -> tuple[NDArray[Any], int]:
     is_copy = np.zeros(len(rows), bool)
     is_copy[order[1:]] = (rows[order[1:]] == rows[order[:-1]]).all(axis=1)  # a stable sort: the first stays
     return triangles[~is_copy], int(is_copy.sum())
+
+
+def _have_same_corners(triangles: NDArray[Any]) -> bool:
+    """Return False if no two triangles have the same corners; True if two have, or rarely by chance."""
+    marks = np.arange(int(triangles.max()) + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
+    marks *= marks ^ (marks >> np.uint64(32))
+    sums = marks[triangles[:, 0]] + marks[triangles[:, 1]] + marks[triangles[:, 2]]
+    sums.sort()
+    return bool((sums[1:] == sums[:-1]).any())
+
+
+def without_twins(surface: Surface) -> tuple[Surface, tuple[str, ...]]:
+    """Remove triangles that a body has once more, facing the other way, with a note.
+
+    Programs without a back of faces export them so. Returns the surface itself if it is closed, or is not
+    closed without them either.
+    """
+    if surface.is_closed or not _have_same_corners(surface.triangles):
+        return surface, ()
+    first, _ = group_points(np.sort(surface.triangles, axis=1))
+    single = surface.with_triangles(surface.triangles[np.sort(first)])
+    if not single.is_closed and single.edges.repeated_count:
+        single = single.with_triangles(_orient(single.triangles, single.edges)[0])
+    count = len(surface.triangles) - len(single.triangles)
+    if not single.is_closed or not count:
+        return surface, ()
+    single.duplicate_count = surface.duplicate_count
+    return single, (f"{count} triangles left out, which the file also has facing the other way",)
 
 
 def _is_double_sheet(triangles: Int32s) -> bool:
@@ -373,7 +397,9 @@ def close_holes(surface: Surface, holes: str) -> RepairedSurface:
     require_one_of("holes", holes, HOLES)
     inner_notes: tuple[str, ...] = ()
     if holes != "leave":
+        surface, twin_notes = without_twins(surface)
         surface, inner_notes = without_inner_walls(surface)
+        inner_notes = (*twin_notes, *inner_notes)
     repaired = _close_holes(surface, holes)
     count, notes = surface.duplicate_count, tuple[str, ...]()
     if count:
@@ -447,7 +473,7 @@ def _hole_notes(closed_gaps: list[_Hole], open_gaps: list[_Hole]) -> tuple[str, 
 
 # -- walls inside a closed body ----------------------------------------------------------------------------
 _MAX_PATCHES: Final = 4096
-_MAX_CHOICES: Final = 16
+_MAX_CHOICES: Final = 32
 _MAX_TESTS: Final = 1 << 26  # pairs of a point and a triangle
 
 
@@ -459,7 +485,7 @@ def without_inner_walls(surface: Surface) -> tuple[Surface, tuple[str, ...]]:
     if surface.edges.unbalanced_count == 0:
         return surface, ()
     patch_of = _patches(surface.edges, len(surface.triangles))
-    for is_kept in _closed_choices(surface.triangles, patch_of, surface.edges):
+    for is_kept in _closed_choices(surface, patch_of):
         body, sheets = surface.with_triangles(surface.triangles[is_kept]), surface.triangles[~is_kept]
         if body.is_closed and _lie_inside(surface.vertices_m[sheets], body):
             body.duplicate_count = surface.duplicate_count
@@ -483,12 +509,13 @@ def _patches(edges: Edges, triangle_count: int) -> Int64s:
     return np.asarray(connected_components(graph, directed=False)[1], np.int64)
 
 
-def _closed_choices(triangles: Int32s, patch_of: Int64s, edges: Edges) -> Iterator[Bools]:
+def _closed_choices(surface: Surface, patch_of: Int64s) -> Iterator[Bools]:
     """Yield triangles, bool [m], whose patches are balanced together.
 
-    Patches with an edge of one triangle are removed until there is none, then single ones whose removal
-    balances the rest.
+    Patches with an edge of one triangle are removed until there is none. Then those are removed that leave
+    fewer unbalanced edges, the innermost first; if a choice leads to no body, the next one is tried.
     """
+    triangles, edges = surface.triangles, surface.edges
     if not 1 < int(patch_of.max()) + 1 <= _MAX_PATCHES:
         return
     sign = np.where(triangles < np.roll(triangles, -1, axis=1), 1, -1)
@@ -499,16 +526,24 @@ def _closed_choices(triangles: Int32s, patch_of: Int64s, edges: Edges) -> Iterat
         if not is_open.any():
             break
         is_kept &= ~np.isin(patch_of, patch_of[is_open])
-    if not is_kept.any():
-        return
-    unbalanced = _unbalanced(edges, sign, is_kept)
-    if not unbalanced.any():
-        yield is_kept
-        return
-    for patch in np.unique(patch_of[is_kept & unbalanced[edges.edge_of].any(axis=1)])[:_MAX_CHOICES]:
-        others = is_kept & (patch_of != patch)
-        if others.any() and not _unbalanced(edges, sign, others).any():
-            yield others
+    pending, tries = [is_kept] if is_kept.any() else [], 0
+    while pending and tries < _MAX_CHOICES:
+        is_kept, tries = pending.pop(), tries + 1
+        unbalanced = _unbalanced(edges, sign, is_kept)
+        if not unbalanced.any():
+            yield is_kept
+            continue
+        at_rim = np.unique(patch_of[is_kept & unbalanced[edges.edge_of].any(axis=1)])[:_MAX_CHOICES]
+        depths, choices = list[float](), list[Bools]()
+        for patch in at_rim:
+            others = is_kept & (patch_of != patch)
+            after = _unbalanced(edges, sign, others)
+            if others.any() and not (after & ~unbalanced).any() and after.sum() < unbalanced.sum():
+                centre = surface.vertices_m[triangles[patch_of == patch][0]].mean(axis=0)
+                angles = _solid_angles(centre, surface.vertices_m[triangles[others]])
+                depths.append(abs(float(angles.sum())))
+                choices.append(others)
+        pending += [choices[n] for n in np.argsort(depths, kind="stable")]
 
 
 def _unbalanced(edges: Edges, sign: NDArray[Any], is_kept: Bools) -> Bools:
@@ -519,22 +554,32 @@ def _unbalanced(edges: Edges, sign: NDArray[Any], is_kept: Bools) -> Bools:
 
 
 def _lie_inside(corners: Float64s, body: Surface) -> bool:
-    """Return True if triangles float64 [k, 3, 3] lie inside a closed surface, by winding numbers.
+    """Return True if triangles float64 [k, 3, 3] lie inside parts of a closed surface, by winding numbers.
 
-    Tested are points near their corners, and their centres; some of them if there are many.
+    A void in a part counts as its inside, as no hand reaches it. Tested are points near their corners, and
+    their centres; some of them if there are many.
     """
     centres = corners.mean(axis=1, keepdims=True)
     points = np.concatenate([centres, centres + (1 - 1e-3) * (corners - centres)], axis=1).reshape(-1, 3)
     points = points[:: max(1, len(points) * len(body.triangles) // _MAX_TESTS)]
-    faces = body.vertices_m[body.triangles]
+    faces, part_of = body.vertices_m[body.triangles], body.part_of_vertex()[body.triangles[:, 0]]
     for point in points:
-        a, b, c = (faces[:, i] - point for i in range(3))
-        la, lb, lc = lengths_of(a), lengths_of(b), lengths_of(c)
-        solid = np.einsum("ij,ij->i", a, np.cross(b, c))
-        below = la * lb * lc + (a * b).sum(1) * lc + (b * c).sum(1) * la + (c * a).sum(1) * lb
-        if abs(float(np.arctan2(solid, below).sum())) < np.pi:  # half a turn of the whole sphere
+        turns = np.bincount(part_of, _solid_angles(point, faces))
+        if float(np.abs(turns).max()) < 2 * np.pi:  # half of the whole sphere
             return False
     return True
+
+
+def _solid_angles(point: Float64s, faces: Float64s) -> Float64s:
+    """Return the signed solid angles of triangles float64 [m, 3, 3] seen from a point, float64 [m].
+
+    Source: A. van Oosterom and J. Strackee, The solid angle of a plane triangle, IEEE TBME 30(2), 1983.
+    """
+    a, b, c = (faces[:, i] - point for i in range(3))
+    la, lb, lc = lengths_of(a), lengths_of(b), lengths_of(c)
+    solid = np.einsum("ij,ij->i", a, np.cross(b, c))
+    below = la * lb * lc + (a * b).sum(1) * lc + (b * c).sum(1) * la + (c * a).sum(1) * lb
+    return np.asarray(2 * np.arctan2(solid, below))
 
 
 # -- loops -------------------------------------------------------------------------------------------------

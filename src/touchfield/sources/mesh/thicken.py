@@ -28,6 +28,8 @@ _STRIDE, _MAX_STRIDE = (
     8,
 )  # every nth triangle first, if n of them are smaller than this part of the thickness
 _DOUBT: Final = 1.05  # of the least thickness: what a look at some of the triangles must find
+_LEAST_WIDTH: Final = 0.5
+"""Side of the smallest square that counts as a wall, as a multiple of the least thickness."""
 _THIN_WEIGHT: Final = 100.0
 """Weight of a triangle that moves, where its neighbour in the same plane does not."""
 _REGULAR: Final = 1e-6
@@ -82,6 +84,8 @@ def growth_of(
     found = measured(faces, needed)
     if np.isinf(found).all():
         return None
+    if _areas(corners[np.isfinite(found)]).sum() < (_LEAST_WIDTH * float(needed.max())) ** 2:
+        return None  # slivers at a seam of the mesh, whose corners would move far
     motions = np.where(np.isfinite(found), (needed - found) / 2, 0.0)
     worst = int(motions.argmax())
     return Growth(motions, float(found[worst]), float(found[worst] + 2 * motions[worst]))
@@ -114,9 +118,14 @@ def _suspects(frame: Float64s, boxes: Float64s, normals: Float64s, needed_m: Flo
 
 def _stride(corners: Float64s, needed_m: float) -> int:
     """Return n if every nth of the triangles shows whether any is thin, as where they are far smaller."""
-    doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    mean_m2 = max(float(np.linalg.norm(doubled, axis=1).mean()) / 2, 1e-300)
+    mean_m2 = max(float(_areas(corners).mean()), 1e-300)
     return int(min(max((needed_m * _STRIDE) ** 2 / mean_m2, 1.0), _MAX_STRIDE))
+
+
+def _areas(corners: Float64s) -> Float64s:
+    """Return the areas of triangles float64 [m, 3, 3], float64 [m]."""
+    doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.asarray(np.linalg.norm(doubled, axis=1) / 2)
 
 
 def _cells(frame: Float64s, boxes: Float64s) -> tuple[Float64s, Int64s, Int32s]:

@@ -20,12 +20,14 @@ from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import brick_keys, bricks_of, field_without_empty_bricks
 from touchfield.sources.camera import require_frame
 from touchfield.sources.laws import ForceProfile
+from touchfield.sources.mesh.mesh_scene import MeshScene
 from touchfield.sources.scene import UP_Z_AXES, Body, MovingScene, Scene
 from touchfield.sources.shapes.analytic_scene import AnalyticScene
 from touchfield.sources.shapes.shapes import Plane
 from touchfield.sources.thin_walls import MinThickness, ThinWall
 
 _AT_REST = (0.0,) * 9
+_MAX_MESH_NOTES = 4
 _Part = tuple[ForceField, tuple[float, ...]]  # a body's field, and the motion of its surface
 
 
@@ -134,6 +136,17 @@ class BodyScene(MovingScene):
                 motion = tuple(np.concatenate([body.track.positions_m[frame], velocity, spin]).tolist())
             parts.append((field, motion))
         return parts
+
+
+def notes_of_meshes(bodies: Sequence[Body]) -> tuple[str, ...]:
+    """Return what was repaired in the meshes of bodies, and which are open, after the name of each."""
+    notes = list[str]()
+    for body in bodies:
+        if isinstance(body.scene, MeshScene):
+            lines = body.scene.notes[:-1] if body.scene.is_closed else body.scene.notes
+            notes += [f"{body.name}: {line}" for line in lines]
+    more = len(notes) - _MAX_MESH_NOTES
+    return (*notes[:_MAX_MESH_NOTES], *([f"{more} more such notes on meshes."] if more > 0 else []))
 
 
 def _sum(grid: Grid, parts: Sequence[_Part]) -> ForceField:

@@ -37,7 +37,7 @@ from touchfield.files import plain_size, readable, require_in_folder, require_pl
 from touchfield.sources.mesh.mesh_scene import MeshScene
 from touchfield.sources.mesh.surface import merge_vertices
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.physics.body_scene import BodyScene
+from touchfield.sources.physics.body_scene import BodyScene, notes_of_meshes
 from touchfield.sources.physics.simulation import (
     FRAME_RATE_HZ,
     SECONDS,
@@ -73,6 +73,16 @@ def _open(path: Path, options: SourceOptions) -> BodyScene:
     check_files(path, anywhere=options.allow_outside)
     read = partial(mujoco.MjModel.from_xml_path, str(path))
     model, notes = compile_model(read, str(path), "a model that MuJoCo cannot read", "a whole MJCF model")
+    return scene_of_model(mujoco, model, path, options, notes)
+
+
+def scene_of_model(
+    mujoco: Any, model: Any, path: Path, options: SourceOptions, notes: tuple[str, ...]
+) -> BodyScene:
+    """Simulate a model and return its touchable bodies as a scene, with `notes` and those of its meshes.
+
+    Raises `SourceError` and `InvalidArgument` as `simulate` and `frames_of`, or if nothing can be touched.
+    """
     pieces, more = _pieces_of(mujoco, model, str(path), options.shell)
     seconds, rate = options.seconds or SECONDS, options.rate_hz or FRAME_RATE_HZ
     ids = sorted({body_id for _, body_id, _ in pieces})
@@ -80,19 +90,22 @@ def _open(path: Path, options: SourceOptions) -> BodyScene:
     tracks, warnings = simulate(model, ids, frames, rate, str(path))
     track_of = dict(zip(ids, tracks, strict=True))
     bodies = [Body(name, scene, track_of[body_id]) for name, body_id, scene in pieces]
-    return BodyScene(bodies, rate, notes=(*notes, *more, *warnings))
+    return BodyScene(bodies, rate, notes=(*notes, *more, *notes_of_meshes(bodies), *warnings))
 
 
-def _recognise(path: Path) -> bool:
-    """Return True if the root element, after declarations and comments, is ``mujoco``."""
-    if path.suffix.lower() != ".xml" or not path.is_file():
-        return False
+def has_root(path: Path, name: str) -> bool:
+    """Return True if the root element of a file, after declarations and comments, is `name`."""
     with path.open("rb") as stream:
         head = stream.read(_HEAD_BYTES).removeprefix(b"\xef\xbb\xbf").lstrip()
     while head.startswith((b"<?", b"<!")):
         end = b"-->" if head.startswith(b"<!--") else b">"
         head = head.partition(end)[2].lstrip()
-    return head.startswith(b"<mujoco") and head[7:8] in b" \t\r\n/>"
+    start = f"<{name}".encode()
+    return head.startswith(start) and head[len(start) : len(start) + 1] in b" \t\r\n/>"
+
+
+def _recognise(path: Path) -> bool:
+    return path.suffix.lower() == ".xml" and path.is_file() and has_root(path, "mujoco")
 
 
 # -- the files that a model names, before MuJoCo opens them ------------------------------------------------

@@ -54,7 +54,7 @@ from touchfield.medium.pose_track import PoseTrack
 from touchfield.medium.trace import Trace, read_trace
 from touchfield.sources.mesh.mesh_scene import MeshScene
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.physics.body_scene import BodyScene
+from touchfield.sources.physics.body_scene import BodyScene, notes_of_meshes
 from touchfield.sources.physics.simulation import (
     FRAME_RATE_HZ,
     SECONDS,
@@ -241,13 +241,14 @@ def _named_file(path: Path, entry: JsonValue, key: str, anywhere: bool) -> Path:
 def _mesh(path: Path, entry: JsonValue, anywhere: bool) -> MeshScene:
     values = _values(entry, _MESH_KEYS)
     if "file" in values:
-        from touchfield.sources.mesh.mesh_files import read_triangles
+        from touchfield.sources.mesh.mesh_files import read_mesh
 
         file = _named_file(path, entry, "file", anywhere)
         if not file.exists():
             raise entry.at("file").wrong(f"nothing at {file}", "a mesh file", "Check the path.")
-        vertices, triangles, notes = read_triangles(file)
-        return MeshScene(vertices * values.get("unit_m", 1.0), triangles, name=str(file), notes=notes)
+        mesh = read_mesh(file)
+        unit_m = values.get("unit_m") or mesh.unit_m or 1.0
+        return MeshScene(mesh.vertices * unit_m, mesh.triangles, name=str(file), notes=mesh.notes)
     for name in ("vertices_m", "triangles"):
         if name not in values:
             raise entry.wrong(f"no {name!r}", "a mesh: file, or vertices_m and triangles")
@@ -289,7 +290,8 @@ def open_physics(path: Path, options: SourceOptions) -> BodyScene:
     if table.floor and table.floor.touchable:
         plane = Plane((0.0, 0.0, table.floor.height_m), (0.0, 0.0, 1.0))
         bodies.append(Body("floor", AnalyticScene((plane,), "union", UP_Z_AXES), PoseTrack.constant(frames)))
-    return BodyScene(bodies, rate, UP_Z_AXES, (*_late_pose_notes(poses, frames / rate, rate), *notes))
+    notes = (*notes_of_meshes(bodies), *_late_pose_notes(poses, frames / rate, rate), *notes)
+    return BodyScene(bodies, rate, UP_Z_AXES, notes)
 
 
 def _late_pose_notes(poses: dict[str, Trace], seconds: float, rate_hz: float) -> tuple[str, ...]:
