@@ -3,12 +3,11 @@
 A block, a ball and the terrain (`sample:terrain`) are rendered to a point by the proxy ("auto") and by the
 field, and to a ball of 5 mm as the tool, on lattices of 2^6 to 2^8 samples. Hands, scripted or on a spring
 (0.2 kg, 200 N/m, 2 N s/m), are pressed 0.5 to 8 mm deep and slide along the surface at 5 to 200 mm/s, with mu
-from 0.1 to 1. The normal force is |F| of the surface at the hand or the proxy, and friction lies along it.
+from 0.1 to 1. The normal force is |F|, and friction lies along it.
 
 * over: the largest |friction| / (mu |F|) - 1 of all ticks.
 * off: the largest deviation of |friction| from mu |F| while a hand slides, over mu |F|: after the
-  point that friction acts on (the hand, or the proxy) has pulled the anchor without a turn by twice what
-  stretches its spring to the cone.
+  hand has pulled the anchor without a turn by twice what stretches its spring to the cone.
 * felt_off: of scripted hands on the block and the ball, the mean of the whole force against the motion over
   the mean along the exact normal, beside mu, over mu: it has the errors of the field's normals, too.
 * given_mj: the most energy that friction has given to a hand at any time, mJ, less what a spring that is
@@ -54,7 +53,7 @@ OUTSIDE_M, PRESS, HOLD, REST_TICKS = 0.002, 150, 50, 5000
 """Where a hand starts, and ticks of pressing and waiting."""
 MARGIN_M, LEAST_M, LEAST_N = 0.0005, 0.016, 0.02
 """Beyond the stretched spring of the anchor; the shortest way; the least normal force that counts."""
-MAX_OVER, MAX_OFF, MAX_BAND_MN, MAX_GIVEN_MJ = 1e-6, 0.02, 0.05, 1e-3
+MAX_OVER, MAX_OFF, MAX_BAND_MN, MAX_GIVEN_MJ = 1e-6, 0.02, 0.002, 1e-3
 
 
 class Way(NamedTuple):
@@ -156,8 +155,6 @@ def slide_of(runs: Runs, hand: int, mu: float, k: float, way: Way) -> Slide:
     moved_m = np.diff(position_m, axis=0, prepend=position_m[:1])
     work_j = np.cumsum(np.r_[0.0, (friction_n[:-1] * moved_m[1:]).sum(axis=1)])
     allowed_j = np.cumsum(0.5 * k * (moved_m**2).sum(axis=1))
-    if runs.proxy_m is not None:  # friction acts there; on a curved surface it goes another way than the hand
-        moved_m = np.diff(runs.proxy_m[hand], axis=0, prepend=runs.proxy_m[hand, :1])
     least_m = 2 * mu * np.maximum.accumulate(normal_n) / k + MARGIN_M
     is_sliding = pulled_m(moved_m, field_n, friction_n, k / mu) > least_m
     is_sliding &= normal_n > LEAST_N
