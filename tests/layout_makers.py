@@ -187,7 +187,7 @@ def write_unpadded_times(folder: Path) -> Path:
 
 
 def write_slambook(folder: Path) -> Path:
-    """Pictures in PGM from 1 on and pose.txt, as in textbooks: the camera and the unit are in the text only."""
+    """Pictures in PGM from 1 on and pose.txt, as in textbooks: camera and unit are stated elsewhere."""
     for i, depth in enumerate(room.depths_mm()):
         (folder / "depth").mkdir(parents=True, exist_ok=True)
         head = f"P5\n{room.WIDTH} {room.HEIGHT}\n65535\n".encode()

@@ -1,4 +1,4 @@
-"""Small files of every other kind of source: heights, meshes, models, point clouds, bodies, recordings, effects.
+"""Small files of all other kinds of source: heights, meshes, point clouds, bodies, recordings, effects.
 
 Each function writes into a folder that does not exist yet, and returns the path to encode.
 """
@@ -153,7 +153,7 @@ def write_grey_png(folder: Path) -> Path:
 
 # -- meshes: a cube from (0, 0, 0) to (1, 1, 1) ------------------------------------------------------------
 def obj_text(vertices: np.ndarray, faces: np.ndarray) -> str:
-    lines = [f"v {x:g} {y:g} {z:g}" for x, y, z in vertices]
+    lines = [f"v {x:.10g} {y:.10g} {z:.10g}" for x, y, z in vertices]
     return "\n".join([*lines, *(f"f {a} {b} {c}" for a, b, c in faces + 1)]) + "\n"
 
 
@@ -176,7 +176,7 @@ def write_inner_sheet(folder: Path) -> Path:
 
 def write_far(folder: Path) -> Path:
     """Coordinates of a map: half a million metres from the origin."""
-    return write_obj(folder, CUBE + [500_000.0, 4_200_000.0, 300.0])
+    return write_obj(folder, CUBE + np.array([500_000.0, 4_200_000.0, 300.0]))
 
 
 def write_millimetres(folder: Path) -> Path:
@@ -305,8 +305,8 @@ def write_dae(folder: Path) -> Path:
         '<?xml version="1.0"?><COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">'
         '<asset><unit name="meter" meter="1"/><up_axis>Y_UP</up_axis></asset><library_geometries><geometry '
         'id="g" name="g"><mesh><source id="p"><float_array id="pa" count="24">'
-        f'{points}</float_array><technique_common><accessor source="#pa" count="8" stride="3"><param name="X" '
-        'type="float"/><param name="Y" type="float"/><param name="Z" type="float"/></accessor>'
+        f'{points}</float_array><technique_common><accessor source="#pa" count="8" stride="3"><param '
+        'name="X" type="float"/><param name="Y" type="float"/><param name="Z" type="float"/></accessor>'
         '</technique_common></source><vertices id="v"><input semantic="POSITION" source="#p"/></vertices>'
         f'<triangles count="12"><input semantic="VERTEX" source="#v" offset="0"/><p>{faces}</p></triangles>'
         '</mesh></geometry></library_geometries><library_visual_scenes><visual_scene id="s"><node id="n">'
@@ -457,7 +457,8 @@ def write_urdf(folder: Path) -> Path:
     """A box of 0.4 x 0.2 x 0.2 m on a fixed joint, half a metre up."""
     (made(folder) / "robot.urdf").write_text(
         '<?xml version="1.0"?>\n<robot name="r">\n  <link name="base"/>\n  <link name="arm">\n'
-        '    <inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>\n'
+        '    <inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" '
+        'ixz="0" iyz="0"/></inertial>\n'
         '    <collision><geometry><box size="0.4 0.2 0.2"/></geometry></collision>\n'
         '    <visual><geometry><box size="0.4 0.2 0.2"/></geometry></visual>\n  </link>\n'
         '  <joint name="j" type="fixed">\n    <parent link="base"/><child link="arm"/>\n'
@@ -528,9 +529,10 @@ def write_contacts(folder: Path) -> Path:
 
 
 def blinking() -> np.ndarray:
-    """Return frames, uint8 [20, 64, 64, 3]: black, then a white square at the top right."""
+    """Return frames, uint8 [20, 64, 64, 3]: black, then a white square at the top right that grows."""
     frames = np.zeros((20, 64, 64, 3), np.uint8)
-    frames[8:, 8:16, 48:56] = 255
+    for i in range(8, 20):
+        frames[i, 8:16, 48 : 50 + i // 2] = 255
     return frames
 
 
@@ -542,6 +544,16 @@ def write_film(folder: Path) -> Path:
 
 
 def write_gif(folder: Path) -> Path:
+    """A corner changes, so that no frame is merged with the next."""
+    frames = blinking()
+    frames[::2, 63, 0] = 1
+    pages = [Image.fromarray(frame) for frame in frames]
+    pages[0].save(made(folder) / "film.gif", save_all=True, append_images=pages[1:], duration=40)
+    return folder / "film.gif"
+
+
+def write_uneven_gif(folder: Path) -> Path:
+    """Equal frames are one with a longer time, as programs that write GIF merge them."""
     pages = [Image.fromarray(frame) for frame in blinking()]
     pages[0].save(made(folder) / "film.gif", save_all=True, append_images=pages[1:], duration=40)
     return folder / "film.gif"

@@ -1,36 +1,32 @@
-"""A corpus of inputs of many kinds, right and wrong, each with what a user would type first and a truth.
-
-`try_input` does as a user would: it runs the command; if the input is refused, or a note names a fix, it does
-what the message says, once. The outcome is text that begins with "read", "noted", "refused" or `WRONG`.
-"""
+"""A corpus of inputs of many kinds, right and wrong, each with what a user would type first and a truth."""
 
 from __future__ import annotations
 
-import io
-import re
-import shlex
-import shutil
-import subprocess
-import sys
 from collections.abc import Callable
-from contextlib import chdir, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
+
+import numpy as np
 
 import layout_makers as layouts
 import recording_makers as recordings
 import room_makers as room
 import scene_makers as scenes
 import source_truth as truth
-from touchfield.cli.main import _exit_code
 
-WRONG = "WRONG"
 CAMERA = ",".join(map(str, room.CAMERA))
 SEEN, SEEN_ONCE = truth.seen_by_cameras(), truth.seen_by_cameras((0,), 1)
 SLOPE = truth.heights(scenes.slope_m, scenes.SLOPE_M, 100.0)
 HILL = truth.heights(scenes.hill_m, scenes.BIG_M, 300.0)
 CUBE, BALL = truth.box((0, 0, 0), (1, 1, 1)), truth.sphere(0.5)
+TILE = truth.heights(scenes.tile_m, (110_800.0, 110_500.0), 0.0)
+MOVED = truth.contacts([*truth.box_rays((0, 0, 0), (1, 1, 1)), *truth.box_rays((1, 0, 0), (2, 1, 1), 30)], 60)
+GROWN = truth.contacts(
+    [*truth.box_rays((0, 0, 0), (1, 1, 1)), *truth.box_rays((0, 0, 0), (1, 1.5, 1), 30)], 60
+)
+FIELD = truth.forces(*scenes.field_points())
+BLINK = truth.driven(0.66, (6, 6), 0.1, 0.8)
 SPRING_POINTS = slice(0, 300)
 
 
@@ -66,20 +62,6 @@ class Input:
         return all(find_spec(name) is not None for name in self.needs)
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What happened: text, the error over the allowed one (None without a file), the fix, the last message."""
-
-    text: str
-    error: float | None
-    comment: str
-    message: str
-
-    @property
-    def is_right(self) -> bool:
-        return not self.text.startswith(WRONG)
-
-
 MM, KNOWN = ("--depth-scale", "1000"), {"--intrinsics": CAMERA, "--depth-scale": "1000"}
 VEST = ("--device", "tactile-vest-8x8")
 
@@ -105,34 +87,61 @@ CORPUS = [
     Input("mcap", "depth: ROS 2 bag", lambda folder: _bag(folder, "mcap"), SEEN, needs=("mcap_ros2",)),
     Input("ros 2 bag", "depth: ROS 2 bag", lambda folder: _bag(folder, "db3"), SEEN, needs=("mcap_ros2",)),
     Input("plain folder", "depth: plain folder", layouts.write_kitti, SEEN, MM),
-    Input("camera_info", "depth: camera_info with a bent lens", layouts.write_camera_info, SEEN, MM,
-          needs=("cv2",)),
+    Input(
+        "camera_info",
+        "depth: camera_info with a bent lens",
+        layouts.write_camera_info,
+        SEEN,
+        MM,
+        needs=("cv2",),
+    ),
     Input("decimal times", "depth: plain folder", layouts.write_unpadded_times, SEEN, MM),
     Input("exr", "depth: EXR", layouts.write_exr_folder, SEEN, needs=("OpenEXR",)),
     Input("tiff pages", "depth: TIFF with pages", layouts.write_tiff_pages, SEEN, MM),
     Input("npy stack", "depth: NPY stack", layouts.write_npy_stack, SEEN),
     Input("stereo npz", "depth: disparity in .npz", layouts.write_disparity_npz, SEEN_ONCE),
     Input("middlebury", "depth: disparity map", layouts.write_middlebury, SEEN_ONCE),
-    Input("depth video", "depth: 16-bit video", layouts.write_video, truth.seen_by_cameras((0,)),
-          (*MM, "--intrinsics", CAMERA, "--world", "frames"), needs=("av",)),
-    Input("depth picture", "depth: one picture", layouts.write_one_picture, SEEN_ONCE,
-          (*MM, "--intrinsics", CAMERA)),
-    Input("textbook", "depth: plain folder without camera and unit", layouts.write_slambook, SEEN,
-          answers=KNOWN, is_layout=False),
+    Input(
+        "depth video",
+        "depth: 16-bit video",
+        layouts.write_video,
+        truth.seen_by_cameras((0,)),
+        (*MM, "--intrinsics", CAMERA, "--world", "frames"),
+        needs=("av",),
+    ),
+    Input(
+        "depth picture",
+        "depth: one picture",
+        layouts.write_one_picture,
+        SEEN_ONCE,
+        (*MM, "--intrinsics", CAMERA),
+    ),
+    Input(
+        "textbook",
+        "depth: plain folder without camera and unit",
+        layouts.write_slambook,
+        SEEN,
+        answers=KNOWN,
+        is_layout=False,
+    ),
     # heights
     Input("geotiff", "heights: GeoTIFF", scenes.write_geotiff, SLOPE),
     Input("geotiff, south up", "heights: GeoTIFF", scenes.write_south_up, SLOPE),
     Input("geotiff, scale and offset", "heights: GeoTIFF", scenes.write_scaled, SLOPE),
     Input("geotiff, gaps", "heights: GeoTIFF", scenes.write_gaps, SLOPE),
     Input("ascii grid", "heights: .asc", scenes.write_asc, HILL),
-    Input("srtm tile", "heights: .hgt", scenes.write_hgt,
-          truth.heights(scenes.tile_m, (110_800.0, 110_500.0), 0.0)),
+    Input("srtm tile", "heights: .hgt", scenes.write_hgt, TILE),
     Input("netcdf", "heights: netCDF", scenes.write_netcdf, HILL, needs=("scipy",)),
     Input("npz with x and y", "heights: .npz", scenes.write_xy_npz, HILL),
     Input("npz with dy", "heights: .npz", scenes.write_dy_npz, HILL),
     Input("npy", "heights: .npy", scenes.write_npy, HILL, ("--cell-size-m", "20")),
-    Input("grey png", "heights: grey picture with a world file", scenes.write_grey_png, HILL,
-          ("--height-scale", "0.1")),
+    Input(
+        "grey png",
+        "heights: grey picture with a world file",
+        scenes.write_grey_png,
+        HILL,
+        ("--height-scale", "0.1"),
+    ),
     # meshes and models
     Input("obj", "mesh: OBJ", scenes.write_obj, CUBE),
     Input("stl", "mesh: STL", scenes.write_stl, CUBE),
@@ -142,67 +151,145 @@ CORPUS = [
     Input("gltf", "mesh: glTF", scenes.write_gltf, truth.box((0, 1, 0), (1, 2, 1))),
     Input("triangle twice", "mesh: OBJ", scenes.write_duplicate, CUBE, is_layout=False),
     Input("sheet inside", "mesh: OBJ", scenes.write_inner_sheet, CUBE, is_layout=False),
-    Input("map coordinates", "mesh: OBJ", scenes.write_far,
-          truth.box((500_000, 4_200_000, 300), (500_001, 4_200_001, 301)), is_layout=False),
-    Input("moving glb", "model: animated glTF", scenes.write_moving_glb,
-          truth.contacts([*truth.box_rays((0, 0, 0), (1, 1, 1)), *truth.box_rays((1, 0, 0), (2, 1, 1), 30)], 60)),
-    Input("morph glb", "model: animated glTF", scenes.write_morph_glb,
-          truth.contacts([*truth.box_rays((0, 0, 0), (1, 1, 1)), *truth.box_rays((0, 0, 0), (1, 1.5, 1), 30)], 60)),
-    Input("mirrored sheet", "model: animated glTF", scenes.write_mirrored_sheet,
-          truth.contacts([truth.Ray((x, 0.4, 0.5), (0, 0, -1), 0.5, frame)
-                          for x in (-0.5, 0.5) for frame in (0, 80)]), is_layout=False),
+    Input(
+        "map coordinates",
+        "mesh: OBJ",
+        scenes.write_far,
+        truth.box((500_000, 4_200_000, 300), (500_001, 4_200_001, 301)),
+        is_layout=False,
+    ),
+    Input("moving glb", "model: animated glTF", scenes.write_moving_glb, MOVED),
+    Input("morph glb", "model: animated glTF", scenes.write_morph_glb, GROWN),
+    Input(
+        "mirrored sheet",
+        "model: animated glTF",
+        scenes.write_mirrored_sheet,
+        truth.contacts(
+            [truth.Ray((x, 0.4, 0.5), (0, 0, -1), 0.5, frame) for x in (-0.5, 0.5) for frame in (0, 80)]
+        ),
+        is_layout=False,
+    ),
     Input("3mf", "mesh: 3MF", scenes.write_3mf, CUBE),
     Input("collada", "mesh: COLLADA", scenes.write_dae, CUBE),
     Input("step", "solid: STEP", scenes.write_step, CUBE),
     Input("usd", "scene: USD", scenes.write_usda, CUBE),
     Input("draco", "mesh: glTF with Draco", scenes.write_draco, CUBE, needs=("DracoPy",)),
     Input("zip", "archive", scenes.write_zip, CUBE, is_layout=False),
-    Input("gz", "compressed file", scenes.write_hgt_gz,
-          truth.heights(scenes.tile_m, (110_800.0, 110_500.0), 0.0), is_layout=False),
+    Input("gz", "compressed file", scenes.write_hgt_gz, TILE, is_layout=False),
     # point clouds
     Input("cloud ply", "point cloud: PLY", scenes.write_cloud_ply, BALL),
     Input("cloud pcd", "point cloud: PCD", scenes.write_pcd, BALL),
     Input("cloud las", "point cloud: LAS", scenes.write_las, BALL),
     # bodies
     Input("shapes", "shapes: .toml", scenes.write_shapes, truth.sphere(0.05, (0.1, 0, 0))),
-    Input("bodies", "bodies: .toml", scenes.write_bodies,
-          truth.box((-0.05, -0.05, 0.45), (0.05, 0.05, 0.55), frame_count=100), needs=("mujoco",)),
+    Input(
+        "bodies",
+        "bodies: .toml",
+        scenes.write_bodies,
+        truth.box((-0.05, -0.05, 0.45), (0.05, 0.05, 0.55), frame_count=100),
+        needs=("mujoco",),
+    ),
     Input("mujoco model", "bodies: MJCF", scenes.write_mjcf, truth.sphere(0.1, (0, 0, 2)), needs=("mujoco",)),
-    Input("urdf", "robot: URDF", scenes.write_urdf, truth.box((-0.2, -0.1, 0.4), (0.2, 0.1, 0.6)),
-          needs=("mujoco",)),
+    Input(
+        "urdf",
+        "robot: URDF",
+        scenes.write_urdf,
+        truth.box((-0.2, -0.1, 0.4), (0.2, 0.1, 0.6)),
+        needs=("mujoco",),
+    ),
     # fields, recordings, video, effects
-    Input("field npz", "field: .npz", scenes.write_field_npz, truth.forces(*scenes.field_points()),
-          ("--mapping", "1")),
-    Input("field vti", "field: .vti", scenes.write_vti, truth.forces(*scenes.field_points()), ("--mapping", "1")),
-    Input("field zarr", "field: .zarr", scenes.write_zarr, truth.forces(*scenes.field_points()),
-          ("--mapping", "1"), needs=("zarr",)),
-    Input("contacts", "recorded contacts: .csv", scenes.write_contacts,
-          truth.forces(*(values[SPRING_POINTS] for values in scenes.probed()))),
-    Input("film", "video, for a vest", scenes.write_film, truth.driven(15, (6, 6), 2, 20), VEST, needs=("av",)),
-    Input("gif", "video, for a vest", scenes.write_gif, truth.driven(15, (6, 6), 2, 20), VEST),
-    Input("tact", "effect: .tact", scenes.write_tact, truth.driven(3, (2, 3), 8, 12), command="import"),
-    Input("ahap", "effect: .ahap", scenes.write_ahap, truth.driven(15, (0, 0), 2), command="import"),
+    Input("field npz", "field: .npz", scenes.write_field_npz, FIELD, ("--mapping", "1")),
+    Input("field vti", "field: .vti", scenes.write_vti, FIELD, ("--mapping", "1")),
+    Input("field zarr", "field: .zarr", scenes.write_zarr, FIELD, ("--mapping", "1"), needs=("zarr",)),
+    Input(
+        "contacts",
+        "recorded contacts: .csv",
+        scenes.write_contacts,
+        truth.forces(*(values[SPRING_POINTS] for values in scenes.probed())),
+    ),
+    Input("film", "video, for a vest", scenes.write_film, BLINK, VEST, needs=("av",)),
+    Input("gif", "video, for a vest", scenes.write_gif, BLINK, VEST, needs=("av",)),
+    Input(
+        "gif of uneven times",
+        "wrong: times of a video",
+        scenes.write_uneven_gif,
+        BLINK,
+        VEST,
+        needs=("av",),
+        is_layout=False,
+    ),
+    Input(
+        "tact", "effect: .tact", scenes.write_tact, truth.driven(0.03, (2, 3), 0.08, 0.12), command="import"
+    ),
+    Input(
+        "ahap", "effect: .ahap", scenes.write_ahap, truth.driven(0.15, (0, 0), 0.02, 0.32), command="import"
+    ),
     # wrong inputs
-    Input("inverted poses", "wrong: poses", lambda f: layouts.write_kitti(f, _inverted()), SEEN, MM, is_layout=False),
-    Input("OpenGL poses", "wrong: poses", lambda f: layouts.write_kitti(f, layouts.POSES @ room.OPENGL), SEEN, MM,
-          is_layout=False),
+    Input(
+        "inverted poses",
+        "wrong: poses",
+        lambda f: layouts.write_kitti(f, _inverted()),
+        SEEN,
+        MM,
+        is_layout=False,
+    ),
+    Input(
+        "OpenGL poses",
+        "wrong: poses",
+        lambda f: layouts.write_kitti(f, layouts.POSES @ room.OPENGL),
+        SEEN,
+        MM,
+        is_layout=False,
+    ),
     Input("w first", "wrong: poses", layouts.write_w_first, SEEN, MM, is_layout=False),
-    Input("wrong depth unit", "wrong: depth unit", layouts.write_kitti, SEEN, ("--depth-scale", "100"),
-          is_layout=False),
-    Input("8-bit depth", "wrong: 8-bit depth", layouts.write_eight_bits, SEEN, MM, mended=layouts.write_kitti,
-          is_layout=False),
-    Input("cut picture", "wrong: cut file", layouts.write_cut_picture, SEEN, MM, mended=layouts.write_kitti,
-          is_layout=False),
+    Input(
+        "wrong depth unit",
+        "wrong: depth unit",
+        layouts.write_kitti,
+        SEEN,
+        ("--depth-scale", "100"),
+        is_layout=False,
+    ),
+    Input(
+        "8-bit depth",
+        "wrong: 8-bit depth",
+        layouts.write_eight_bits,
+        SEEN,
+        MM,
+        mended=layouts.write_kitti,
+        is_layout=False,
+    ),
+    Input(
+        "cut picture",
+        "wrong: cut file",
+        layouts.write_cut_picture,
+        SEEN,
+        MM,
+        mended=layouts.write_kitti,
+        is_layout=False,
+    ),
     Input("cut glb", "wrong: cut file", scenes.write_cut_glb, CUBE, mended=scenes.write_glb, is_layout=False),
-    Input("cut tile", "wrong: cut file", scenes.write_cut_hgt,
-          truth.heights(scenes.tile_m, (110_800.0, 110_500.0), 0.0), mended=scenes.write_hgt, is_layout=False),
-    Input("millimetres", "wrong: mesh unit", scenes.write_millimetres, truth.box((0, 0, 0), (0.06, 0.06, 0.06)),
-          is_layout=False),
-    Input("no depth", "wrong: no depth", scenes.write_colours_only, SEEN, mended=layouts.write_kitti, is_layout=False,
-          answers={"--depth-scale": "1000"}),
+    Input(
+        "cut tile", "wrong: cut file", scenes.write_cut_hgt, TILE, mended=scenes.write_hgt, is_layout=False
+    ),
+    Input(
+        "millimetres",
+        "wrong: mesh unit",
+        scenes.write_millimetres,
+        truth.box((0, 0, 0), (0.06, 0.06, 0.06)),
+        is_layout=False,
+    ),
+    Input(
+        "no depth",
+        "wrong: no depth",
+        scenes.write_colours_only,
+        SEEN,
+        mended=layouts.write_tum,
+        is_layout=False,
+    ),
     Input("sound", "wrong: no source", scenes.write_sound, CUBE, mended=scenes.write_obj, is_layout=False),
     Input("letter", "wrong: no source", scenes.write_letter, CUBE, mended=scenes.write_obj, is_layout=False),
-]  # fmt: skip
+]
 
 
 def _bag(folder: Path, store: str) -> Path:
@@ -213,95 +300,5 @@ def _bag(folder: Path, store: str) -> Path:
     return bags.write_mcap(scenes.made(folder) / "room.mcap", bags.entries())
 
 
-def _inverted() -> layouts.np.ndarray:
-    return layouts.np.linalg.inv(layouts.POSES)
-
-
-# -- as a user would ---------------------------------------------------------------------------------------
-def run(command: str, source: Path, out: Path, options: tuple[str, ...]) -> tuple[int, str]:
-    """Run a command of touchfield in the folder of the source; return its exit code and what it reports."""
-    out.unlink(missing_ok=True)
-    report = io.StringIO()
-    with chdir(source.parent), redirect_stderr(report), redirect_stdout(report):
-        code = _exit_code([command, source.name, str(out), *options])
-    return code, report.getvalue()
-
-
-def try_input(entry: Input, folder: Path, nw: int) -> Outcome:
-    """Write an input, run the command and, once, the fix that its message names."""
-    source, out = entry.write(folder / "input"), folder / "out.touch"
-    options = (
-        *entry.options,
-        *(("--nw", str(nw)) if entry.command == "encode" and not _is_array(entry) else ()),
-    )
-    code, report = run(entry.command, source, out, options)
-    if code and not (report.startswith("touchfield: ") and report.count("\n") == 1):
-        return Outcome(f"{WRONG}: more than one line", None, "", report)
-    if not code:
-        error, comment = entry.truth(out)
-        if error <= 1:
-            return Outcome("read", error, comment, report)
-        first = f"noted ({comment})"
-    else:
-        first = "refused"
-    fix, mended = follow(entry, source, report)
-    if not fix:
-        return Outcome(f"{WRONG}: {first}, and no fix is named", None, "", report)
-    if mended is None:
-        return Outcome(f"{first}; fix not run here: {fix}", None, "", report)
-    code, again = run(entry.command, mended[0], out, (*options, *mended[1]))
-    if code:
-        return Outcome(f"{WRONG}: {first}; the fix {fix} was refused", None, "", report + again)
-    error, comment = entry.truth(out)
-    text = f"{first}; fix: {fix}" if error <= 1 else f"{WRONG}: {first}; the fix {fix} gives {comment}"
-    return Outcome(text, error, comment, report)
-
-
-def _is_array(entry: Input) -> bool:
-    return "--device" in entry.options
-
-
-def follow(entry: Input, source: Path, report: str) -> tuple[str, tuple[Path, tuple[str, ...]] | None]:
-    """Do what a message says: return the fix, and the source and options to run; None if it cannot be run here.
-
-    The fix is empty if the message names none.
-    """
-    if match := re.search(r"(?:Convert it|Make a surface of it|Decode it): (.*), then encode (\S+)", report):
-        return converted(match[1], match[2].rstrip("."), source)
-    if match := re.search(r"Convert it: (gunzip .*)\.?$", report.strip()):
-        return converted(match[1].rstrip("."), source.stem, source)
-    if match := re.search(r"--pose-form [\w,]+|--unit-m [\d.e-]+|--depth-scale [\d.e-]+ \(", report):
-        words = match[0].rstrip(" (").split()
-        return " ".join(words), (source, tuple(words))
-    asked = [option for option in entry.answers if option in report]
-    if entry.mended is not None and re.search(
-        r"[Cc]opy|[Gg]ive the pictures|Save|Convert it to|Name a|expected", report
-    ):
-        scenes.remove(source if source.is_dir() else source.parent)
-        whole = entry.mended(source.parent / "mended" if source.is_dir() else source.parent)
-        known = tuple(word for option in asked for word in (option, entry.answers[option]))
-        return "the whole file", (whole, known)
-    if asked:
-        words = [word for option in asked for word in (option, entry.answers[option])]
-        return " ".join(asked), (source, tuple(words))
-    return "", None
-
-
-def converted(command: str, to: str, source: Path) -> tuple[str, tuple[Path, tuple[str, ...]] | None]:
-    """Run a conversion whose programs are installed; packages of Python that are there are not installed again."""
-    names = [name for name in re.findall(r"pip install '?([\w.\[\]-]+)'?", command)]
-    modules = [re.sub(r"\[.*", "", name) for name in names]
-    rest = re.sub(r"pip install [^;]*; ", "", command)
-    missing = [name for name in modules if find_spec(name) is None]
-    program = shlex.split(rest)[0]
-    fix = f"{names[0]}" if names else program
-    if missing or (program not in ("python", "mkdir") and shutil.which(program) is None) or program == "npx":
-        return f"{fix} (not installed here)", None
-    if program == "python":
-        rest = rest.replace("python", shlex.quote(sys.executable), 1)
-    done = subprocess.run(rest, shell=True, cwd=source.parent, capture_output=True, text=True)
-    if done.returncode:
-        return f"{fix} (it failed: {done.stderr.strip().splitlines()[-1][:120]})", None
-    path = source.parent / to
-    inside = sorted(path.iterdir()) if path.is_dir() else [path]
-    return fix, (inside[0] if len(inside) == 1 else path, ())
+def _inverted() -> np.ndarray:
+    return np.linalg.inv(layouts.POSES)

@@ -1,4 +1,4 @@
-"""What a decoded `.touch` file must contain: contacts along rays, forces at points, actuators that are driven.
+"""What a decoded `.touch` file must contain: contacts along rays, forces at points, driven actuators.
 
 Each truth is known by the construction of the input. A check returns its largest error as a multiple of what
 the lattice allows (at most 1 is right), and text that says what was compared.
@@ -42,12 +42,16 @@ class Truth:
 
 @dataclass(frozen=True)
 class Ray:
-    """A hand that moves from a free place into a surface: scene metres, and the true distance to it."""
+    """A hand that moves from a free place into a surface: scene metres, and the true distance to it.
+
+    `normal` is that of the surface; None if the ray is along it.
+    """
 
     start_m: Any
     direction: Any
     distance_m: float
     frame: int = 0
+    normal: Any = None
 
 
 def contacts(rays: list[Ray], frame_count: int | None = None) -> Truth:
@@ -61,10 +65,14 @@ def contacts(rays: list[Ray], frame_count: int | None = None) -> Truth:
 
 
 def contact_error(stream: Any, ray: Ray) -> float:
-    """Return the distance of the first contact from the true one, in spacings; infinite if there is none."""
+    """Return the distance of the first contact from the true surface, in spacings along its normal.
+
+    Infinite if there is no contact, or the force there does not push back.
+    """
     direction = np.asarray(ray.direction, float) / np.linalg.norm(ray.direction)
     field, scale = stream.medium[ray.frame], stream.placement.scale
-    spacing_m = 1 / np.linalg.norm(direction / np.asarray(field.grid.spacing_m))
+    normal = direction if ray.normal is None else np.asarray(ray.normal, float)
+    spacing_m = float(np.linalg.norm(normal * np.asarray(field.grid.spacing_m)))
     true_m = ray.distance_m * scale
     reach_m = np.arange(0.3 * true_m, 1.3 * true_m + 4 * spacing_m, 0.05 * spacing_m)
     points = np.asarray(stream.placement.to_hand(ray.start_m)) + reach_m[:, None] * direction
@@ -72,7 +80,7 @@ def contact_error(stream: Any, ray: Ray) -> float:
     felt = np.flatnonzero(np.linalg.norm(forces, axis=1) > CONTACT_N)
     if not len(felt) or forces[felt[0]] @ direction >= 0:
         return float("inf")
-    return float(abs(reach_m[felt[0]] - true_m) / spacing_m)
+    return float(abs((reach_m[felt[0]] - true_m) * (normal @ direction)) / spacing_m)
 
 
 def seen_by_cameras(frames: tuple[int, ...] = (0, 3), frame_count: int = 4) -> Truth:
@@ -84,8 +92,17 @@ def seen_by_cameras(frames: tuple[int, ...] = (0, 3), frame_count: int = 4) -> T
             for v in (room.HEIGHT * f for f in (0.3, 0.5, 0.7)):
                 ray = poses[frame, :3, :3] @ np.array([(u - cx) / fx, (v - cy) / fy, 1.0])
                 length = room.along_rays_m(ray, poses[frame, :3, 3]) * np.linalg.norm(ray)
-                rays.append(Ray(poses[frame, :3, 3], ray, float(length)))
+                rays.append(Ray(poses[frame, :3, 3], ray, float(length), 0, wall_normal(poses[frame], ray)))
     return contacts(rays, frame_count)
+
+
+def wall_normal(pose: np.ndarray, ray: np.ndarray) -> np.ndarray:
+    """Return the normal of the wall that a ray meets, outwards."""
+    reached = pose[:3, 3] + room.along_rays_m(ray, pose[:3, 3]) * ray
+    sides = np.concatenate([np.abs(reached - room.LOW), np.abs(reached - room.HIGH)])
+    normal = np.zeros(3)
+    normal[sides.argmin() % 3] = 1 if sides.argmin() >= 3 else -1
+    return normal
 
 
 def heights(
@@ -139,17 +156,24 @@ def forces(positions_m: np.ndarray, forces_n: np.ndarray) -> Truth:
     return Truth(measure)
 
 
-def driven(frame: int, index: tuple[int, int], silent_frame: int, frame_count: int | None = None) -> Truth:
-    """Return the truth of an array: the actuator at `index` is the strongest in one frame, all rest in another."""
+def driven(time_s: float, index: tuple[int, int], silent_s: float, seconds: float) -> Truth:
+    """Return the truth of an array: `index` is the strongest at one time, all rest at another.
+
+    `seconds` is the duration of the medium, within a tenth.
+    """
 
     def measure(stream: Any) -> tuple[float, str]:
-        amplitude = drives(stream.medium, frame)
-        strongest = np.unravel_index(int(amplitude.argmax()), amplitude.shape)[:2]
-        is_right = tuple(map(int, strongest)) == index and not drives(stream.medium, silent_frame).any()
-        text = f"actuator {tuple(map(int, strongest))} driven in frame {frame}"
-        return (0.0 if is_right else float("inf")), text
+        medium = stream.medium
+        duration_s = len(medium) / medium.rate_hz
+        if abs(duration_s - seconds) > 0.1 * seconds:
+            return float("inf"), f"{duration_s:.3g} s, not {seconds:g} s"
+        amplitude = drives(medium, round(time_s * medium.rate_hz))
+        strongest = tuple(map(int, np.unravel_index(int(amplitude.argmax()), amplitude.shape)[:2]))
+        is_silent = not drives(medium, round(silent_s * medium.rate_hz)).any()
+        text = f"actuator {strongest} driven after {time_s:g} s"
+        return (0.0 if strongest == index and is_silent and amplitude.any() else float("inf")), text
 
-    return Truth(measure, frame_count)
+    return Truth(measure)
 
 
 def drives(medium: Any, frame: int) -> np.ndarray:
