@@ -216,7 +216,7 @@ def cube_model(vertices: Any = CUBE, faces: Any = CUBE_FACES, **node: Any) -> Gl
 
 
 def write_glb(folder: Path) -> Path:
-    return cube_model().save(made(folder) / "cube.glb")
+    return cube_model().save(made(folder) / "cube.glb", "glb")
 
 
 def write_gltf(folder: Path) -> Path:
@@ -228,7 +228,7 @@ def write_moving_glb(folder: Path) -> Path:
     """The cube moves from 0 to 2 m along x within a second."""
     model = cube_model()
     model.animate(0, "translation", [0, 1], [[0, 0, 0], [2, 0, 0]])
-    return model.save(made(folder) / "moving.glb")
+    return model.save(made(folder) / "moving.glb", "glb")
 
 
 def write_morph_glb(folder: Path) -> Path:
@@ -238,7 +238,7 @@ def write_morph_glb(folder: Path) -> Path:
     higher[CUBE[:, 1] > 0.5, 1] = 1.0
     model.put("nodes", mesh=model.mesh(CUBE, CUBE_FACES, targets=[higher]))
     model.animate(0, "weights", [0, 1], [[0.0], [1.0]])
-    return model.save(made(folder) / "morph.glb")
+    return model.save(made(folder) / "morph.glb", "glb")
 
 
 def write_mirrored_sheet(folder: Path) -> Path:
@@ -246,7 +246,7 @@ def write_mirrored_sheet(folder: Path) -> Path:
     sheet = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     model = cube_model(sheet, [[0, 1, 2], [0, 2, 3]])
     model.animate(0, "scale", [0, 1, 2], [[1, 1, 1], [-1, 1, 1], [-1, 1, 1]], how="STEP")
-    return model.save(made(folder) / "sheet.glb")
+    return model.save(made(folder) / "sheet.glb", "glb")
 
 
 def write_cut_glb(folder: Path) -> Path:
@@ -268,7 +268,7 @@ def write_draco(folder: Path) -> Path:
     primitive = {"attributes": {"POSITION": position}, "indices": indices, "mode": 4, "extensions": extension}
     model.put("nodes", mesh=model.put("meshes", primitives=[primitive]))
     model.json["extensionsUsed"] = model.json["extensionsRequired"] = [name]
-    return model.save(made(folder) / "draco.glb")
+    return model.save(made(folder) / "draco.glb", "glb")
 
 
 def write_3mf(folder: Path) -> Path:
@@ -518,7 +518,7 @@ def write_zarr(folder: Path) -> Path:
 
 def probed() -> tuple[np.ndarray, np.ndarray]:
     """Return positions of a probe [n, 3], metres, and the forces of a spring to the centre, newtons."""
-    points = np.random.default_rng(RNG_SEED).uniform(-0.02, 0.02, (3000, 3))
+    points = np.random.default_rng(RNG_SEED).uniform(-0.02, 0.02, (800, 3))
     return points, -points * 100.0
 
 

@@ -27,7 +27,9 @@ GROWN = truth.contacts(
 )
 FIELD = truth.forces(*scenes.field_points())
 BLINK = truth.driven(0.66, (6, 6), 0.1, 0.8)
-SPRING_POINTS = slice(0, 300)
+MOVED_UP = truth.box((0, 1, 0), (1, 2, 1))
+SPRING = truth.forces(*(values[:300] for values in scenes.probed()))
+DOTS = truth.driven(0.03, (2, 3), 0.08, 0.12)
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,7 @@ class Input:
     mended : writes the input as it is without its damage; None if it has none.
     needs : modules without which the input cannot be written.
     is_layout : it is right, and belongs on the page of layouts.
+    is_foreign : it is a format of other programs, which may be read, or refused with a conversion.
     """
 
     name: str
@@ -54,12 +57,24 @@ class Input:
     mended: Callable[[Path], Path] | None = None
     needs: tuple[str, ...] = ()
     is_layout: bool = True
+    is_foreign: bool = False
     command: str = "encode"
 
     @property
     def is_available(self) -> bool:
         """Everything that writes the input is installed."""
         return all(find_spec(name) is not None for name in self.needs)
+
+
+def cut(write: Callable[[Path], Path]) -> Callable[[Path], Path]:
+    """Return a writer of the same file, cut to six tenths of its bytes."""
+
+    def write_cut(folder: Path) -> Path:
+        path = write(folder)
+        path.write_bytes(path.read_bytes()[: path.stat().st_size * 6 // 10])
+        return path
+
+    return write_cut
 
 
 MM, KNOWN = ("--depth-scale", "1000"), {"--intrinsics": CAMERA, "--depth-scale": "1000"}
@@ -148,7 +163,7 @@ CORPUS = [
     Input("ply", "mesh: PLY", scenes.write_ply, CUBE),
     Input("off", "mesh: OFF", scenes.write_off, CUBE),
     Input("glb", "mesh: glTF", scenes.write_glb, CUBE),
-    Input("gltf", "mesh: glTF", scenes.write_gltf, truth.box((0, 1, 0), (1, 2, 1))),
+    Input("gltf", "mesh: glTF", scenes.write_gltf, MOVED_UP),
     Input("triangle twice", "mesh: OBJ", scenes.write_duplicate, CUBE, is_layout=False),
     Input("sheet inside", "mesh: OBJ", scenes.write_inner_sheet, CUBE, is_layout=False),
     Input(
@@ -169,17 +184,17 @@ CORPUS = [
         ),
         is_layout=False,
     ),
-    Input("3mf", "mesh: 3MF", scenes.write_3mf, CUBE),
-    Input("collada", "mesh: COLLADA", scenes.write_dae, CUBE),
-    Input("step", "solid: STEP", scenes.write_step, CUBE),
-    Input("usd", "scene: USD", scenes.write_usda, CUBE),
-    Input("draco", "mesh: glTF with Draco", scenes.write_draco, CUBE, needs=("DracoPy",)),
+    Input("3mf", "mesh: 3MF", scenes.write_3mf, CUBE, is_foreign=True),
+    Input("collada", "mesh: COLLADA", scenes.write_dae, CUBE, is_foreign=True),
+    Input("step", "solid: STEP", scenes.write_step, CUBE, is_foreign=True),
+    Input("usd", "scene: USD", scenes.write_usda, CUBE, is_foreign=True),
+    Input("draco", "mesh: glTF with Draco", scenes.write_draco, CUBE, needs=("DracoPy",), is_foreign=True),
     Input("zip", "archive", scenes.write_zip, CUBE, is_layout=False),
     Input("gz", "compressed file", scenes.write_hgt_gz, TILE, is_layout=False),
     # point clouds
-    Input("cloud ply", "point cloud: PLY", scenes.write_cloud_ply, BALL),
-    Input("cloud pcd", "point cloud: PCD", scenes.write_pcd, BALL),
-    Input("cloud las", "point cloud: LAS", scenes.write_las, BALL),
+    Input("cloud ply", "point cloud: PLY", scenes.write_cloud_ply, BALL, is_foreign=True),
+    Input("cloud pcd", "point cloud: PCD", scenes.write_pcd, BALL, is_foreign=True),
+    Input("cloud las", "point cloud: LAS", scenes.write_las, BALL, is_foreign=True),
     # bodies
     Input("shapes", "shapes: .toml", scenes.write_shapes, truth.sphere(0.05, (0.1, 0, 0))),
     Input(
@@ -196,6 +211,7 @@ CORPUS = [
         scenes.write_urdf,
         truth.box((-0.2, -0.1, 0.4), (0.2, 0.1, 0.6)),
         needs=("mujoco",),
+        is_foreign=True,
     ),
     # fields, recordings, video, effects
     Input("field npz", "field: .npz", scenes.write_field_npz, FIELD, ("--mapping", "1")),
@@ -205,7 +221,7 @@ CORPUS = [
         "contacts",
         "recorded contacts: .csv",
         scenes.write_contacts,
-        truth.forces(*(values[SPRING_POINTS] for values in scenes.probed())),
+        SPRING,
     ),
     Input("film", "video, for a vest", scenes.write_film, BLINK, VEST, needs=("av",)),
     Input("gif", "video, for a vest", scenes.write_gif, BLINK, VEST, needs=("av",)),
@@ -218,9 +234,7 @@ CORPUS = [
         needs=("av",),
         is_layout=False,
     ),
-    Input(
-        "tact", "effect: .tact", scenes.write_tact, truth.driven(0.03, (2, 3), 0.08, 0.12), command="import"
-    ),
+    Input("tact", "effect: .tact", scenes.write_tact, DOTS, command="import"),
     Input(
         "ahap", "effect: .ahap", scenes.write_ahap, truth.driven(0.15, (0, 0), 0.02, 0.32), command="import"
     ),
@@ -269,6 +283,94 @@ CORPUS = [
         is_layout=False,
     ),
     Input("cut glb", "wrong: cut file", scenes.write_cut_glb, CUBE, mended=scenes.write_glb, is_layout=False),
+    Input(
+        "cut stl", "wrong: cut file", cut(scenes.write_stl), CUBE, mended=scenes.write_stl, is_layout=False
+    ),
+    Input(
+        "cut ply", "wrong: cut file", cut(scenes.write_ply), CUBE, mended=scenes.write_ply, is_layout=False
+    ),
+    Input(
+        "cut gltf",
+        "wrong: cut file",
+        cut(scenes.write_gltf),
+        MOVED_UP,
+        mended=scenes.write_gltf,
+        is_layout=False,
+    ),
+    Input(
+        "cut npz",
+        "wrong: cut file",
+        cut(scenes.write_xy_npz),
+        HILL,
+        mended=scenes.write_xy_npz,
+        is_layout=False,
+    ),
+    Input(
+        "cut asc", "wrong: cut file", cut(scenes.write_asc), HILL, mended=scenes.write_asc, is_layout=False
+    ),
+    Input(
+        "cut geotiff",
+        "wrong: cut file",
+        cut(scenes.write_geotiff),
+        SLOPE,
+        mended=scenes.write_geotiff,
+        is_layout=False,
+    ),
+    Input(
+        "cut netcdf",
+        "wrong: cut file",
+        cut(scenes.write_netcdf),
+        HILL,
+        mended=scenes.write_netcdf,
+        needs=("scipy",),
+        is_layout=False,
+    ),
+    Input(
+        "cut csv",
+        "wrong: cut file",
+        cut(scenes.write_contacts),
+        SPRING,
+        mended=scenes.write_contacts,
+        is_layout=False,
+    ),
+    Input(
+        "cut video",
+        "wrong: cut file",
+        cut(scenes.write_film),
+        BLINK,
+        VEST,
+        mended=scenes.write_film,
+        needs=("av",),
+        is_layout=False,
+    ),
+    Input(
+        "cut gif",
+        "wrong: cut file",
+        cut(scenes.write_gif),
+        BLINK,
+        VEST,
+        mended=scenes.write_gif,
+        needs=("av",),
+        is_layout=False,
+    ),
+    Input(
+        "cut tact",
+        "wrong: cut file",
+        cut(scenes.write_tact),
+        DOTS,
+        mended=scenes.write_tact,
+        is_layout=False,
+        command="import",
+    ),
+    Input(
+        "cut model",
+        "wrong: cut file",
+        cut(scenes.write_mjcf),
+        truth.sphere(0.1, (0, 0, 2)),
+        mended=scenes.write_mjcf,
+        needs=("mujoco",),
+        is_layout=False,
+    ),
     Input(
         "cut tile", "wrong: cut file", scenes.write_cut_hgt, TILE, mended=scenes.write_hgt, is_layout=False
     ),

@@ -24,6 +24,7 @@ from source_corpus import Input
 from touchfield.cli.main import _exit_code
 
 WRONG = "WRONG"
+CONVERSIONS = "Convert it|Expand it|For their own times|Make a surface of it|Decode it"
 
 
 @dataclass(frozen=True)
@@ -85,9 +86,7 @@ def follow(entry: Input, source: Path, report: str) -> tuple[str, tuple[Path, tu
 
     The fix is empty if the message names none; source and options are None if it cannot be run here.
     """
-    if match := re.search(
-        r"(?:Convert it|For their own times|Make a surface of it|Decode it): (.*), then encode (\S+)", report
-    ):
+    if match := re.search(rf"(?:{CONVERSIONS}): (.*), then encode (\S+)", report):
         return converted(match[1], match[2].rstrip("."), source)
     if match := re.search(r"Convert it: (gunzip .*)\.?$", report.strip()):
         return converted(match[1].rstrip("."), source.stem, source)
@@ -98,7 +97,7 @@ def follow(entry: Input, source: Path, report: str) -> tuple[str, tuple[Path, tu
         return f"{match[1]} (not installed here)", None
     asked = [option for option in entry.answers if option in report]
     if entry.mended is not None and re.search(
-        r"[Cc]opy|Check the file|[Gg]ive the pictures|Unpack|Convert it to|Name a", report
+        r"[Cc]opy|Check the file|Export it again|[Gg]ive the pictures|Unpack|Convert it to|Name a", report
     ):
         scenes.remove(source if source.is_dir() else source.parent)
         whole = entry.mended(source.parent / "mended" if source.is_dir() else source.parent)

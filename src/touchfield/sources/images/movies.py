@@ -46,6 +46,7 @@ _FORMATS: Final = {".mkv": "matroska", ".avi": "avi", ".mov": "mov", ".mp4": "mo
 VIDEO_SUFFIXES: Final = tuple(_FORMATS)
 _OPTIONS: Final = {"err_detect": "crccheck+explode", "trans_color": "0"}
 """Decoder options: damaged data are an error, and transparent pixels of a GIF are black."""
+_GIF_TAIL: Final = 4096  # bytes at the end, zeros of a padding included
 _UNEVEN: Final = 1.5  # longest over shortest time between frames, from which a note is given
 _MAX_EVEN_HZ: Final = 100
 _NEUTRAL: Final = 12  # 8-bit levels by which red, green and blue of a grey may differ after lossy coding
@@ -74,6 +75,18 @@ def video_header(path: Path) -> VideoHeader:
     """Read the header of the first video stream."""
     with _opened(path) as (_, _, header):
         return header
+
+
+def unfinished_note(path: Path) -> tuple[str, ...]:
+    """Return a note for a GIF without its last byte: it declares no number of frames that could be compared."""
+    if path.suffix.lower() != ".gif":
+        return ()
+    with path.open("rb") as stream:
+        stream.seek(max(0, path.stat().st_size - _GIF_TAIL))
+        end = stream.read(_GIF_TAIL).rstrip(b"\0")
+    if end.endswith(b";"):
+        return ()
+    return ("The file does not end as a GIF does: frames may be missing. Copy it again.",)
 
 
 def uneven_note(path: Path, gaps_s: Float64s, rate_hz: float | None) -> tuple[str, ...]:
@@ -109,7 +122,7 @@ class GreyVideo(InOrder):
             gaps_s = np.diff(np.sort(self._stamps)) * float(stream.time_base or 0)
         super().__init__(str(path), len(self._stamps))
         self.size, self.rate_hz = (self.header.width, self.header.height), self.header.rate_hz
-        self.notes = uneven_note(path, gaps_s, self.rate_hz)
+        self.notes = (*unfinished_note(path), *uneven_note(path, gaps_s, self.rate_hz))
 
     def _decode_start(self, frame: int) -> int:
         return self._keys[bisect_right(self._keys, frame) - 1]
