@@ -10,6 +10,7 @@ import tifffile
 
 ROWS = 115.0 - np.arange(16.0)[:, None]
 NORTH_UP = (ROWS + 0.01 * np.arange(16.0)).astype(np.float32)  # falls to the south, rises to the east
+NORTH_UP.flags.writeable = False
 METRES = (1, 1, 0, 2, 1024, 0, 1, 1, 1025, 0, 1, 1)
 SCALE, TIE = (33550, (10.0, 10.0, 0.0)), (33922, (0.0, 0.0, 0.0, 5e5, 4.2e6, 0.0))
 SIZE_M = np.array([150.0, 150.0])
@@ -38,4 +39,4 @@ def data_array(**attributes: Any) -> Any:
     import xarray
 
     x, y = 10.0 * np.arange(16), 10.0 * np.arange(16)
-    return xarray.DataArray(NORTH_UP[::-1], {"y": y, "x": x}, ("y", "x"), "ground", attributes)
+    return xarray.DataArray(NORTH_UP[::-1].copy(), {"y": y, "x": x}, ("y", "x"), "ground", attributes)

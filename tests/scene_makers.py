@@ -241,6 +241,37 @@ def write_morph_glb(folder: Path) -> Path:
     return model.save(made(folder) / "morph.glb", "glb")
 
 
+def turned(points: Any, degrees: float) -> np.ndarray:
+    """Return points [..., 3] turned about z."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return np.asarray(points, float) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+
+
+def write_turning_glb(folder: Path) -> Path:
+    """The cube turns by a quarter about z within a second, by a cubic spline at rest at both ends."""
+    model, rest, half = cube_model(), [0.0, 0, 0, 0], float(np.sqrt(0.5))
+    values = [rest, [0, 0, 0, 1], rest, rest, [0, 0, half, half], rest]
+    model.animate(0, "rotation", [0, 1], values, how="CUBICSPLINE")
+    return model.save(made(folder) / "turning.glb", "glb")
+
+
+def write_sparse_glb(folder: Path) -> Path:
+    """The morph of `write_morph_glb` as a sparse accessor of the four vertices that move."""
+    model = Gltf()
+    indices, moves = np.flatnonzero(CUBE[:, 1] > 0.5), np.tile([0.0, 1.0, 0.0], (4, 1))
+    stored = {
+        "count": 4,
+        "indices": {"bufferView": model.view(indices.astype("<u2").tobytes()), "componentType": 5123},
+        "values": {"bufferView": model.view(moves.astype("<f4").tobytes())},
+    }
+    target = model.put("accessors", componentType=5126, type="VEC3", count=8, sparse=stored)
+    mesh = model.mesh(CUBE, CUBE_FACES)
+    model.json["meshes"][mesh]["primitives"][0]["targets"] = [{"POSITION": target}]
+    model.put("nodes", mesh=mesh)
+    model.animate(0, "weights", [0, 1], [[0.0], [1.0]])
+    return model.save(made(folder) / "sparse.glb", "glb")
+
+
 def write_mirrored_sheet(folder: Path) -> Path:
     """An open sheet that faces +z, whose scale along x becomes -1 after a second."""
     sheet = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
@@ -451,6 +482,17 @@ def write_mjcf(folder: Path) -> Path:
         '  <keyframe><key name="home" qpos="0 0 2 1 0 0 0"/></keyframe>\n</mujoco>\n'
     )
     return folder / "key.xml"
+
+
+def write_height_field(folder: Path) -> Path:
+    """A ramp that rises by 1 m from y = -1 to 1 m; the first row of the text is the northern one."""
+    rows = " ".join(f"{z:.4f}" for z in np.repeat([1.0, 2 / 3, 1 / 3, 0.0], 6))
+    (made(folder) / "ramp.xml").write_text(
+        '<mujoco>\n  <asset>\n    <hfield name="h" nrow="4" ncol="6" size="2 1 1 0.1" '
+        f'elevation="{rows}"/>\n  </asset>\n  <worldbody>\n    <geom type="hfield" hfield="h" '
+        'pos="0 0 0.2"/>\n  </worldbody>\n</mujoco>\n'
+    )
+    return folder / "ramp.xml"
 
 
 def write_urdf(folder: Path) -> Path:

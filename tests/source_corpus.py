@@ -25,6 +25,22 @@ MOVED = truth.contacts([*truth.box_rays((0, 0, 0), (1, 1, 1)), *truth.box_rays((
 GROWN = truth.contacts(
     [*truth.box_rays((0, 0, 0), (1, 1, 1)), *truth.box_rays((0, 0, 0), (1, 1.5, 1), 30)], 60
 )
+TURNED = truth.contacts(
+    [
+        *truth.box_rays((0, 0, 0), (1, 1, 1)),
+        truth.Ray(scenes.turned((1.4, 0.5, 0.5), 45), scenes.turned((-1, 0, 0), 45), 0.4, 30),
+        truth.Ray(scenes.turned((0.5, 1.4, 0.5), 45), scenes.turned((0, -1, 0), 45), 0.4, 30),
+    ],
+    60,
+)
+RAMP_NORMAL = (0, -0.447, 0.894)
+RAMP = truth.contacts(
+    [
+        truth.Ray((x, y, 2.0), (0, 0, -1), 2.0 - (0.2 + (y + 1) / 2), 0, RAMP_NORMAL)
+        for x in (-1, 0, 1)
+        for y in (-0.6, 0, 0.6)
+    ]
+)
 FIELD = truth.forces(*scenes.field_points())
 BLINK = truth.driven(0.66, (6, 6), 0.1, 0.8)
 MOVED_UP = truth.box((0, 1, 0), (1, 2, 1))
@@ -175,6 +191,8 @@ CORPUS = [
     ),
     Input("moving glb", "model: animated glTF", scenes.write_moving_glb, MOVED),
     Input("morph glb", "model: animated glTF", scenes.write_morph_glb, GROWN),
+    Input("turning glb", "model: animated glTF", scenes.write_turning_glb, TURNED, is_layout=False),
+    Input("sparse morph", "model: animated glTF", scenes.write_sparse_glb, GROWN, is_layout=False),
     Input(
         "mirrored sheet",
         "model: animated glTF",
@@ -205,6 +223,9 @@ CORPUS = [
         needs=("mujoco",),
     ),
     Input("mujoco model", "bodies: MJCF", scenes.write_mjcf, truth.sphere(0.1, (0, 0, 2)), needs=("mujoco",)),
+    Input(
+        "height field", "bodies: MJCF", scenes.write_height_field, RAMP, needs=("mujoco",), is_layout=False
+    ),
     Input(
         "urdf",
         "robot: URDF",

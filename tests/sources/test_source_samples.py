@@ -84,6 +84,16 @@ def test_the_fix_of_a_message_works(tmp_path: Path, name: str) -> None:
     assert outcome.is_right and outcome.text != "read", outcome
 
 
+@pytest.mark.parametrize("name", ["map coordinates", "turning glb", "sparse morph", "height field"])
+def test_what_was_right_stays_right(tmp_path: Path, name: str) -> None:
+    """Far from the origin; a cubic spline of rotations; a sparse morph target; a field of heights in MJCF."""
+    entry = next(entry for entry in CORPUS if entry.name == name)
+    for needed in entry.needs:
+        pytest.importorskip(needed)
+    outcome = try_input(entry, tmp_path, 5)
+    assert outcome.text == "read", outcome
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("entry", CORPUS, ids=[entry.name for entry in CORPUS])
 def test_each_input_goes_in_right_or_is_refused_with_a_fix(tmp_path: Path, entry: Input) -> None:

@@ -78,7 +78,7 @@ def video_header(path: Path) -> VideoHeader:
 
 
 def unfinished_note(path: Path) -> tuple[str, ...]:
-    """Return a note for a GIF without its last byte: it declares no number of frames that could be compared."""
+    """Return a note for a GIF without its last byte: it declares no number of frames to compare with."""
     if path.suffix.lower() != ".gif":
         return ()
     with path.open("rb") as stream:
