@@ -80,7 +80,8 @@ def _height_name(path: Path, headers: Mapping[str, Any]) -> str:
     if not named and len(maps) != 1:
         listed = ", ".join(headers) or "(none)"
         expected = f"one named {', '.join(HEIGHT_KEYS)}, or a single map"
-        raise SourceError(str(path), f"the arrays {listed}", expected)
+        mend = "Rename the array of heights, or store it alone."
+        raise SourceError(str(path), f"the arrays {listed}", expected, mend)
     name = (named or maps)[0]
     if not is_map[name]:
         raise SourceError(f"{path}, array {name}", headers[name].description, "numbers [rows, cols]")
@@ -312,7 +313,8 @@ def _height_variable(where: str, variables: Mapping[str, Labelled]) -> str:
     named += [n for n, v in maps.items() if v.attributes.get("standard_name") in _STANDARD_NAMES]
     if not named and len(maps) != 1:
         found = f"the maps {', '.join(maps) or '(none)'}"
-        raise SourceError(where, found, f"one named {', '.join(HEIGHT_KEYS)}, or a single map")
+        expected = f"one named {', '.join(HEIGHT_KEYS)}, or a single map"
+        raise SourceError(where, found, expected, "Rename the map of heights, or store it alone.")
     return (named or list(maps))[0]
 
 
