@@ -11,9 +11,10 @@ import pytest
 
 import layout_makers as layouts
 import scene_makers as scenes
+from source_corpus import CORPUS
 from touchfield.pipeline import encode
 from touchfield.pipeline.spec import EncodeSpec
-from touchfield.sources import camera
+from touchfield.sources import camera, registry
 from touchfield.sources.images.pictures import PictureFrames
 
 
@@ -35,6 +36,17 @@ def test_each_depth_picture_is_decoded_once_if_memory_allows(
     assert set(decoded) == {0, 1, 2, 3}
     assert (max(decoded.values()) == 1) == is_small
     assert min(decoded.values()) == 1  # the one that fits stays
+
+
+def test_kinds_of_folders_recognise_no_file(tmp_path: Path) -> None:
+    """They are not asked about a file, so that their modules are not imported."""
+    assert set(registry.MODULES) >= registry.FOLDER_MODULES
+    folders = [registry._kind(*entry.split(":")) for entry in registry.FOLDER_MODULES]
+    for i, entry in enumerate(CORPUS):
+        if entry.is_available and entry.is_layout:
+            path = entry.write(tmp_path / str(i))
+            if path.is_file():
+                assert not [kind.name for kind in folders if kind.recognise(path)], path
 
 
 def test_a_mesh_imports_no_module_of_depth_and_terrain(tmp_path: Path) -> None:

@@ -55,6 +55,24 @@ MODULES = (  # in the order in which they are tried: specific kinds before gener
 )
 
 
+FOLDER_MODULES = frozenset(
+    (
+        "depth.recorders.stray_scanner",
+        "depth.recorders.polycam",
+        "depth.recorders.nerfstudio",
+        "depth.recorders.bundlefusion",
+        "depth.recorders.realsense",
+        "depth.layouts:tum",
+        "depth.layouts:redwood",
+        "depth.layouts:sun3d",
+        "depth.layouts:3dmatch",
+        "depth.recorders.open3d_recording",
+        "depth.layouts:depth-folder",
+    )
+)
+"""Those of `MODULES` that recognise folders only, and are not imported for a file."""
+
+
 @dataclass(frozen=True)
 class SourceKind:
     """One kind of source.
@@ -86,10 +104,14 @@ def kinds() -> tuple[SourceKind, ...]:
     return tuple(_kinds_in_order())
 
 
-def _kinds_in_order() -> Iterator[SourceKind]:
-    """Yield the kinds in the order in which they are tried, and import no module before its turn."""
+def _kinds_in_order(is_file: bool = False) -> Iterator[SourceKind]:
+    """Yield the kinds in the order in which they are tried, and import no module before its turn.
+
+    Those of folders are left out for a file.
+    """
     yield from plugins("touchfield.sources", SourceKind).values()
-    yield from (_kind(*entry.split(":")) for entry in MODULES)
+    entries = (entry for entry in MODULES if not (is_file and entry in FOLDER_MODULES))
+    yield from (_kind(*entry.split(":")) for entry in entries)
 
 
 @cache
@@ -117,7 +139,7 @@ def open_source(path: str | Path, options: SourceOptions | None = None) -> Scene
     require_plain(path, "a file or folder", or_folder=True)
     if name is not None:
         return by_name[name].open(path, options)
-    for kind in _kinds_in_order():
+    for kind in _kinds_in_order(is_file=not path.is_dir()):
         if kind.recognise(path):
             return kind.open(path, options)
     if not path.is_dir():
