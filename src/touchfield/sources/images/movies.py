@@ -48,6 +48,7 @@ _OPTIONS: Final = {"err_detect": "crccheck+explode", "trans_color": "0"}
 """Decoder options: damaged data are an error, and transparent pixels of a GIF are black."""
 _GIF_TAIL: Final = 4096  # bytes at the end, zeros of a padding included
 _UNEVEN: Final = 1.5  # longest over shortest time between frames, from which a note is given
+_ROUNDED_S: Final = 1.5e-3  # times in whole milliseconds, as Matroska stores them, differ by one
 _MAX_EVEN_HZ: Final = 100
 _NEUTRAL: Final = 12  # 8-bit levels by which red, green and blue of a grey may differ after lossy coding
 
@@ -95,7 +96,7 @@ def uneven_note(path: Path, gaps_s: Float64s, rate_hz: float | None) -> tuple[st
     `gaps_s` float64 [frames - 1] are the seconds from one frame to the next; 0 if they are unknown.
     """
     gaps_s = gaps_s[gaps_s > 0]
-    if len(gaps_s) == 0 or gaps_s.max() <= _UNEVEN * gaps_s.min():
+    if len(gaps_s) == 0 or gaps_s.max() <= _UNEVEN * gaps_s.min() + _ROUNDED_S:
         return ()
     rate = "one rate" if rate_hz is None else f"{rate_hz:.4g} a second"
     frequent_hz = min(_MAX_EVEN_HZ, round(1 / float(gaps_s.min())) or 1)
