@@ -283,3 +283,13 @@ def test_invalid_stacks_are_refused(tmp_path: Path) -> None:
     np.save(path, depths_mm(2).astype(np.uint8))
     with pytest.raises(SourceError, match="uint8"):
         depth_stack.read_sequence(path, OPTIONS)
+
+
+def test_frames_at_unequal_times_are_noted_with_a_command() -> None:
+    even, rounded = np.full(9, 0.04), 1e-3 * (1 + np.arange(9) % 2)
+    assert movies.uneven_note(Path("a.mkv"), even, 25.0) == ()
+    assert movies.uneven_note(Path("a.mkv"), rounded, 667.0) == ()  # times in whole milliseconds
+    assert movies.uneven_note(Path("a.mkv"), np.zeros(9), None) == ()  # no times
+    (note,) = movies.uneven_note(Path("my film.mkv"), np.array([0.04, 0.04, 0.4]), 6.25)
+    assert "0.04 to 0.4 s apart, and are read at 6.25 a second" in note
+    assert "ffmpeg -i 'my film.mkv' -vf fps=25 -c:v ffv1 even.mkv, then encode even.mkv" in note

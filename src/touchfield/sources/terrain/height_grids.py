@@ -80,7 +80,8 @@ def _height_name(path: Path, headers: Mapping[str, Any]) -> str:
     if not named and len(maps) != 1:
         listed = ", ".join(headers) or "(none)"
         expected = f"one named {', '.join(HEIGHT_KEYS)}, or a single map"
-        raise SourceError(str(path), f"the arrays {listed}", expected)
+        mend = "Rename the array of heights, or store it alone."
+        raise SourceError(str(path), f"the arrays {listed}", expected, mend)
     name = (named or maps)[0]
     if not is_map[name]:
         raise SourceError(f"{path}, array {name}", headers[name].description, "numbers [rows, cols]")
@@ -165,7 +166,8 @@ def read_asc(path: Path) -> tuple[NDArray[Any], GeoReference]:
     except ValueError as error:
         raise SourceError(str(path), f"a height that is no number ({error})", "numbers") from error
     if len(values) != rows * cols:
-        raise SourceError(str(path), f"{len(values)} heights", f"{rows * cols} of {rows} rows of {cols}")
+        expected = f"{rows * cols} of {rows} rows of {cols}"
+        raise SourceError(str(path), f"{len(values)} heights", expected, "Copy the file again.")
     left = head.get("xllcorner", head.get("xllcenter", math.nan) - dx / 2)
     bottom = head.get("yllcorner", head.get("yllcenter", math.nan) - dy / 2)
     affine = dx, 0.0, left, 0.0, -dy, bottom + dy * rows
@@ -311,7 +313,8 @@ def _height_variable(where: str, variables: Mapping[str, Labelled]) -> str:
     named += [n for n, v in maps.items() if v.attributes.get("standard_name") in _STANDARD_NAMES]
     if not named and len(maps) != 1:
         found = f"the maps {', '.join(maps) or '(none)'}"
-        raise SourceError(where, found, f"one named {', '.join(HEIGHT_KEYS)}, or a single map")
+        expected = f"one named {', '.join(HEIGHT_KEYS)}, or a single map"
+        raise SourceError(where, found, expected, "Rename the map of heights, or store it alone.")
     return (named or list(maps))[0]
 
 
