@@ -19,7 +19,7 @@ from touchfield.compute.threads import Progress, silent
 from touchfield.devices import device_names
 from touchfield.errors import InvalidArgument
 from touchfield.medium import HapticMedium
-from touchfield.network.mux import demux
+from touchfield.network.demux import demux
 from touchfield.network.opening import open_stream
 from touchfield.pipeline.comparison import compare, source_medium
 from touchfield.pipeline.encoding import encode, encode_prepared
