@@ -405,6 +405,7 @@ def _first_picture_s(tracks: list[_Track]) -> float:
 def _is_start_unknown(track: _Track) -> bool:
     """Whether the first sample is at the time 0 of a fragmented file without edits.
 
-    ffmpeg writes that for every start, if it writes `moov` before it has seen the first sample.
+    ffmpeg writes that for every start if it writes `moov` before it has seen the first sample, and Bento4
+    leaves the edits out.
     """
     return bool(track.runs) and not track.has_edits and not track.runs[0].start

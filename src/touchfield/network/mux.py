@@ -16,6 +16,7 @@ SupplementalProperty gives the time of the movie, in seconds, at which the touch
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -38,6 +39,12 @@ from touchfield.pipeline.decoding import stream_of
 
 START_SCHEME: Final = "urn:touchfield:begins-s"
 _CLOCK: Final = Fraction(1, 90000)
+_SPARE_SAMPLES: Final = 8
+_SPARE_S: Final = 0.01
+"""Each time that ffmpeg 5 copies its own copy of an MP4, it drops the last sample of a track for data. So
+many samples at the end, at this distance, hold only the record of the start, and are no loss.
+"""
+
 _FORMS: Final = (".mp4", ".m4v", ".mov", ".ts", ".mkv", ".mpd")
 
 
@@ -172,6 +179,10 @@ def _samples(reader: TouchReader, first_s: float, start_s: float, is_ts: bool) -
             sample = KLV + (len(again) + len(sample)).to_bytes(4, "big") + again + sample
         yield first_s + entry.first_frame / rate_hz, entry.frame_count / rate_hz, sample
         position = stop
+    sync = sync_record(start_s)
+    end = KLV + len(sync).to_bytes(4, "big") + sync if is_ts else sync
+    for i in range(_SPARE_SAMPLES):
+        yield first_s + reader.head.frame_count / rate_hz + i * _SPARE_S, _SPARE_S, end
 
 
 def _with_sync(reader: TouchReader, start_s: float) -> bytes:
@@ -208,7 +219,8 @@ def _copy(
                     packet.pts = packet.dts = round(start_s / _CLOCK)
                     packet.duration = round(length_s / _CLOCK)
                     sink.mux(packet)
-                    report(len(samples) - len(waiting), len(samples))
+                    if len(waiting) >= _SPARE_SAMPLES:
+                        report(len(samples) - len(waiting), len(samples) - _SPARE_SAMPLES)
 
             if touch is not None:
                 touch.time_base = _CLOCK
@@ -239,11 +251,16 @@ def _opened(movie: str | Path) -> Iterator[Any]:
 def _write_dash(source: Any, stream: Path, out: Path, at_s: float, rate_bits: float) -> tuple[str, ...]:
     """Write NAME.mpd, tracks as NAME-N.mp4 and the stream as NAME.touch; return the types of the tracks."""
     tracks = [track for track in source.streams if track.type in ("video", "audio")]
-    names = {"single_file": "1", "single_file_name": f"{out.stem}-$RepresentationID$.mp4"}
+    names = {
+        "single_file": "1",
+        "single_file_name": f"{out.stem}-$RepresentationID$.mp4",
+        "global_sidx": "1",
+    }
     with TemporaryDirectory(prefix=".touchfield-", dir=out.parent) as folder:
         manifest = Path(folder) / out.name
         _copy(source, tracks, out, manifest, "dash", names)
-        _add_touch(manifest, at_s, rate_bits)
+        text = _with_segment_bases(manifest.read_text("utf-8"), Path(folder))
+        manifest.write_text(_with_touch(text, out.stem, at_s, rate_bits), "utf-8")
         with readable(out, "a folder that can be written"):
             shutil.copyfile(stream, Path(folder) / f"{out.stem}.touch")
             for path in Path(folder).iterdir():
@@ -258,15 +275,40 @@ def _write_dash(source: Any, stream: Path, out: Path, at_s: float, rate_bits: fl
     return tuple(track.type for track in tracks)
 
 
-def _add_touch(manifest: Path, at_s: float, rate_bits: float) -> None:
-    """Add the AdaptationSet of the touch to a manifest of one period that ffmpeg wrote."""
-    stem = escape(manifest.stem)
+def _with_segment_bases(manifest: str, folder: Path) -> str:
+    """A manifest that refers to the index in each file (`sidx`) in place of ffmpeg's list of segments.
+
+    ffmpeg itself does not read its lists of ranges, and other players need the times of the segments.
+    """
+    names = iter(re.findall(r"<BaseURL>([^<]*)</BaseURL>", manifest))
+
+    def base(match: re.Match[str]) -> str:
+        with (folder / next(names)).open("rb") as file:
+            start = file.read(int(match[1]) + 1)
+        index = start.rfind(b"sidx") - 4
+        if index < 0:  # an ffmpeg that does not write one
+            return match[0]
+        return (
+            f'<SegmentBase indexRange="{index}-{len(start) - 1}">'
+            f'<Initialization range="0-{index - 1}"/></SegmentBase>'
+        )
+
+    lists = r'<SegmentList[^>]*>\s*<Initialization range="0-(\d+)" />.*?</SegmentList>'
+    text = re.sub(lists, base, manifest, flags=re.DOTALL)
+    text = text.replace("isoff-live:2011", "isoff-on-demand:2011")
+    return text.replace("segmentAlignment=", "subsegmentAlignment=").replace(
+        "startWithSAP=", "subsegmentStartsWithSAP="
+    )
+
+
+def _with_touch(manifest: str, stem: str, at_s: float, rate_bits: float) -> str:
+    """A manifest of one period that ffmpeg wrote, with the AdaptationSet of the touch."""
+    escaped = escape(stem)
     touch = f"""\t<AdaptationSet contentType="application" mimeType="{MEDIA_TYPE}">
 \t\t\t<SupplementalProperty schemeIdUri="{START_SCHEME}" value="{at_s:g}"/>
 \t\t\t<Representation id="touch" bandwidth="{max(1, round(rate_bits))}">
-\t\t\t\t<BaseURL>{stem}.touch</BaseURL>
+\t\t\t\t<BaseURL>{escaped}.touch</BaseURL>
 \t\t\t</Representation>
 \t\t</AdaptationSet>
 \t</Period>"""
-    text = manifest.read_text("utf-8").replace(manifest.stem, stem)  # ffmpeg does not escape the name
-    manifest.write_text(text.replace("</Period>", touch), "utf-8")
+    return manifest.replace(stem, escaped).replace("</Period>", touch)  # ffmpeg does not escape the name

@@ -100,6 +100,14 @@ def sync_record(start_s: float) -> bytes:
     return framed + struct.pack("<I", zlib.crc32(framed))
 
 
+def _spare_size(data: bytes, start_s: float) -> int:
+    """Bytes at the end of the touch of a movie that only repeat the record of the start."""
+    record, size = sync_record(start_s), 0
+    while data.endswith(record, 0, len(data) - size):
+        size += len(record)
+    return size
+
+
 def collect(samples: Iterable[Sample], max_bytes: int, name: str) -> tuple[Sample, ...]:
     """The samples as a tuple; `max_bytes` is the length of the movie, which is not less than theirs.
 
@@ -163,7 +171,7 @@ class JoinedTouch:
 def join_samples(samples: Sequence[Sample], name: str) -> JoinedTouch:
     """Join samples, the first of which starts with the head, to a file; index and end are rebuilt."""
     head = _head_of(samples[0].data, name)
-    start_s, plain_head = _without_sync(head, name)
+    start_s, plain_head = _without_sync(head, f"{name}: sample 0")
     parts, positions, position = [plain_head], dict[int, float](), len(plain_head)
     for number, (time_s, sample) in enumerate(samples):
         if sample.startswith(MAGIC) and not sample.startswith(head):
@@ -174,6 +182,8 @@ def join_samples(samples: Sequence[Sample], name: str) -> JoinedTouch:
         parts.append(part)
         position += len(part)
     data = b"".join(parts)
+    if start_s is not None:  # spare samples at the end
+        data = data[: len(data) - _spare_size(data, start_s)]
     end, entries, rate_hz = rebuilt_end(data, name)
     if entries and entries[0].first_frame:
         found_late = f"touch from frame {entries[0].first_frame} on"
@@ -222,22 +232,22 @@ def _head_of(sample: bytes, name: str) -> bytes:
     return sample[: next((found.offset for found in records if found.tag == "SEGM"), None)]
 
 
-def _without_sync(head: bytes, name: str) -> tuple[float | None, bytes]:
-    """The start that the last record of a head states, if that is SYNC, and the head without it.
+def _without_sync(data: bytes, name: str) -> tuple[float | None, bytes]:
+    """The start that the last record of `data` states, if that is SYNC, and `data` without it.
 
     Only the last one belongs to the movie: another one was in the file that was muxed.
     """
-    source = _source_of(head, f"{name}: sample 0")
+    source = _source_of(data, name)
     last = next(iter(deque(records_between(source, OPENING_SIZE, source.size), maxlen=1)), None)
     if last is None or last.tag != _SYNC.decode() or last.flags & REQUIRED:
-        return None, head
+        return None, data
     check_crc(source, last)
     if last.payload_length != _START.size:
         raise CorruptFile(last.where, f"a payload of {last.payload_length} bytes", f"{_START.size} bytes")
-    start_s = _START.unpack_from(head, last.offset + FRAME_SIZE)[0]
+    start_s = _START.unpack_from(data, last.offset + FRAME_SIZE)[0]
     if not (math.isfinite(start_s) and abs(start_s) <= _MAX_START_S):
         raise CorruptFile(f"{last.where}: start_s", f"{start_s:g}", f"at most {_MAX_START_S:g} s")
-    return start_s, head[: last.offset]
+    return start_s, data[: last.offset]
 
 
 def with_sync(data: bytes, first_segment: int, start_s: float) -> bytes:
@@ -267,8 +277,8 @@ def start_of(joined: JoinedTouch, track: TouchTrack) -> tuple[float, tuple[str, 
     """
     stored_s = None if joined.start_s is None else track.picture_s + joined.start_s
     agreed_s = _agreed(joined.offsets_s)
-    if agreed_s is not None and len(joined.offsets_s) == 1 and track.is_start_unknown:
-        agreed_s = agreed_s if stored_s is None else None
+    if stored_s is not None and track.is_start_unknown and agreed_s is not None:
+        agreed_s = None if abs(agreed_s) <= _TOLERANCE_S else agreed_s
     if agreed_s is None and stored_s is None:
         notes = (
             "The times of the touch in the movie contradict each other, and it has no record of its start.",
