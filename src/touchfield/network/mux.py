@@ -39,6 +39,7 @@ from touchfield.pipeline.decoding import stream_of
 
 START_SCHEME: Final = "urn:touchfield:begins-s"
 _CLOCK: Final = Fraction(1, 90000)
+_WEBM_ONLY: Final = {"vp8", "vorbis"}
 _SPARE_SAMPLES: Final = 8
 _SPARE_S: Final = 0.01
 """Each time that ffmpeg 5 copies its own copy of an MP4, it drops the last sample of a track for data. So
@@ -256,6 +257,8 @@ def _write_dash(source: Any, stream: Path, out: Path, at_s: float, rate_bits: fl
         "single_file_name": f"{out.stem}-$RepresentationID$.mp4",
         "global_sidx": "1",
     }
+    if not {track.codec_context.name for track in tracks} & _WEBM_ONLY:  # else the choice is ffmpeg's
+        names["dash_segment_type"] = "mp4"
     with TemporaryDirectory(prefix=".touchfield-", dir=out.parent) as folder:
         manifest = Path(folder) / out.name
         _copy(source, tracks, out, manifest, "dash", names)
