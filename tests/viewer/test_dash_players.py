@@ -32,7 +32,8 @@ START = {
         player.attach(video).then(() => player.load("film.mpd")).then(() => video.play()).catch(fault);
     """,
 }
-PAGE = """<!doctype html><meta charset="utf-8"><video id="video" muted></video><script>{library}</script><script>
+PAGE = """<!doctype html><meta charset="utf-8"><video id="video" muted></video>
+<script>{library}</script><script>
     const video = document.getElementById("video");
     const fault = (message) => {{ document.title = "fault: " + message; }};
     document.documentElement.dataset.state = "ready";
@@ -113,13 +114,26 @@ def test_a_player_of_the_web_plays_the_movie_beside_the_touch(
 @pytest.mark.skipif(shutil.which("ffprobe") is None, reason="there is no ffprobe here")
 def test_ffprobe_reads_the_manifest(film: Path) -> None:
     command = ["ffprobe", "-v", "error", "-show_entries", "stream=codec_type,start_time", "-of", "csv=p=0"]
-    done = subprocess.run([*command, film / "film.mpd"], capture_output=True, text=True, check=True, timeout=60)
+    done = subprocess.run(
+        [*command, film / "film.mpd"], capture_output=True, text=True, check=True, timeout=60
+    )
     assert "video,0.000000" in done.stdout and "audio," in done.stdout and not done.stderr
 
 
 @pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="there is no ffmpeg here")
 def test_a_movie_made_of_the_manifest_takes_the_sidecar(film: Path, tmp_path: Path) -> None:
-    copy = ["ffmpeg", "-v", "error", "-i", film / "film.mpd", "-map", "0", "-c", "copy", tmp_path / "film.mp4"]
+    copy = [
+        "ffmpeg",
+        "-v",
+        "error",
+        "-i",
+        film / "film.mpd",
+        "-map",
+        "0",
+        "-c",
+        "copy",
+        tmp_path / "film.mp4",
+    ]
     subprocess.run(copy, check=True, timeout=60)
     shutil.copyfile(film / "film.touch", tmp_path / "film.touch")
     done = demux(tmp_path / "film.mp4", tmp_path / "back.touch")

@@ -41,8 +41,8 @@ def find_touch(source: ByteSource) -> TouchTrack:
     """The first attachment that is a ``.touch`` file, empty if there is none."""
     data = b""
     scale, time, video = 1_000_000, 0, set[int]()
-    number, times = 0, dict[bool, list[int]]()
-    for kind, start, stop in _elements(source):
+    number, times, parents = 0, dict[bool, list[int]](), set(_PARENTS)
+    for kind, start, stop in _elements(source, parents):
         if kind == _FILE_DATA and not data:
             data = _touch_data(source, start, stop)
         elif kind == _TIMESTAMP_SCALE:
@@ -58,14 +58,14 @@ def find_touch(source: ByteSource) -> TouchTrack:
             found = times.setdefault(track in video, [])
             if len(found) < _BLOCKS:
                 found.append(time + shift)
-            elif data:
-                break
+            elif track in video or data:
+                parents.discard(_CLUSTER)  # no more is needed of them
     first = min(times.get(True) or times.get(False) or [0])
     return TouchTrack(attachment=data, picture_s=first * scale / 1e9)
 
 
-def _elements(source: ByteSource) -> Iterator[_Element]:
-    """The elements in the order of the file, those with members before their members."""
+def _elements(source: ByteSource, parents: set[int]) -> Iterator[_Element]:
+    """The elements in the order of the file, those of the kinds `parents` before their members."""
     position = 0
     for _ in range(_MAX_ELEMENTS):
         if position + 2 > source.size:
@@ -82,7 +82,7 @@ def _elements(source: ByteSource) -> Iterator[_Element]:
         length = int.from_bytes(head[kind_size : kind_size + size_size], "big") & mask
         stop = source.size if length == mask else min(start + length, source.size)
         yield _Element(kind, start, stop)
-        position = start if kind in _PARENTS else stop
+        position = start if kind in parents or length == mask else stop
 
 
 def _length_of(first: int) -> int:

@@ -138,9 +138,8 @@ def _starts_s(source: Any) -> tuple[float, float]:
     for track in source.streams:
         if track.type in starts and track.start_time is not None:
             starts[track.type].append(float(track.start_time * track.time_base))
-    earliest = min((*starts["video"], *starts["audio"]), default=0.0)
-    zero_s = earliest if source.format.name == "mpegts" else 0.0
-    return zero_s, min(starts["video"] or starts["audio"] or [0.0])
+    picture_s = min(starts["video"] or starts["audio"] or [0.0])
+    return picture_s if source.format.name == "mpegts" else 0.0, picture_s
 
 
 def _write_movie(

@@ -133,9 +133,22 @@ def unwrapped(samples: Sequence[Sample]) -> list[Sample]:
     A triplet may be divided among samples, as MPEG-TS divides long ones: only its length counts.
     """
     if any(KLV in sample.data[: _MAX_LABEL_BYTES + len(KLV)] for sample in samples[:PROBED_SAMPLES]):
-        samples = _values(samples)
-    first = next((n for n, sample in enumerate(samples) if sample.data.startswith(MAGIC)), len(samples))
-    return list(samples[first:])
+        whole = _values(samples)
+    else:
+        whole = _continued(samples)
+    first = next((n for n, sample in enumerate(whole) if sample.data.startswith(MAGIC)), len(whole))
+    return whole[first:]
+
+
+def _continued(samples: Sequence[Sample]) -> list[Sample]:
+    """Samples, each with those after it that have no time, which continue it."""
+    groups = list[tuple[float | None, list[bytes]]]()
+    for time_s, data in samples:
+        if time_s is None and groups:
+            groups[-1][1].append(data)
+        else:
+            groups.append((time_s, [data]))
+    return [Sample(time_s, b"".join(parts)) for time_s, parts in groups]
 
 
 def _values(samples: Sequence[Sample]) -> list[Sample]:

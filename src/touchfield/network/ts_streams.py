@@ -69,7 +69,8 @@ class _Stream:
 def find_touch(source: ByteSource) -> TouchTrack:
     """The first touch stream of a movie, with no samples if there is none.
 
-    Packets without the sync byte are left out; the checks of the touch find what they leave incomplete.
+    The clock of a stream has any start: that of the movie is its first picture. Packets without the sync byte
+    are left out; the checks of the touch find what they leave incomplete.
     """
     streams = dict[int, _Stream]()
     for number, _, payload in _packets(source, None):
@@ -78,10 +79,10 @@ def find_touch(source: ByteSource) -> TouchTrack:
     stamps = (stamp for key, stream in streams.items() if pid in (None, key) for stamp in stream.stamps)
     reference = next(stamps, 0)
     samples = () if pid is None else collect(_samples(source, pid, reference), source.size, source.name)
-    pictures = _first_s(streams, pid, reference, range(0xE0, 0xF0))
-    all_s = _first_s(streams, pid, reference, range(0xBD, 0x100))
-    first_s = 0.0 if all_s is None else all_s
-    return TouchTrack(samples, zero_s=first_s, picture_s=first_s if pictures is None else pictures)
+    kinds = (range(0xE0, 0xF0), range(0xBD, 0x100))  # pictures, else anything: sound has several kinds
+    firsts = (_first_s(streams, pid, reference, kind) for kind in kinds)
+    picture_s = next((first for first in firsts if first is not None), 0.0)
+    return TouchTrack(samples, zero_s=picture_s, picture_s=picture_s)
 
 
 def _packets(source: ByteSource, pid: int | None) -> Iterator[tuple[int, bool, bytes]]:
