@@ -205,6 +205,9 @@ def _copy(
     """Copy the packets of some tracks of a movie and, between them in time, the samples, if there are any."""
     import av
 
+    if attachment and not hasattr(av.container.OutputContainer, "add_attachment"):
+        hint = "Upgrade it: pip install --upgrade av"
+        raise InvalidArgument(str(out), f"PyAV {av.__version__}", "one that can attach files", hint)
     waiting = list(reversed(samples))
     try:
         with av.open(str(temporary), "w", format=form, options=options) as sink:
