@@ -32,11 +32,12 @@ AT_S = 1.0
 TIMEOUT_S = 120
 _FFMPEG = "ffmpeg -v error -y -i {source} -map 0 -c copy"
 _FRAGMENTS = "-movflags frag_keyframe+empty_moov+default_base_moof"
+_HLS = "-f hls -hls_time 1 -hls_list_size 0"
 _QUEUE = "queue max-size-time=0 max-size-bytes=0 max-size-buffers=0"
 
 
 class Repackager(NamedTuple):
-    """A command that copies `source` to `result`; `{out}` is the stem of the result, in a folder of its own."""
+    """A command that copies `source` to `result`; `{out}` is the result without its ending."""
 
     name: str
     source: str
@@ -59,9 +60,9 @@ REPACKAGERS = (
     Repackager("ffmpeg -map 0 -c copy", ".ts", ".ts", f"{_FFMPEG} {{out}}.ts"),
     Repackager("ffmpeg -map 0 -c copy", ".ts", ".mov", f"{_FFMPEG} {{out}}.mov"),
     Repackager("ffmpeg -map 0 -c copy", ".mkv", ".mkv", f"{_FFMPEG} {{out}}.mkv"),
-    Repackager("ffmpeg -f hls", ".mp4", ".m3u8", f"{_FFMPEG} -f hls -hls_time 1 -hls_list_size 0 {{out}}.m3u8"),
-    Repackager("ffmpeg -f hls, fmp4", ".mp4", ".m3u8", f"{_FFMPEG} -f hls -hls_segment_type fmp4 "
-               "-hls_time 1 -hls_list_size 0 {out}.m3u8"),
+    Repackager("ffmpeg -f hls", ".mp4", ".m3u8", f"{_FFMPEG} {_HLS} {{out}}.m3u8"),
+    Repackager("ffmpeg -f hls, fmp4", ".mp4", ".m3u8",
+               f"{_FFMPEG} {_HLS} -hls_segment_type fmp4 {{out}}.m3u8"),
     Repackager("ffmpeg -c copy", ".mp4", ".mp4", "ffmpeg -v error -y -i {source} -c copy {out}.mp4"),
     Repackager("gst-launch-1.0 tsdemux, mpegtsmux", ".ts", ".ts",
                "gst-launch-1.0 -q mpegtsmux name=m ! filesink location={out}.ts filesrc location={source} "
@@ -69,7 +70,8 @@ REPACKAGERS = (
                f"d. ! {_QUEUE} ! aacparse ! m."),
     Repackager("gst-launch-1.0 qtdemux, mp4mux", ".mp4", ".mp4",
                "gst-launch-1.0 -q mp4mux name=m ! filesink location={out}.mp4 filesrc location={source} "
-               f"! qtdemux name=d d.video_0 ! {_QUEUE} ! h264parse ! m. d.audio_0 ! {_QUEUE} ! aacparse ! m."),
+               f"! qtdemux name=d d.video_0 ! {_QUEUE} ! h264parse ! m. "
+               f"d.audio_0 ! {_QUEUE} ! aacparse ! m."),
     Repackager("MP4Box -add -new", ".mp4", ".mp4", "MP4Box -quiet -add {source} -new {out}.mp4"),
     Repackager("MP4Box -inter", ".mov", ".mp4", "MP4Box -quiet -inter 500 {source} -out {out}.mp4"),
     Repackager("MP4Box -frag", ".mp4", ".mp4", "MP4Box -quiet -frag 500 {source} -out {out}.mp4"),
@@ -108,10 +110,8 @@ def write_movies(folder: Path) -> None:
         sound.sample_rate, sound.pts = 48000, 0
         sink.mux(audio.encode(sound))
         sink.mux(audio.encode(None))
-    walls = np.zeros((20, 12, 12, 12, 3), np.float32)
-    for i, wall in enumerate(walls):
-        wall[:, :, : 4 + i % 8, 2] = 1.0 + 0.1 * i
-    medium = HapticMedium.from_array(walls, Grid((12,) * 3, (0.004,) * 3, (-0.022,) * 3), 10.0)
+    noise = rng.normal(0, 1, (20, 24, 24, 24, 3)).astype(np.float32)  # segments above 64 KiB
+    medium = HapticMedium.from_array(noise, Grid((24,) * 3, (0.004,) * 3, (-0.046,) * 3), 10.0)
     touch = TouchSpec(segment_frames=3, effort="fast")
     encode(medium, folder / "stream.touch", EncodeSpec(touch=touch, vibration="gain=0.25,frequency=80..240"))
     for form in (".mp4", ".mov", ".ts", ".mkv"):

@@ -90,6 +90,16 @@ MOVIES: dict[str, tuple[Movie, float]] = {
         ),
         0.5,
     ),
+    "ts, divided samples with times": (
+        lambda s: transport_stream(
+            [
+                (t + n / 90000, triplet(d)[a : a + 300])
+                for t, d in samples_of(s, 0.5)
+                for n, a in enumerate(range(0, len(triplet(d)), 300))
+            ]
+        ),
+        0.5,
+    ),
     "ts, divided samples without triplets": (
         lambda s: transport_stream(samples_of(s, 0.5), pes_bytes=300),
         0.5,

@@ -20,7 +20,7 @@ from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.network import ts_streams
 from touchfield.network.demux import demux
 from touchfield.network.mux import START_SCHEME, mux
-from touchfield.network.touch_track import sync_record
+from touchfield.network.touch_track import KLV, sync_record
 from touchfield.pipeline import encode
 from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.spec import EncodeSpec
@@ -104,6 +104,8 @@ def test_demux_returns_the_muxed_stream(folder: Path, tmp_path: Path, form: str,
         packets = [p for p in movie.demux(touch) if p.pts is not None]
         assert all(len(bytes(p)) < 64 for p in packets[-8:])  # spare samples
         packets = packets[:-8]
+        if form == ".ts":  # a long sample is divided among several
+            packets = [p for p in packets if bytes(p).startswith(KLV)]
         times = [float(p.pts * p.time_base) - shifts.copy().pop() for p in packets]
         expected = [0.4 + entry.first_frame / reader.head.rate_hz for entry in reader.segments]
         np.testing.assert_allclose(times, expected, atol=2e-3)

@@ -39,6 +39,10 @@ from touchfield.pipeline.decoding import stream_of
 
 START_SCHEME: Final = "urn:touchfield:begins-s"
 _CLOCK: Final = Fraction(1, 90000)
+_PES_BYTES: Final = 60_000
+"""GStreamer drops data of an MPEG-TS that is longer than a PES packet of stated length, 65535 bytes."""
+
+_MAX_BYTES: Final = 1 << 62
 _WEBM_ONLY: Final = {"vp8", "vorbis"}
 _SPARE_SAMPLES: Final = 8
 _SPARE_S: Final = 0.01
@@ -209,6 +213,7 @@ def _copy(
         hint = "Upgrade it: pip install --upgrade av"
         raise InvalidArgument(str(out), f"PyAV {av.__version__}", "one that can attach files", hint)
     waiting = list(reversed(samples))
+    piece = _PES_BYTES if form == "mpegts" else _MAX_BYTES
     try:
         with av.open(str(temporary), "w", format=form, options=options) as sink:
             tracks = {track.index: sink.add_stream_from_template(track) for track in source_tracks}
@@ -217,11 +222,12 @@ def _copy(
             def put(until_s: float) -> None:
                 while waiting and waiting[-1][0] <= until_s:
                     start_s, length_s, data = waiting.pop()
-                    packet = av.Packet(data)
-                    packet.stream, packet.time_base = touch, _CLOCK
-                    packet.pts = packet.dts = round(start_s / _CLOCK)
-                    packet.duration = round(length_s / _CLOCK)
-                    sink.mux(packet)
+                    for i, start in enumerate(range(0, len(data), piece)):
+                        packet = av.Packet(data[start : start + piece])
+                        packet.stream, packet.time_base = touch, _CLOCK
+                        packet.pts = packet.dts = round(start_s / _CLOCK) + i
+                        packet.duration = round(length_s / _CLOCK)
+                        sink.mux(packet)
                     if len(waiting) >= _SPARE_SAMPLES:
                         report(len(samples) - len(waiting), len(samples) - _SPARE_SAMPLES)
 

@@ -111,8 +111,10 @@ def view(
         if kind is None:
             return _page(medium, against, report, devices)
         path = Path(folder) / f"{movie.stem}.touch"
-        at_s = demux(movie, path).at_s
-        return _page(path, against, report, devices, (movie.read_bytes(), kind, at_s))
+        done = demux(movie, path)
+        page = _page(path, against, report, devices, (movie.read_bytes(), kind, done.at_s))
+        notes = {"movie_notes": list(done.notes)} if done.notes else {}
+        return replace(page, figures={**page.figures, **notes})
 
 
 def _page(
