@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 from touchfield.container.records import MAGIC
 from touchfield.container.wire import ByteSource
 from touchfield.errors import CorruptFile, SourceError
-from touchfield.network.touch_track import MAX_BYTES, TouchTrack
+from touchfield.network.touch_track import MAX_BYTES, TouchTrack, Window
 
 _EBML: Final = b"\x1a\x45\xdf\xa3"
 _ATTACHMENTS, _FILE, _FILE_DATA = 0x1941A469, 0x61A7, 0x465C
@@ -39,50 +39,53 @@ def is_matroska(start: bytes) -> bool:
 
 def find_touch(source: ByteSource) -> TouchTrack:
     """The first attachment that is a ``.touch`` file, empty if there is none."""
-    data = b""
+    data, window = b"", Window(source)
     scale, time, video = 1_000_000, 0, set[int]()
     number, times, parents = 0, dict[bool, list[int]](), set(_PARENTS)
-    for kind, start, stop in _elements(source, parents):
+    for kind, start, stop in _elements(window, source.name, parents):
         if kind == _FILE_DATA and not data:
             data = _touch_data(source, start, stop)
         elif kind == _TIMESTAMP_SCALE:
-            scale = _number(source, start, stop)
+            scale = _number(window, start, stop)
         elif kind == _TRACK_NUMBER:
-            number = _number(source, start, stop)
-        elif kind == _TRACK_TYPE and _number(source, start, stop) == _VIDEO:
+            number = _number(window, start, stop)
+        elif kind == _TRACK_TYPE and _number(window, start, stop) == _VIDEO:
             video.add(number)
         elif kind == _CLUSTER_TIME:
-            time = _number(source, start, stop)
+            time = _number(window, start, stop)
         elif kind in (_BLOCK, _SIMPLE):
-            track, shift = _block(source, start, stop)
+            track, shift = _block(window, start, stop)
             found = times.setdefault(track in video, [])
             if len(found) < _BLOCKS:
                 found.append(time + shift)
-            elif track in video or data:
+            elif data and (track in video or not video):
+                break
+            elif track in video:
                 parents.discard(_CLUSTER)  # no more is needed of them
     first = min(times.get(True) or times.get(False) or [0])
     return TouchTrack(attachment=data, picture_s=first * scale / 1e9)
 
 
-def _elements(source: ByteSource, parents: set[int]) -> Iterator[_Element]:
+def _elements(window: Window, name: str, parents: set[int]) -> Iterator[_Element]:
     """The elements in the order of the file, those of the kinds `parents` before their members."""
     position = 0
     for _ in range(_MAX_ELEMENTS):
-        if position + 2 > source.size:
+        if position + 2 > window.size:
             return
-        head = source.read_at(position, min(12, source.size - position))
+        head = window.read(position, min(12, window.size - position))
         kind_size = _length_of(head[0])
         if kind_size > 4 or kind_size + 1 > len(head):
-            raise CorruptFile(f"{source.name}: element at byte {position}", f"{head[:4]!r}", "its kind")
+            raise CorruptFile(f"{name}: element at byte {position}", f"{head[:4]!r}", "its kind")
         kind = int.from_bytes(head[:kind_size], "big")
         size_size = _length_of(head[kind_size])
         if size_size > 8 or kind_size + size_size > len(head):
-            raise CorruptFile(f"{source.name}: element at byte {position}", f"{head!r}", "its length")
+            raise CorruptFile(f"{name}: element at byte {position}", f"{head!r}", "its length")
         start, mask = position + kind_size + size_size, (1 << 7 * size_size) - 1
         length = int.from_bytes(head[kind_size : kind_size + size_size], "big") & mask
-        stop = source.size if length == mask else min(start + length, source.size)
+        stop = window.size if length == mask else min(start + length, window.size)
         yield _Element(kind, start, stop)
         position = start if kind in parents or length == mask else stop
+    raise CorruptFile(name, f"more than {_MAX_ELEMENTS} elements before its touch", "fewer")
 
 
 def _length_of(first: int) -> int:
@@ -90,13 +93,13 @@ def _length_of(first: int) -> int:
     return 9 - first.bit_length()
 
 
-def _number(source: ByteSource, start: int, stop: int) -> int:
-    return int.from_bytes(source.read_at(start, min(8, stop - start)), "big")
+def _number(window: Window, start: int, stop: int) -> int:
+    return int.from_bytes(window.read(start, min(8, stop - start)), "big")
 
 
-def _block(source: ByteSource, start: int, stop: int) -> tuple[int, int]:
+def _block(window: Window, start: int, stop: int) -> tuple[int, int]:
     """Track of a block, and its time after that of the cluster."""
-    head = source.read_at(start, min(12, stop - start))
+    head = window.read(start, min(12, stop - start))
     size = _length_of(head[0]) if head else 9
     if size > 8 or len(head) < size + 2:
         return 0, 0

@@ -20,6 +20,7 @@ from touchfield.network.touch_track import (
     PROBED_SAMPLES,
     Sample,
     TouchTrack,
+    Window,
     collect,
     is_touch,
 )
@@ -29,6 +30,7 @@ _MAX_TABLE_BYTES: Final = 1 << 28
 """Maximum size of `moov`, and of all `moof` together."""
 
 _MAX_BOXES: Final = 1 << 22
+_MAX_RUNS: Final = 1 << 20
 _MAX_CHILDREN: Final = 1 << 16
 _PICTURES: Final = 64
 """Pictures may be stored out of order: so many are compared to find the first."""
@@ -103,7 +105,7 @@ def find_touch(source: ByteSource) -> TouchTrack:
     CorruptFile or TruncatedFile if boxes do not fit into each other.
     """
     tracks, size = dict[int, _Track](), 0
-    for box in islice(_top_boxes(source), _MAX_BOXES):
+    for box in _top_boxes(source):
         if box.kind not in (b"moov", b"moof"):
             continue
         size += box.stop - box.start
@@ -114,6 +116,9 @@ def find_touch(source: ByteSource) -> TouchTrack:
             tracks = _tracks_of(data, source.name)
         elif box.kind == b"moof":
             _add_fragment(data, box.position, tracks, source.name)
+            runs = sum(len(track.runs) for track in tracks.values())
+            if runs > _MAX_RUNS:
+                raise CorruptFile(source.name, f"more than {_MAX_RUNS} runs of samples", "fewer")
     touch = next((track for track in tracks.values() if _is_touch(track, source)), None)
     picture_s = _first_picture_s([track for track in tracks.values() if track is not touch])
     if touch is None:
@@ -123,19 +128,21 @@ def find_touch(source: ByteSource) -> TouchTrack:
 
 
 def _top_boxes(source: ByteSource) -> Iterator[_Box]:
-    position = 0
-    while position + _BOX.size <= source.size:
-        length, kind = _BOX.unpack(source.read_at(position, _BOX.size))
+    position, window = 0, Window(source)
+    for _ in range(_MAX_BOXES):
+        if position + _BOX.size > source.size:
+            return
+        length, kind = _BOX.unpack(window.read(position, _BOX.size))
         start = position + _BOX.size
         if length == 1 and start + 8 <= source.size:
-            length, start = int.from_bytes(source.read_at(start, 8), "big"), start + 8
+            length, start = int.from_bytes(window.read(start, 8), "big"), start + 8
         stop = source.size if length == 0 else position + length
         if stop < start:
-            raise CorruptFile(
-                f"{source.name}: box {kind!r} at byte {position}", f"{length} bytes", "at least 8"
-            )
+            where = f"{source.name}: box {kind!r} at byte {position}"
+            raise CorruptFile(where, f"{length} bytes", "at least 8")
         yield _Box(kind, position, start, min(stop, source.size))
         position = stop
+    raise CorruptFile(source.name, f"more than {_MAX_BOXES} boxes", "fewer")
 
 
 def _boxes(data: bytes, start: int, stop: int, name: str) -> Iterator[_Box]:

@@ -14,7 +14,6 @@ from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from io import BytesIO
-from itertools import islice
 from statistics import median
 from typing import Any, Final, NamedTuple
 
@@ -42,7 +41,10 @@ KLV_HEAD_SIZE: Final = len(KLV) + 4
 MAX_BYTES: Final = 1 << 30
 """Maximum size of the touch that is extracted from a movie."""
 
-MAX_SAMPLES: Final = 1 << 22
+MAX_SAMPLES: Final = 1 << 20
+_MIN_SAMPLE_BYTES, _ANY_SAMPLES = 64, 1 << 10
+"""Samples have at least so many bytes on average, unless there are few, so a small movie takes little time."""
+
 PROBED_SAMPLES: Final = 16
 PROBED_BYTES: Final = 64
 """A track is touch if one of its first samples starts as touch does: so many are read, of each so much."""
@@ -58,7 +60,25 @@ _RECORDS: Final = (b"SEGM\1\0\0\0", b"VIBR\0\0\0\0")
 _TOLERANCE_S: Final = 2.5e-3
 """Two clocks in whole milliseconds may differ by so much."""
 
+_WINDOW_BYTES: Final = 4096
 _NOTED_S: Final = 0.05
+
+
+class Window:
+    """Short reads of a source from a part of it that is read at once."""
+
+    def __init__(self, source: ByteSource) -> None:
+        self._source, self._start, self._data = source, 0, b""
+        self.size = source.size
+
+    def read(self, offset: int, size: int) -> bytes:
+        """At most `size` bytes from `offset` on, fewer at the end of the source."""
+        first = offset - self._start
+        if first < 0 or first + size > len(self._data):
+            stop = min(self.size, offset + max(size, _WINDOW_BYTES))
+            self._start, first = offset, 0
+            self._data = self._source.read_at(offset, max(0, stop - offset))
+        return self._data[first : first + size]
 
 
 class Sample(NamedTuple):
@@ -111,19 +131,20 @@ def _spare_size(data: bytes, start_s: float) -> int:
 def collect(samples: Iterable[Sample], max_bytes: int, name: str) -> tuple[Sample, ...]:
     """The samples as a tuple; `max_bytes` is the length of the movie, which is not less than theirs.
 
-    SourceError if they have more than 2^30 bytes, or there are more than 2^22; CorruptFile if they are longer
-    than the movie, which happens if several refer to the same bytes.
+    SourceError if they have more than 2^30 bytes, or there are too many for their bytes; CorruptFile if they
+    are longer than the movie, which happens if several refer to the same bytes.
     """
     collected, size = list[Sample](), 0
-    for sample in islice(samples, MAX_SAMPLES + 1):
+    for sample in samples:
+        collected.append(sample)
         size += len(sample.data)
         if size > max_bytes:
             raise CorruptFile(name, f"{size} bytes of touch in a movie of {max_bytes}", "fewer")
         if size > MAX_BYTES:
             raise SourceError(name, f"more than {MAX_BYTES} bytes of touch", "less")
-        collected.append(sample)
-    if len(collected) > MAX_SAMPLES:
-        raise SourceError(name, f"more than {MAX_SAMPLES} samples of touch", "fewer")
+        limit = min(MAX_SAMPLES, _ANY_SAMPLES + size // _MIN_SAMPLE_BYTES)
+        if len(collected) > limit:
+            raise SourceError(name, f"more than {limit} samples of touch in {size} bytes", "fewer")
     return tuple(collected)
 
 
@@ -158,7 +179,7 @@ def _values(samples: Sequence[Sample]) -> list[Sample]:
         starts.append((position, sample.time_s))
         position += len(sample.data)
     values, position, n = list[Sample](), 0, 0
-    while (key := data.find(KLV, position)) >= 0:
+    while (key := data.find(KLV, position)) >= 0 and len(values) < MAX_SAMPLES:
         while n + 1 < len(starts) and starts[n + 1][0] <= key:
             n += 1
         start = key + KLV_HEAD_SIZE
