@@ -43,7 +43,7 @@ MAX_BYTES: Final = 1 << 30
 
 MAX_SAMPLES: Final = 1 << 20
 _MIN_SAMPLE_BYTES, _ANY_SAMPLES = 64, 1 << 10
-"""Samples have at least so many bytes on average, unless there are few, so a small movie takes little time."""
+"""Samples have at least so many bytes on average, unless there are few: a small movie takes little time."""
 
 PROBED_SAMPLES: Final = 16
 PROBED_BYTES: Final = 64
