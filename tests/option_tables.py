@@ -386,7 +386,7 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "coarse": Case(None, {"coarse_layer": CALLED, "LiveServer.coarse": STUB, "broadcast.coarse": STUB}),
         "on-air-s": case("2.5", "broadcast.spec.seconds", 2.5),
     },
-    "mux": {"at-s": case("12.5", "mux.at_s", 12.5)},
+    "mux": {"at-s": case("12.5", "mux.at_s", 12.5), "sidecar": case(None, "mux.has_sidecar", True)},
     "demux": {},
     "measure": {
         **_scene(without=("device",)),

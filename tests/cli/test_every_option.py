@@ -169,7 +169,7 @@ TASKS = {
         "network.live:write_message",
     ),
     "mux": ("network.mux:mux",),
-    "demux": ("network.mux:demux",),
+    "demux": ("network.demux:demux",),
     "measure": ("tasks.measure:measure_medium",),
     "reduce": ("tasks.reduction:reduce_medium",),
     "index": ("tasks.library:index_folder", "cli.library:executor_of"),

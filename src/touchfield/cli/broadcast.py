@@ -159,27 +159,30 @@ def _sending(
     "Broadcast",
     "mux movie.mp4 room.touch with-touch.mp4",
     "mux movie.mp4 room.touch with-touch.ts --at-s 12.5",
+    "mux movie.mp4 room.touch with-touch.mp4 --sidecar",
 )
 def mux(
     movie: Annotated[Path, "A movie; its tracks are copied as they are."],
     stream: Stream,
-    out: Annotated[Path, "The movie with touch: .mp4, .mov or .ts; or .mpd, a DASH manifest."],
+    out: Annotated[Path, "The movie with touch: .mp4, .mov, .ts or .mkv; or .mpd, a DASH manifest."],
     at_s: Annotated[float, "Second of the movie at which the touch begins."] = 0.0,
+    sidecar: Annotated[bool, "Write OUT.touch too, for programs that drop the track."] = False,
 ) -> Answer:
     """Put STREAM beside sound and picture, as a timed track that other players pass over."""
     from touchfield.network.mux import mux as run
 
     with progress("mux") as report:
-        done = run(movie, stream, out, at_s, report)
+        done = run(movie, stream, out, at_s, report, sidecar)
     return Answer(done.summary(), str(out))
 
 
 @command("Broadcast", "demux with-touch.mp4 room.touch")
 def demux(
-    movie: Annotated[Path, "A movie that `mux` made."],
+    movie: Annotated[Path, "A movie that `mux` made, also if other programs copied it; or .m3u8."],
     out: Annotated[Path, "The .touch file to write."],
 ) -> Answer:
     """Take the touch out of a movie: the file that was put in, byte for byte."""
-    from touchfield.network.mux import demux as run
+    from touchfield.network.demux import demux as run
 
-    return Answer(run(movie, out).summary(), str(out))
+    done = run(movie, out)
+    return Answer(done.summary(), str(out), done.notes)

@@ -1,11 +1,12 @@
-"""Adds a ``.touch`` file to a movie as a track in time with sound and picture, and extracts it again (paper
-section 6).
+"""Adds a ``.touch`` file to a movie as a track in time with sound and picture (paper section 6).
 
 The samples of the track are the file, divided after each of its segments; the time of a sample is that of its
-first frame. Index and end are rebuilt on extraction, so that the extracted file equals the original byte for
-byte. Players without support for touch play the other tracks as before. Receivers may join an MPEG-TS stream
-at any time. Each sample of it therefore starts with the head, and is the value of a KLV triplet (SMPTE 336M),
-since ffmpeg takes some data without a registered name for video.
+first frame. Index and end are rebuilt on extraction (`demux`), so that the extracted file equals the original
+byte for byte. Several programs lose the start of a track when they copy it, so the touch states it as well.
+Players without support for touch play the other tracks as before. Receivers may join an MPEG-TS stream at any
+time. Each sample of it therefore starts with the head, and is the value of a KLV triplet (SMPTE 336M), since
+ffmpeg takes some data without a registered name for video. In Matroska, which has no tracks for data, the
+touch is an attachment.
 
 A DASH manifest (ISO/IEC 23009-1) has sound and picture as ffmpeg segments them. The touch is an AdaptationSet
 whose single Representation is the whole ``.touch`` file, as for captions; receivers read ranges of it. A
@@ -15,12 +16,12 @@ SupplementalProperty gives the time of the movie, in seconds, at which the touch
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
-from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -28,39 +29,28 @@ from xml.sax.saxutils import escape
 
 from touchfield.atomic import atomic_path
 from touchfield.compute.threads import Progress, silent
-from touchfield.container import SegmentEntry, TouchReader
-from touchfield.container.records import MAGIC, OBJECTS_CODER, Segment
-from touchfield.container.wire import (
-    CRC_SIZE,
-    OPENING_SIZE,
-    ByteSource,
-    read_opening,
-    read_record,
-    records_between,
-)
-from touchfield.container.writer import index_and_end
-from touchfield.errors import (
-    CorruptFile,
-    InvalidArgument,
-    SourceError,
-    import_extra,
-    reason,
-    require_ending,
-    warn_unbounded,
-)
+from touchfield.container import TouchReader
+from touchfield.container.records import OBJECTS_CODER
+from touchfield.errors import InvalidArgument, SourceError, import_extra, reason, warn_unbounded
 from touchfield.files import readable, refuse_overwriting
 from touchfield.network.live import MEDIA_TYPE
+from touchfield.network.touch_track import KLV, sync_record, with_sync
 from touchfield.pipeline.decoding import stream_of
 
 START_SCHEME: Final = "urn:touchfield:begins-s"
 _CLOCK: Final = Fraction(1, 90000)
-_MAX_BYTES: Final = 1 << 30
-"""Maximum size of the touch that is extracted from a movie."""
+_PES_BYTES: Final = 60_000
+"""GStreamer drops data of an MPEG-TS that is longer than a PES packet of stated length, 65535 bytes."""
 
-_KLV: Final = bytes.fromhex("060e2b34010101010f00") + b"touch\1\x84"
-"""Key of a triplet, and the first byte of its length: four bytes follow, big-endian."""
+_MAX_BYTES: Final = 1 << 62
+_WEBM_ONLY: Final = {"vp8", "vorbis"}
+_SPARE_SAMPLES: Final = 8
+_SPARE_S: Final = 0.01
+"""Each time that ffmpeg 5 copies its own copy of an MP4, it drops the last sample of a track for data. So
+many samples at the end, at this distance, hold only the record of the start, and are no loss.
+"""
 
-_FORMS: Final = (".mp4", ".m4v", ".mov", ".ts", ".mpd")
+_FORMS: Final = (".mp4", ".m4v", ".mov", ".ts", ".mkv", ".mpd")
 
 
 @dataclass(frozen=True)
@@ -73,14 +63,23 @@ class Muxed:
     touch_seconds: float
     at_s: float
     other_tracks: tuple[str, ...] = ()
+    sidecars: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def summary(self) -> dict[str, Any]:
-        """Return the counts as a dictionary; its keys are stable."""
-        return {**self.__dict__, "other_tracks": list(self.other_tracks)}
+        """Return the counts as a dictionary, without the notes; its keys are stable."""
+        values = {**self.__dict__, "other_tracks": list(self.other_tracks), "sidecars": list(self.sidecars)}
+        del values["notes"]
+        return values
 
 
 def mux(
-    movie: str | Path, stream: str | Path, out: str | Path, at_s: float = 0.0, report: Progress = silent
+    movie: str | Path,
+    stream: str | Path,
+    out: str | Path,
+    at_s: float = 0.0,
+    report: Progress = silent,
+    has_sidecar: bool = False,
 ) -> Muxed:
     """Mux a ``.touch`` file with the tracks of a movie, which are copied unchanged.
 
@@ -93,77 +92,107 @@ def mux(
         A movie that ffmpeg reads.
     stream : path
     out : path
-        .mp4 (fragmented, for streaming), .mov or .ts; or .mpd, a DASH manifest, written with the files that
-        it names.
+        .mp4 (fragmented, for streaming), .mov or .ts; .mkv, where the touch is an attachment; or .mpd, a DASH
+        manifest, written with the files that it names.
     at_s : float
         The movie's time at which the touch begins, 0 or later.
     report : callable
         ``report(done, total)`` in segments.
+    has_sidecar : bool
+        Write the touch also to a file next to `out`, with the ending .touch, for programs that drop its
+        track. It contains the time at which it begins.
     """
     out = Path(out)
-    if out.suffix.lower() not in _FORMS:
-        raise InvalidArgument(str(out), f"the ending {out.suffix!r}", f"one of {', '.join(_FORMS)}")
-    if not 0 <= at_s < 1e6:
-        raise InvalidArgument("--at-s", f"{at_s:g}", "0 or more seconds of the movie")
-    refuse_overwriting(out, movie, stream)
     kind = out.suffix.lower()
+    sidecar = out.with_suffix(".touch") if has_sidecar else None
+    _check(out, at_s, sidecar)
+    refuse_overwriting(out, movie, stream)
+    if sidecar is not None:
+        refuse_overwriting(sidecar, movie, stream)
     with TouchReader(stream) as reader, _opened(movie) as source:
         warn_unbounded(stream_of(reader).error_bound().get("error_bound_note"))
         seconds = reader.head.frame_count / reader.head.rate_hz
         if kind == ".mpd":
             names = _write_dash(source, Path(stream), out, at_s, 8 * reader.size / seconds)
             return Muxed(str(out), len(reader.segments), reader.size, seconds, at_s, names)
-        samples = list(_samples(reader, at_s, is_ts=kind == ".ts"))
-        options = {"movflags": "frag_keyframe+delay_moov+default_base_moof"} if kind != ".ts" else {}
-        tracks = [track for track in source.streams if track.type in ("video", "audio", "subtitle")]
-        names = tuple(track.type for track in tracks)
-        with atomic_path(out) as temporary:
-            _copy(
-                source, tracks, out, temporary, "mpegts" if kind == ".ts" else "mp4", options, samples, report
-            )
-    size = sum(len(data) for _, _, data in samples)
-    return Muxed(str(out), len(samples), size, seconds, at_s, names)
+        zero_s, picture_s = _starts_s(source)
+        start_s = zero_s + at_s - picture_s
+        size, names = _write_movie(source, reader, out, (zero_s + at_s, start_s), report)
+        if sidecar is not None:
+            with atomic_path(sidecar) as temporary:
+                temporary.write_bytes(_with_sync(reader, start_s))
+    files = () if sidecar is None else (str(sidecar),)
+    return Muxed(str(out), len(reader.segments), size, seconds, at_s, names, files)
 
 
-def demux(movie: str | Path, out: str | Path) -> Muxed:
-    """Extract the ``.touch`` file of a movie; each segment is checked.
+def _check(out: Path, at_s: float, sidecar: Path | None) -> None:
+    kind = out.suffix.lower()
+    if kind not in _FORMS:
+        raise InvalidArgument(str(out), f"the ending {out.suffix!r}", f"one of {', '.join(_FORMS)}")
+    if not 0 <= at_s < 1e6:
+        raise InvalidArgument("--at-s", f"{at_s:g}", "0 or more seconds of the movie")
+    if sidecar is not None and kind == ".mpd":
+        hint = "The manifest has the touch in a file of its own already."
+        raise InvalidArgument("--sidecar", "a DASH manifest", "a movie in one file", hint)
 
-    Raises SourceError if the movie cannot be read, or has no touch; FormatError if the touch is damaged, or
-    its beginning is missing.
+
+def _starts_s(source: Any) -> tuple[float, float]:
+    """When a movie starts on the clock of its tracks, and when its first picture or else sound shows."""
+    starts = {"video": list[float](), "audio": list[float]()}
+    for track in source.streams:
+        if track.type in starts and track.start_time is not None:
+            starts[track.type].append(float(track.start_time * track.time_base))
+    picture_s = min(starts["video"] or starts["audio"] or [0.0])
+    return picture_s if source.format.name == "mpegts" else 0.0, picture_s
+
+
+def _write_movie(
+    source: Any, reader: TouchReader, out: Path, starts_s: tuple[float, float], report: Progress
+) -> tuple[int, tuple[str, ...]]:
+    """Write a movie with touch that starts at `starts_s`, on its clock and after its first picture.
+
+    Returns the bytes of the touch, and the types of the other tracks.
     """
-    require_ending(out, "OUT.touch")
-    if Path(movie).suffix.lower() == ".mpd":
-        hint = f"Its touch is in the file next to it: {Path(movie).with_suffix('.touch').name}."
-        raise InvalidArgument(str(movie), "a DASH manifest", "a movie with touch in it", hint)
-    with _opened(movie) as source:
-        samples, at_s = _touch_samples(source, str(movie))
-    file: Any = BytesIO(_join_samples(samples, str(movie)))
-    file.name = str(movie)
-    with TouchReader(file) as reader, atomic_path(Path(out)) as temporary:
-        for i in range(reader.object_count):
-            reader.read_object(i)
-        for i in range(len(reader.segments)):
-            reader.read_vibration(i)
-        temporary.write_bytes(file.getvalue())
-        seconds = reader.head.frame_count / reader.head.rate_hz
-    return Muxed(str(out), len(reader.segments), sum(map(len, samples)), seconds, at_s)
+    kind = out.suffix.lower()
+    form = {".ts": "mpegts", ".mkv": "matroska"}.get(kind, "mp4")
+    options = {"movflags": "frag_keyframe+delay_moov+default_base_moof"} if form == "mp4" else {}
+    tracks = [track for track in source.streams if track.type in ("video", "audio", "subtitle")]
+    samples, attachment = list[_Sample](), b""
+    if form == "matroska":
+        attachment = _with_sync(reader, starts_s[1])
+    else:
+        samples = list(_samples(reader, *starts_s, is_ts=form == "mpegts"))
+    with atomic_path(out) as temporary:
+        _copy(source, tracks, out, temporary, form, options, samples, report, attachment)
+    size = len(attachment) + sum(len(data) for _, _, data in samples)
+    return size, tuple(track.type for track in tracks)
 
 
 _Sample = tuple[float, float, bytes]
 """Start in the movie in seconds, duration in seconds, and bytes."""
 
 
-def _samples(reader: TouchReader, at_s: float, is_ts: bool) -> Iterator[_Sample]:
-    data, start, rate_hz = reader.read_all(), 0, reader.head.rate_hz
-    head_end = reader.segments[0].offset
+def _samples(reader: TouchReader, first_s: float, start_s: float, is_ts: bool) -> Iterator[_Sample]:
+    data, position, rate_hz = reader.read_all(), 0, reader.head.rate_hz
+    head = data[: reader.segments[0].offset] + sync_record(start_s)
     for i, entry in enumerate(reader.segments):
         stop = entry.offset + entry.length
-        sample = data[start:stop]
+        sample = data[position:stop] if i else head + data[entry.offset : stop]
         if is_ts:
-            head = data[:head_end] if i and reader.head.coder != OBJECTS_CODER else b""
-            sample = _KLV + (len(head) + len(sample)).to_bytes(4, "big") + head + sample
-        yield at_s + entry.first_frame / rate_hz, entry.frame_count / rate_hz, sample
-        start = stop
+            again = head if i and reader.head.coder != OBJECTS_CODER else b""
+            sample = KLV + (len(again) + len(sample)).to_bytes(4, "big") + again + sample
+        yield first_s + entry.first_frame / rate_hz, entry.frame_count / rate_hz, sample
+        position = stop
+    sync = sync_record(start_s)
+    end = KLV + len(sync).to_bytes(4, "big") + sync if is_ts else sync
+    for i in range(_SPARE_SAMPLES):
+        yield first_s + reader.head.frame_count / rate_hz + i * _SPARE_S, _SPARE_S, end
+
+
+def _with_sync(reader: TouchReader, start_s: float) -> bytes:
+    """The whole file with the record of its start."""
+    last = reader.segments[-1]
+    return with_sync(reader.read_all()[: last.offset + last.length], reader.segments[0].offset, start_s)
 
 
 def _copy(
@@ -175,11 +204,16 @@ def _copy(
     options: dict[str, str],
     samples: Sequence[_Sample] = (),
     report: Progress = silent,
+    attachment: bytes = b"",
 ) -> None:
     """Copy the packets of some tracks of a movie and, between them in time, the samples, if there are any."""
     import av
 
+    if attachment and not hasattr(av.container.OutputContainer, "add_attachment"):
+        hint = "Upgrade it: pip install --upgrade av"
+        raise InvalidArgument(str(out), f"PyAV {av.__version__}", "one that can attach files", hint)
     waiting = list(reversed(samples))
+    piece = _PES_BYTES if form == "mpegts" else _MAX_BYTES
     try:
         with av.open(str(temporary), "w", format=form, options=options) as sink:
             tracks = {track.index: sink.add_stream_from_template(track) for track in source_tracks}
@@ -188,15 +222,19 @@ def _copy(
             def put(until_s: float) -> None:
                 while waiting and waiting[-1][0] <= until_s:
                     start_s, length_s, data = waiting.pop()
-                    packet = av.Packet(data)
-                    packet.stream, packet.time_base = touch, _CLOCK
-                    packet.pts = packet.dts = round(start_s / _CLOCK)
-                    packet.duration = round(length_s / _CLOCK)
-                    sink.mux(packet)
-                    report(len(samples) - len(waiting), len(samples))
+                    for i, start in enumerate(range(0, len(data), piece)):
+                        packet = av.Packet(data[start : start + piece])
+                        packet.stream, packet.time_base = touch, _CLOCK
+                        packet.pts = packet.dts = round(start_s / _CLOCK) + i
+                        packet.duration = round(length_s / _CLOCK)
+                        sink.mux(packet)
+                    if len(waiting) >= _SPARE_SAMPLES:
+                        report(len(samples) - len(waiting), len(samples) - _SPARE_SAMPLES)
 
             if touch is not None:
                 touch.time_base = _CLOCK
+            if attachment:
+                sink.add_attachment("movie.touch", MEDIA_TYPE, attachment)
             for packet in source.demux(source_tracks):
                 if packet.dts is None:
                     continue
@@ -206,72 +244,6 @@ def _copy(
             put(float("inf"))
     except (av.FFmpegError, ValueError) as error:
         raise InvalidArgument(str(out), str(error), "a form that holds the tracks of the movie") from None
-
-
-def _touch_samples(source: Any, name: str) -> tuple[list[bytes], float]:
-    """Return the samples of the first touch track from its first head on, and their start in the movie, s."""
-    movie_start_s = min(
-        (
-            float(sample_track.start_time * sample_track.time_base)
-            for sample_track in source.streams
-            if sample_track.start_time
-        ),
-        default=0.0,
-    )
-    times: dict[int, float] = {}
-    data = [sample_track for sample_track in source.streams if sample_track.type == "data"]
-    tracks: dict[int, list[bytearray]] = {}
-    size = 0
-    for packet in source.demux(data) if data else ():
-        track = tracks.setdefault(packet.stream.index, [])
-        start = len(_KLV) + 4 if bytes(packet).startswith(_KLV) else 0
-        if not packet.size or not (track or bytes(packet)[start:].startswith(MAGIC)):
-            continue
-        times.setdefault(packet.stream.index, float((packet.pts or 0) * packet.time_base))
-        size += packet.size
-        if size > _MAX_BYTES:
-            raise SourceError(name, f"more than {_MAX_BYTES} bytes of touch", "less")
-        if packet.pts is None and track:  # MPEG-TS stores a long sample in several packets
-            track[-1] += bytes(packet)
-        else:
-            track.append(bytearray(packet)[start:])
-    first = next(((index, track) for index, track in tracks.items() if track), None)
-    if first is None:
-        raise SourceError(name, "no track of touch", "a movie that touchfield mux made")
-    return [bytes(sample_track) for sample_track in first[1]], max(
-        0.0, times[first[0]] - (movie_start_s if name.endswith(".ts") else 0.0)
-    )
-
-
-def _join_samples(samples: list[bytes], name: str) -> bytes:
-    """Join samples, the first of which starts with the head, to a file; index and end are rebuilt."""
-
-    def source_of(data: bytes, where: str) -> ByteSource:
-        file: Any = BytesIO(data)
-        file.name = where
-        return ByteSource(file)
-
-    first = source_of(samples[0], f"{name}: sample 0")
-    read_opening(first)
-    records = records_between(first, OPENING_SIZE, first.size)
-    head = samples[0][: next((found.offset for found in records if found.tag == "SEGM"), None)]
-    for number, sample in enumerate(samples):
-        if sample.startswith(MAGIC) and not sample.startswith(head):
-            raise CorruptFile(f"{name}: sample {number}", "another head", "the first one's")
-    data = head + b"".join(sample.removeprefix(head) for sample in samples)
-    entries, chain, source = list[SegmentEntry](), data[:OPENING_SIZE], source_of(data, name)
-    for found in records_between(source, OPENING_SIZE, source.size):
-        if found.tag in ("HEAD", "OBJT"):
-            chain += source.read_at(found.crc_offset, CRC_SIZE)
-        elif found.tag == "SEGM":
-            segment, crc32 = read_record(source, found, Segment)
-            frames = {"first_frame": segment.first_frame, "frame_count": segment.frame_count}
-            length = found.end - found.offset
-            entries.append(SegmentEntry(**frames, offset=found.offset, length=length, crc32=crc32))
-    if entries and entries[0].first_frame:
-        found_late = f"touch from frame {entries[0].first_frame} on"
-        raise CorruptFile(name, found_late, "its beginning", "Take the whole movie.")
-    return data + index_and_end(entries, len(data), chain)
 
 
 @contextmanager
@@ -288,11 +260,18 @@ def _opened(movie: str | Path) -> Iterator[Any]:
 def _write_dash(source: Any, stream: Path, out: Path, at_s: float, rate_bits: float) -> tuple[str, ...]:
     """Write NAME.mpd, tracks as NAME-N.mp4 and the stream as NAME.touch; return the types of the tracks."""
     tracks = [track for track in source.streams if track.type in ("video", "audio")]
-    names = {"single_file": "1", "single_file_name": f"{out.stem}-$RepresentationID$.mp4"}
+    names = {
+        "single_file": "1",
+        "single_file_name": f"{out.stem}-$RepresentationID$.mp4",
+        "global_sidx": "1",
+    }
+    if not {track.codec_context.name for track in tracks} & _WEBM_ONLY:  # else the choice is ffmpeg's
+        names["dash_segment_type"] = "mp4"
     with TemporaryDirectory(prefix=".touchfield-", dir=out.parent) as folder:
         manifest = Path(folder) / out.name
         _copy(source, tracks, out, manifest, "dash", names)
-        _add_touch(manifest, at_s, rate_bits)
+        text = _with_segment_bases(manifest.read_text("utf-8"), Path(folder))
+        manifest.write_text(_with_touch(text, out.stem, at_s, rate_bits), "utf-8")
         with readable(out, "a folder that can be written"):
             shutil.copyfile(stream, Path(folder) / f"{out.stem}.touch")
             for path in Path(folder).iterdir():
@@ -307,15 +286,40 @@ def _write_dash(source: Any, stream: Path, out: Path, at_s: float, rate_bits: fl
     return tuple(track.type for track in tracks)
 
 
-def _add_touch(manifest: Path, at_s: float, rate_bits: float) -> None:
-    """Add the AdaptationSet of the touch to a manifest of one period that ffmpeg wrote."""
-    stem = escape(manifest.stem)
+def _with_segment_bases(manifest: str, folder: Path) -> str:
+    """A manifest that refers to the index in each file (`sidx`) in place of ffmpeg's list of segments.
+
+    ffmpeg itself does not read its lists of ranges, and other players need the times of the segments.
+    """
+    names = iter(re.findall(r"<BaseURL>([^<]*)</BaseURL>", manifest))
+
+    def base(match: re.Match[str]) -> str:
+        with (folder / next(names)).open("rb") as file:
+            start = file.read(int(match[1]) + 1)
+        index = start.rfind(b"sidx") - 4
+        if index < 0:  # an ffmpeg that does not write one
+            return match[0]
+        return (
+            f'<SegmentBase indexRange="{index}-{len(start) - 1}">'
+            f'<Initialization range="0-{index - 1}"/></SegmentBase>'
+        )
+
+    lists = r'<SegmentList[^>]*>\s*<Initialization range="0-(\d+)" />.*?</SegmentList>'
+    text = re.sub(lists, base, manifest, flags=re.DOTALL)
+    text = text.replace("isoff-live:2011", "isoff-on-demand:2011")
+    return text.replace("segmentAlignment=", "subsegmentAlignment=").replace(
+        "startWithSAP=", "subsegmentStartsWithSAP="
+    )
+
+
+def _with_touch(manifest: str, stem: str, at_s: float, rate_bits: float) -> str:
+    """A manifest of one period that ffmpeg wrote, with the AdaptationSet of the touch."""
+    escaped = escape(stem)
     touch = f"""\t<AdaptationSet contentType="application" mimeType="{MEDIA_TYPE}">
 \t\t\t<SupplementalProperty schemeIdUri="{START_SCHEME}" value="{at_s:g}"/>
 \t\t\t<Representation id="touch" bandwidth="{max(1, round(rate_bits))}">
-\t\t\t\t<BaseURL>{stem}.touch</BaseURL>
+\t\t\t\t<BaseURL>{escaped}.touch</BaseURL>
 \t\t\t</Representation>
 \t\t</AdaptationSet>
 \t</Period>"""
-    text = manifest.read_text("utf-8").replace(manifest.stem, stem)  # ffmpeg does not escape the name
-    manifest.write_text(text.replace("</Period>", touch), "utf-8")
+    return manifest.replace(stem, escaped).replace("</Period>", touch)  # ffmpeg does not escape the name

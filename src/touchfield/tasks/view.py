@@ -19,7 +19,7 @@ from touchfield.compute.threads import Progress, silent
 from touchfield.devices import device_names
 from touchfield.errors import InvalidArgument
 from touchfield.medium import HapticMedium
-from touchfield.network.mux import demux
+from touchfield.network.demux import demux
 from touchfield.network.opening import open_stream
 from touchfield.pipeline.comparison import compare, source_medium
 from touchfield.pipeline.encoding import encode, encode_prepared
@@ -111,8 +111,10 @@ def view(
         if kind is None:
             return _page(medium, against, report, devices)
         path = Path(folder) / f"{movie.stem}.touch"
-        at_s = demux(movie, path).at_s
-        return _page(path, against, report, devices, (movie.read_bytes(), kind, at_s))
+        done = demux(movie, path)
+        page = _page(path, against, report, devices, (movie.read_bytes(), kind, done.at_s))
+        notes = {"movie_notes": list(done.notes)} if done.notes else {}
+        return replace(page, figures={**page.figures, **notes})
 
 
 def _page(
