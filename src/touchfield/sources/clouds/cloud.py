@@ -65,7 +65,7 @@ class Cloud:
 
 
 def unit_rows(vectors: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-    """Return vectors [n, 3] of length 1; 0 for those without length or with a coordinate that is no number."""
+    """Return vectors [n, 3] of length 1; 0 for those without a length, or not finite."""
     with np.errstate(all="ignore"):
         lengths = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
         scale = np.divide(1.0, lengths, out=np.zeros_like(lengths), where=lengths > 0)
@@ -91,7 +91,7 @@ def cleaned(cloud: Cloud, where: str) -> Cloud:
 
     Raises `SourceError` if fewer than `MIN_POINTS` remain.
     """
-    is_kept = np.isfinite(cloud.points).all(axis=1)
+    is_kept: Bools = np.asarray(np.isfinite(cloud.points).all(axis=1))
     invalid = len(is_kept) - int(np.count_nonzero(is_kept))
     if invalid:
         cloud = cloud.selected(is_kept).noted(f"{invalid} points without finite coordinates are left out.")

@@ -26,12 +26,12 @@ from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import frozen
 from touchfield.medium.grid import LOCAL
 from touchfield.medium.pose_track import checked_rotation
-from touchfield.sources.clouds.surfels import CloudSurface
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.scene import UP_Y_AXES, Scene, find_bricks_by_sphere
 
 if TYPE_CHECKING:
     from touchfield.sources.clouds.kernels.surface import Surfels
+    from touchfield.sources.clouds.surfels import CloudSurface
 
 _BRICKS_AT_ONCE: Final = 256
 _EDGE_SAMPLES: Final = 0.6  # longest edge of merged cells, in samples
@@ -84,7 +84,9 @@ class CloudScene(Scene):
         samples = self.surface.spacing_m / self._sample_m if self._sample_m else 0.0
         if samples <= 1:
             return ()
-        return (f"The points are {samples:.2g} samples of the lattice apart: the surface between is a guess.",)
+        return (
+            f"The points are {samples:.2g} samples of the lattice apart: the surface between is a guess.",
+        )
 
     def moved(self, rotation: Float64s, shift_m: Float64s) -> CloudScene:
         """See `Scene.moved`."""
@@ -143,7 +145,7 @@ class CloudScene(Scene):
         return max(depth / 2, 1e-300), depth / 2 + high
 
     def _nearest(self, tree: Any, bricks: Int32s, grid: Grid, search_m: float) -> tuple[Float64s, Int32s]:
-        """Return the samples of bricks in the axes of the cloud, [m, 3], and the nearest disc, -1 for none."""
+        """Return the samples of bricks in the axes of the discs, [m, 3], and the nearest disc (-1: none)."""
         index = (bricks[:, None, None, None].astype(np.int64) * BRICK + LOCAL).reshape(-1, 3)
         points = self._to_cloud(grid.to_m(index))
         distances, rows = tree.query(points, distance_upper_bound=search_m, workers=worker_count())

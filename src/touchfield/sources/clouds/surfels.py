@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float32s, Float64s, Int32s
 from touchfield.compute.threads import for_chunks, worker_count
@@ -120,7 +121,7 @@ def surface_of(cloud: Cloud, side: str, where: str) -> CloudSurface:
 
 
 def spacing(points: Float64s, where: str) -> tuple[float, float, float]:
-    """Measure a cloud: median spacing, spacing of its sparse parts, and longest side without outliers, metres.
+    """Measure a cloud: median spacing, that of its sparse parts, and its longest side, metres.
 
     Raises `SourceError` if all points lie at one position.
     """
@@ -176,27 +177,29 @@ def _without_outliers(fit: _Fit) -> tuple[_Fit, Int32s, Float64s, int]:
     _join(fit, 1, np.ones(count, np.bool_), nothing, parents, signs)
     graph.roots_of(parents, signs, roots, relative)
     size = np.bincount(roots, minlength=count)[roots]
-    if (size < MIN_GROUP).any() and size.max() > 1 or size.max() < MIN_GROUP:
+    if (size < MIN_GROUP).any():
         _join(fit, 2, size < MIN_GROUP, roots.copy(), parents, signs)
         graph.roots_of(parents, signs, roots, relative)
         size = np.bincount(roots, minlength=count)[roots]
     is_kept = size >= MIN_GROUP if size.max() >= MIN_GROUP else np.ones(count, np.bool_)
     outliers = int(fit.cells.moments[~is_kept, 0].sum())
     if not is_kept.all():
-        cells = Cells(*(array[is_kept] for array in fit.cells))
+        cells = fit.cells.selected(is_kept)
         fit = _Fit(cells, table_of(cells), fit.normals[is_kept], fit.spreads[is_kept], fit.edge_m)
     _, groups = np.unique(roots[is_kept], return_inverse=True)
     return fit, groups.astype(np.int32), relative[is_kept].astype(np.float64), outliers
 
 
-def _join(fit: _Fit, reach: int, is_start: Bools, roots: Int32s, parents: Int32s, signs: object) -> None:
+def _join(
+    fit: _Fit, reach: int, is_start: Bools, roots: Int32s, parents: Int32s, signs: NDArray[np.int8]
+) -> None:
     """Join neighbours into groups, those with the most similar normals first."""
     edges, levels = _edges(fit, reach, is_start, roots)
     order = np.argsort(levels, kind="stable")
     graph.join(edges, order, fit.normals, parents, signs)
 
 
-def _edges(fit: _Fit, reach: int, is_start: Bools, roots: Int32s) -> tuple[Int32s, object]:
+def _edges(fit: _Fit, reach: int, is_start: Bools, roots: Int32s) -> tuple[Int32s, NDArray[np.uint8]]:
     capacity = _EDGES_PER_ROW * (int(np.count_nonzero(is_start)) + 64)
     while True:
         edges, levels = np.empty((capacity, 2), np.int32), np.empty(capacity, np.uint8)

@@ -8,7 +8,7 @@ of its edge: number, three sums, six sums of products, and three sums of directi
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,11 +39,17 @@ class Cells(NamedTuple):
     facing: NDArray[np.int8]  # [n]; axis and side that the directions of the row are nearest to
     moments: Float64s  # float64 [n, MOMENTS]
 
+    def selected(self, rows: NDArray[Any] | slice) -> Cells:
+        """Return the cells of some rows, by their numbers or a mask."""
+        return Cells(self.keys[rows], self.following[rows], self.facing[rows], self.moments[rows])
+
 
 @inner(forceinline=True)
 def key_of(i, j, k):
     """Return the index of a cell as one number, z fastest."""
-    return ((np.int64(i) + HALF_RANGE) << 42) | ((np.int64(j) + HALF_RANGE) << 21) | (np.int64(k) + HALF_RANGE)
+    return (
+        ((np.int64(i) + HALF_RANGE) << 42) | ((np.int64(j) + HALF_RANGE) << 21) | (np.int64(k) + HALF_RANGE)
+    )
 
 
 @inner(forceinline=True)
@@ -91,7 +97,11 @@ def add_points(start, stop, points, directions, origin, edge, table, cells, coun
     for p in range(start, stop):
         if count + 1 >= len(cells.keys) or count > _MAX_LOAD * len(table.keys):
             return p, count, far
-        x, y, z = ((points[p, 0] - origin[0]) / edge, (points[p, 1] - origin[1]) / edge, (points[p, 2] - origin[2]) / edge)
+        x, y, z = (
+            (points[p, 0] - origin[0]) / edge,
+            (points[p, 1] - origin[1]) / edge,
+            (points[p, 2] - origin[2]) / edge,
+        )
         fi, fj, fk = math.floor(x), math.floor(y), math.floor(z)
         if max(abs(fi), abs(fj), abs(fk)) >= HALF_RANGE - 8:
             far += 1
@@ -161,7 +171,9 @@ def merge_rows(cells, opposite):
                 continue
             a, b = cells.moments[other], cells.moments[row]
             dot = a[10] * b[10] + a[11] * b[11] + a[12] * b[12]
-            lengths = math.sqrt((a[10] ** 2 + a[11] ** 2 + a[12] ** 2) * (b[10] ** 2 + b[11] ** 2 + b[12] ** 2))
+            lengths = math.sqrt(
+                (a[10] ** 2 + a[11] ** 2 + a[12] ** 2) * (b[10] ** 2 + b[11] ** 2 + b[12] ** 2)
+            )
             if dot >= opposite * lengths:
                 for q in range(MOMENTS):
                     a[q] += b[q]
@@ -192,29 +204,30 @@ def sum_points(points: Float64s, directions: Float32s, origin: Float64s, edge: f
     cells, table = _empty_cells(1 << 12), empty_table(1 << 12)
     done, count, far = 0, 0, 0
     while True:
-        done, count, more = add_points(done, len(points), points, directions, origin, edge, table, cells, count)
+        done, count, more = add_points(
+            done, len(points), points, directions, origin, edge, table, cells, count
+        )
         far += more
         if done == len(points):
             break
         larger = _empty_cells(4 * len(cells.keys))
-        for array, source in zip(larger, cells, strict=True):
-            array[:count] = source[:count]
+        larger.keys[:count], larger.following[:count] = cells.keys[:count], cells.following[:count]
+        larger.facing[:count], larger.moments[:count] = cells.facing[:count], cells.moments[:count]
         cells = larger
         table = _table_of_first(cells, count)
     order = np.argsort(cells.keys[:count], kind="stable")
-    cells = Cells(*(array[order] for array in cells))
+    cells = cells.selected(order)
     if len(directions):
-        is_kept = merge_rows(cells, 0.0)
-        cells = Cells(*(array[is_kept] for array in cells))
+        cells = cells.selected(merge_rows(cells, 0.0))
     return cells, far
 
 
 def _empty_cells(count: int) -> Cells:
-    shapes = ((count,), np.int64), ((count,), np.int32), ((count,), np.int8), ((count, MOMENTS), np.float64)
-    return Cells(*(np.empty(shape, kind) for shape, kind in shapes))
+    moments = np.empty((count, MOMENTS))
+    return Cells(np.empty(count, np.int64), np.empty(count, np.int32), np.empty(count, np.int8), moments)
 
 
 def _table_of_first(cells: Cells, count: int) -> Table:
     table = empty_table(len(cells.keys))
-    fill_table(Cells(*(array[:count] for array in cells)), table)
+    fill_table(cells.selected(slice(None, count)), table)
     return table

@@ -70,9 +70,7 @@ def join(edges, order, normals, parents, signs):
         second, sign_b = _root(parents, signs, b)
         if first == second:
             continue
-        dot = (
-            normals[a, 0] * normals[b, 0] + normals[a, 1] * normals[b, 1] + normals[a, 2] * normals[b, 2]
-        )
+        dot = normals[a, 0] * normals[b, 0] + normals[a, 1] * normals[b, 1] + normals[a, 2] * normals[b, 2]
         agreed = np.int8(1) if dot >= 0.0 else np.int8(-1)
         parents[second] = first
         signs[second] = sign_a * sign_b * agreed

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from touchfield.compute.jit import inner, kernel
 from touchfield.sources.clouds.kernels.cells import cell_of, key_of, row_of
 

@@ -22,7 +22,7 @@ from touchfield.sources.terrain.kernels import amplitude as amplitude_at
 KERNEL_RADIUS = 2.0
 """Radius of the weights, in cells."""
 _FULL_GAP, _MAX_GAP = 1.0, 2.0
-"""Distance of the foot from the nearest point, in cells, up to which a force is whole, and from which it is 0."""
+"""Distance of the foot from the nearest point, in cells: up to it a force is whole; from it, it is 0."""
 _ALIKE = 0.2  # least cosine between normals of one surface
 
 
@@ -45,7 +45,11 @@ def _mean_plane(surfels, x, y, z, normal):
     The height is along the normal, negative behind. The distance is infinite if no disc is near.
     """
     edge, origin, positions, normals = surfels.edge_m, surfels.origin_m, surfels.positions_m, surfels.normals
-    i, j, k = math.floor((x - origin[0]) / edge), math.floor((y - origin[1]) / edge), math.floor((z - origin[2]) / edge)
+    i, j, k = (
+        math.floor((x - origin[0]) / edge),
+        math.floor((y - origin[1]) / edge),
+        math.floor((z - origin[2]) / edge),
+    )
     total = px = py = pz = sx = sy = sz = own = 0.0
     nearest = np.inf
     radius2 = (KERNEL_RADIUS * edge) ** 2
@@ -89,7 +93,11 @@ def _distance(surfels, x, y, z, row, low, high):
     The gap is infinite, too, if the distance is clearly not between `low` and `high`.
     """
     normal = surfels.normals[row, 0], surfels.normals[row, 1], surfels.normals[row, 2]
-    dx, dy, dz = (x - surfels.positions_m[row, 0], y - surfels.positions_m[row, 1], z - surfels.positions_m[row, 2])
+    dx, dy, dz = (
+        x - surfels.positions_m[row, 0],
+        y - surfels.positions_m[row, 1],
+        z - surfels.positions_m[row, 2],
+    )
     phi = dx * normal[0] + dy * normal[1] + dz * normal[2]
     gap, margin = 0.0, surfels.edge_m
     for _ in range(2):
@@ -106,7 +114,7 @@ def _distance(surfels, x, y, z, row, low, high):
 
 @kernel
 def distances(start, stop, points, rows, surfels, phis, normals, gaps):
-    """Write the signed distance, the normal, and the gap in edges of points start..stop; rows -1 are left out."""
+    """Write signed distances, normals, and gaps in edges of points start..stop; rows -1 are left out."""
     for p in range(start, stop):
         gaps[p] = np.inf
         if rows[p] >= 0:

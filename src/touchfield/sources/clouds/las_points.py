@@ -1,0 +1,127 @@
+"""Reads the points of LAS and LAZ files, through laspy (extra: points).
+
+Points of the classes of noise (7 and 18) and withheld ones are left out. The unit is that of the coordinate
+system in the file, metres if there is none. Where nothing else tells it, the surface faces up.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from touchfield.arrays import Bools, Float64s
+from touchfield.errors import MissingExtra, SourceError, import_extra
+from touchfield.sources.clouds.cloud import Cloud, require_points
+from touchfield.sources.scene import UP_Z_AXES
+
+NOISE: Final = (7, 18)
+"""Classes of low and high noise."""
+_CHUNK: Final = 1 << 20
+_GEO_MODEL, _GEO_UNIT, _GEO_VERTICAL_UNIT = 1024, 3076, 4099  # keys of GeoTIFF
+_GEOGRAPHIC: Final = 2  # value of the first one
+_UNITS_M: Final = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
+_WKT_UNIT: Final = re.compile(r'(?:LENGTH)?UNIT\["[^"]*",\s*([0-9.eE+-]+)')
+_WKT_VERTICAL: Final = re.compile(r"VERT_?CR?S\[")
+_NORMAL_NAMES: Final = (
+    ("NormalX", "NormalY", "NormalZ"),
+    ("normal_x", "normal_y", "normal_z"),
+    ("nx", "ny", "nz"),
+)
+_EXPECTED: Final = "a whole LAS or LAZ file"
+
+
+def read_las(path: Path) -> Cloud:
+    """Read all points that are no noise; `SourceError` or `MissingExtra` if they cannot be read."""
+    laspy = import_extra("laspy", "LAS and LAZ point clouds", "laspy", "points")
+    if path.suffix.lower() == ".laz" and not laspy.LazBackend.detect_available():
+        raise MissingExtra("LAZ point clouds", "lazrs", "points")
+    try:
+        with laspy.open(path) as file:
+            return _read(file, path)
+    except (SourceError, OSError):
+        raise
+    except Exception as error:
+        module = type(error).__module__.partition(".")[0]
+        if module not in ("laspy", "lazrs", "struct") and not isinstance(
+            error, ValueError | LookupError | EOFError | ArithmeticError | TypeError
+        ):
+            raise
+        found = f"a file that cannot be read ({type(error).__name__}: {str(error)[:120]})"
+        raise SourceError(str(path), found, _EXPECTED, "Export it again.") from error
+
+
+def _read(file: Any, path: Path) -> Cloud:
+    header = file.header
+    count = int(header.point_count)
+    if path.suffix.lower() == ".las" and not header.are_points_compressed:
+        needed = int(header.offset_to_point_data) + count * int(header.point_format.size)
+        if path.stat().st_size < needed:
+            found = f"{path.stat().st_size} bytes where its {count} points end at {needed}"
+            raise SourceError(str(path), found, _EXPECTED, "Copy it again.")
+    require_points(str(path), count)
+    dimensions = set(header.point_format.dimension_names)
+    names = next((names for names in _NORMAL_NAMES if set(names) <= dimensions), None)
+    points = np.empty((count, 3))
+    normals = np.empty((count if names else 0, 3), np.float32)
+    read = done = 0
+    for chunk in file.chunk_iterator(_CHUNK):
+        is_kept = _is_kept(chunk, dimensions)
+        part = slice(done, done + int(np.count_nonzero(is_kept)))
+        for axis, values in enumerate((chunk.x, chunk.y, chunk.z)):
+            points[part, axis] = np.asarray(values)[is_kept]
+        for axis, name in enumerate(names or ()):
+            normals[part, axis] = np.asarray(chunk[name])[is_kept]
+        read, done = read + len(is_kept), part.stop
+    if read < count:
+        raise SourceError(str(path), f"{read} of {count} points", _EXPECTED, "Copy it again.")
+    unit_m, height_scale = _units(header, path)
+    points = points[:done]
+    points[:, 2] *= height_scale
+    cloud = Cloud(points, normals[:done], side="up", unit_m=unit_m, axes=UP_Z_AXES)
+    left_out = count - done
+    note = (
+        f"{left_out} points that are noise (classes 7 and 18) or withheld are left out." if left_out else ""
+    )
+    return cloud.noted(note)
+
+
+def _is_kept(chunk: Any, dimensions: set[str]) -> Bools:
+    is_kept = ~np.isin(np.asarray(chunk.classification), NOISE)
+    if "withheld" in dimensions:
+        is_kept &= np.asarray(chunk.withheld) == 0
+    return np.asarray(is_kept, np.bool_)
+
+
+def _units(header: Any, path: Path) -> tuple[float, float]:
+    """Return metres of one unit along x and y, and the units of height in one of these.
+
+    Raises `SourceError` for coordinates in degrees.
+    """
+    unit_m, vertical_m, is_geographic = 1.0, None, False
+    for record in header.vlrs:
+        keys = {int(key.id): int(key.value_offset) for key in getattr(record, "geo_keys", ())}
+        unit_m = _UNITS_M.get(keys.get(_GEO_UNIT, 0), unit_m)
+        vertical_m = _UNITS_M.get(keys.get(_GEO_VERTICAL_UNIT, 0), vertical_m)
+        is_geographic |= keys.get(_GEO_MODEL) == _GEOGRAPHIC
+        text = getattr(record, "string", "")
+        if isinstance(text, str) and "[" in text:
+            level, *heights = _WKT_VERTICAL.split(text, maxsplit=1)
+            is_geographic |= "PROJ" not in level and re.search(r"GEOG?(OG)?CR?S\[", level) is not None
+            if found := _WKT_UNIT.findall(level):
+                unit_m = float(found[-1])
+            if heights and (found := _WKT_UNIT.findall(heights[0])):
+                vertical_m = float(found[-1])
+    if is_geographic:
+        hint = (
+            "Reproject it: pdal translate IN OUT filters.reprojection --filters.reprojection.out_srs=EPSG:..."
+        )
+        raise SourceError(str(path), "coordinates in degrees", "coordinates in metres or feet", hint)
+    return unit_m, (vertical_m or unit_m) / unit_m
+
+
+def offset_of(points: Float64s) -> Float64s:
+    """Return a whole-numbered position near the middle of points, float64 [3]."""
+    return np.floor(np.median(points[:: max(1, len(points) // 65536)], axis=0))
