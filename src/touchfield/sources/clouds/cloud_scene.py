@@ -50,7 +50,7 @@ class CloudScene(Scene):
     """
 
     unit = ("--unit-m", 0.001, 1e5)
-    box_wording = "the points without outliers"
+    box_wording = "the cloud without outliers"
 
     def __init__(
         self,

@@ -64,7 +64,9 @@ def _read(file: Any, path: Path) -> Cloud:
             done, read = part.stop, read + len(is_kept)
         if header.has_pose():
             scanners.append((first, done, position))
-    notes = [f"{len(headers)} scans"]
+    notes = [
+        f"{len(headers)} scan{'s' * (len(headers) != 1)}, {len(scanners)} with the position of the scanner"
+    ]
     if read > done:
         notes.append(f"{read - done} points marked as invalid are left out")
     cloud = Cloud(points[:done], normals[:done], tuple(scanners), "outward", 1.0, UP_Z_AXES)

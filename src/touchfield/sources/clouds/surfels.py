@@ -44,6 +44,11 @@ _UNLIKE: Final = 0.05  # part of neighbours that face apart, above which sides a
 _BALANCED: Final = 0.05  # part of the area that remains of the sum of a closed surface's normals
 _UNDECIDED: Final = 0.05
 _EDGES_PER_ROW: Final = 8
+_APART: Final = -0.7  # cosine of normals that face apart
+_BULKY: Final = 0.1  # part of the cells above which a volume is noted
+_ROWS_PER_CELL: Final = 6
+_MAX_FLATNESS: Final = 0.3
+"""Variance across the plane of the neighbours over that along it, above which they make no surface."""
 
 
 class Facing(NamedTuple):
@@ -86,6 +91,11 @@ class _Fit(NamedTuple):
         """Median scatter about the planes, in edges."""
         return float(np.sqrt(np.median(self.spreads[:, 0])))
 
+    @property
+    def bulky(self) -> float:
+        """Part of the cells around which the points fill a volume."""
+        return float((self.spreads[:, 0] > _MAX_FLATNESS * self.spreads[:, 1]).mean())
+
 
 def surface_of(cloud: Cloud, side: str, where: str) -> CloudSurface:
     """Reduce a cloud in metres to discs; `side` is one of `SIDES`.
@@ -107,7 +117,9 @@ def surface_of(cloud: Cloud, side: str, where: str) -> CloudSurface:
     fit, groups, relative, outliers = _without_outliers(fit)
     facing = _facing(fit, method, cloud.side, groups, relative)
     surfels = _surfels(fit, facing.normals, origin_m)
-    is_closed = facing.is_trusted and _is_closed(surfels)
+    bulky = fit.bulky
+    is_trusted = facing.is_trusted and bulky < 0.5
+    is_closed = is_trusted and _is_closed(surfels)
     scatter_m = fit.scatter * fit.edge_m
     sizes = (
         f"{len(cloud.points)} points, {spacing_m:.3g} m apart (median), scatter by {scatter_m:.2g} m; "
@@ -116,8 +128,13 @@ def surface_of(cloud: Cloud, side: str, where: str) -> CloudSurface:
     removed = outliers + far
     rule = f"in groups of fewer than {MIN_GROUP} cells"
     outlier_note = f"{removed} points are left out as outliers, {rule}." if removed else ""
-    notes = tuple(filter(None, (sizes, outlier_note, f"Normals {facing.text}.")))
-    return CloudSurface(surfels, spacing_m, scatter_m, facing.is_trusted, is_closed, notes)
+    bulk_note = (
+        f"Around {bulky:.0%} of the cells the points fill a volume, which has no normal."
+        if bulky > _BULKY
+        else ""
+    )
+    notes = tuple(filter(None, (sizes, outlier_note, bulk_note, f"Normals {facing.text}.")))
+    return CloudSurface(surfels, spacing_m, scatter_m, is_trusted, is_closed, notes)
 
 
 def spacing(points: Float64s, where: str) -> tuple[float, float, float]:
@@ -268,21 +285,27 @@ def _spread(fit: _Fit, side: str, groups: Int32s, relative: Float64s) -> Float64
 
 
 def _unlike(fit: _Fit, normals: Float64s) -> float:
-    """Return the part of neighbouring rows with similar planes whose normals face apart."""
-    cosines = _neighbour_cosines(fit, normals)
-    cosines = cosines[np.abs(cosines) > 0.7]
-    return float((cosines < 0).mean()) if len(cosines) else 0.0
+    """Return the part of the rows that contradict a neighbour: they face apart and are not back to back.
 
-
-def _neighbour_cosines(fit: _Fit, normals: Float64s) -> Float64s:
-    """Return the cosines between the normals of cells that are neighbours along an axis."""
-    keys, found = fit.cells.keys, []
-    for step in (1, 1 << 21, 1 << 42):
-        at = np.searchsorted(keys, keys + step)
-        at[at == len(keys)] = 0
-        is_pair = keys[at] == keys + step
-        found.append((normals[is_pair] * normals[at[is_pair]]).sum(axis=1))
-    return np.concatenate(found)
+    Neighbours lie in the same cell or in the next one along an axis; of the rows of a cell, whose points face
+    apart, the most similar one counts.
+    """
+    keys, positions, bad = np.append(fit.cells.keys, -1), _positions(fit.cells), 0
+    for step in (0, 1, 1 << 21, 1 << 42):
+        first = np.searchsorted(fit.cells.keys, fit.cells.keys + step)
+        cosines, fronts = np.full(len(first), -np.inf), np.zeros(len(first))
+        for row in range(_ROWS_PER_CELL):
+            at = np.minimum(first + row, len(first))
+            pairs = np.flatnonzero((keys[at] == fit.cells.keys + step) & (at != np.arange(len(at))))
+            if not len(pairs) and step:
+                break
+            others = at[pairs]
+            cosine = (normals[pairs] * normals[others]).sum(axis=1)
+            front = ((positions[pairs] - positions[others]) * normals[pairs]).sum(axis=1)
+            is_better = cosine > cosines[pairs]
+            cosines[pairs[is_better]], fronts[pairs[is_better]] = cosine[is_better], front[is_better]
+        bad += int(np.count_nonzero(np.isfinite(cosines) & (cosines < _APART) & (fronts <= 0)))
+    return bad / len(normals)
 
 
 # -- discs -------------------------------------------------------------------------------------------------

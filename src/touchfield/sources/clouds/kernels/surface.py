@@ -21,7 +21,7 @@ from touchfield.sources.terrain.kernels import amplitude as amplitude_at
 
 KERNEL_RADIUS = 2.0
 """Radius of the weights, in cells."""
-_FULL_GAP, _MAX_GAP = 1.0, 2.0
+_FULL_GAP, _MAX_GAP = 1.25, 2.0
 """Distance of the foot from the nearest point, in cells: up to it a force is whole; from it, it is 0."""
 _ALIKE = 0.2  # least cosine between normals of one surface
 
