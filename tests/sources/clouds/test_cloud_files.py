@@ -213,6 +213,27 @@ def test_a_cloud_becomes_a_medium_with_its_notes(tmp_path: Path) -> None:
     assert prepared.medium[0].sample_n(np.zeros(3)) == pytest.approx(np.zeros(3), abs=0.05)
 
 
+def thin_plate() -> tuple[np.ndarray, np.ndarray]:
+    """Points on both sides of a plate of 100 x 100 x 1 mm, and their normals."""
+    points, normals, _ = plane(4000, noise=0.0)
+    return np.concatenate([points, points - np.array([0, 0, 1e-3])]), np.concatenate([normals, -normals])
+
+
+def test_a_plate_too_thin_for_the_lattice_is_thickened(tmp_path: Path) -> None:
+    path = ply(tmp_path / "plate.ply", *thin_plate())
+    prepared = prepare(path, EncodeSpec(nw=6, mapping="1"))
+    assert "thickened: plate.ply of 1 mm is now" in " ".join(prepared.notes)
+    kept = prepare(path, EncodeSpec(nw=6, mapping="1", thin="keep"))
+    assert "the hand may pass through" in " ".join(kept.notes)
+    largest = []
+    for medium in (prepared.medium, kept.medium):
+        forces = [medium[0].sample_n([0.0, 0.0, z])[2] for z in np.linspace(-0.004, 0.004, 81)]
+        largest.append(min(max(forces), -min(forces)))
+    assert largest[0] > 2 * largest[1] > 0  # the force on either side, newtons
+    thick = ply(tmp_path / "sphere.ply", *sphere(2000)[:2])
+    assert "Too thin" not in " ".join(prepare(thick, EncodeSpec(nw=6, mapping="1")).notes)
+
+
 # -- LAS and E57, which need libraries ----------------------------------------------------------------------
 def las(path: Path, points: np.ndarray, classes: np.ndarray | None = None) -> Path:
     laspy = pytest.importorskip("laspy", reason="extra points: laspy")

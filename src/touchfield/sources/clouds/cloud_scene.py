@@ -13,7 +13,9 @@ from __future__ import annotations
 
 import copy
 import math
+from dataclasses import replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -28,6 +30,7 @@ from touchfield.medium.grid import LOCAL
 from touchfield.medium.pose_track import checked_rotation
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.scene import UP_Y_AXES, Scene, find_bricks_by_sphere
+from touchfield.sources.thin_walls import MinThickness, ThinWall
 
 if TYPE_CHECKING:
     from touchfield.sources.clouds.kernels.surface import Surfels
@@ -88,6 +91,22 @@ class CloudScene(Scene):
             f"The points are {samples:.2g} samples of the lattice apart: the surface between is a guess.",
         )
 
+    def thickened(self, rule: MinThickness) -> tuple[CloudScene, tuple[ThinWall, ...]]:
+        """See `Scene.thickened`: walls are where points of both sides lie back to back."""
+        from touchfield.sources.clouds.surfels import grown, growth_of
+
+        if not self.is_one_sided:
+            return self, ()
+        surfels, _ = self._discs_for(min(rule.spacing_m))
+        growth = growth_of(surfels, rule.along(surfels.normals @ self._rotation.T))
+        if growth is None:
+            return self, ()
+        other = copy.copy(self)
+        other.__dict__.pop("_positions_m", None)
+        other.surface = replace(self.surface, surfels=grown(surfels, growth.motions_m))
+        other._latest = None
+        return other, (ThinWall(Path(self.name).name, growth.thickness_m, growth.thickened_m),)
+
     def moved(self, rotation: Float64s, shift_m: Float64s) -> CloudScene:
         """See `Scene.moved`."""
         matrix = checked_rotation(rotation)
@@ -105,7 +124,7 @@ class CloudScene(Scene):
         if frame != 0:
             raise InvalidArgument(f"{self.name}, frame", str(frame), "0, the only one")
         half_m, reach_m = self._wall(profile)
-        surfels, tree = self._discs_for(grid)
+        surfels, tree = self._discs_for(min(grid.spacing_m))
         search_m = reach_m + _GAP_EDGES * surfels.edge_m
 
         def may_hold(centres_m: Float64s, radius_m: float) -> Any:
@@ -156,11 +175,14 @@ class CloudScene(Scene):
         """Convert points of the scene to those of the discs, which a motion leaves in place."""
         return np.ascontiguousarray((points_m - self._shift_m) @ self._rotation)
 
-    def _discs_for(self, grid: Grid) -> tuple[Surfels, Any]:
-        """Return discs that are not much finer than a lattice, and their k-d tree; the latest are cached."""
+    def _discs_for(self, sample_m: float) -> tuple[Surfels, Any]:
+        """Return discs not much finer than samples `sample_m` apart, and their k-d tree.
+
+        The latest are cached.
+        """
         from touchfield.sources.clouds.surfels import coarser
 
-        wanted = _EDGE_SAMPLES * min(grid.spacing_m) / self.surface.surfels.edge_m
+        wanted = _EDGE_SAMPLES * sample_m / self.surface.surfels.edge_m
         factor = 1 << max(0, math.floor(math.log2(max(wanted, 1.0))))
         if self._latest is None or self._latest[0] != factor:
             surfels = self.surface.surfels if factor == 1 else coarser(self.surface.surfels, factor)

@@ -45,6 +45,7 @@ _BALANCED: Final = 0.05  # part of the area that remains of the sum of a closed 
 _UNDECIDED: Final = 0.05
 _EDGES_PER_ROW: Final = 8
 _APART: Final = -0.7  # cosine of normals that face apart
+_BACK_TO_BACK: Final = -0.87  # cosine of normals of the two sides of a wall
 _BULKY: Final = 0.1  # part of the cells above which a volume is noted
 _ROWS_PER_CELL: Final = 6
 _MAX_FLATNESS: Final = 0.3
@@ -338,6 +339,50 @@ def coarser(surfels: Surfels, factor: int) -> Surfels:
     normals = np.asarray(unit_rows(sums), np.float64)
     positions_m = surfels.origin_m + edge_m * _positions(cells)
     return Surfels(positions_m, normals, cells.moments[:, 0].copy(), cells, table, surfels.origin_m, edge_m)
+
+
+class Growth(NamedTuple):
+    """How far discs move along their normals, and the wall that grows most, before and after."""
+
+    motions_m: Float64s  # float64 [n]; 0 where the wall is thick enough
+    thickness_m: float
+    thickened_m: float
+
+
+def growth_of(surfels: Surfels, needed_m: Float64s) -> Growth | None:
+    """Measure the walls between discs that lie back to back; None if all are thick enough.
+
+    needed_m : float64 [n]; the least thickness of a wall along the normal of each disc.
+    """
+    from scipy.spatial import cKDTree
+
+    tree, thickness_m = cKDTree(surfels.positions_m), np.full(len(needed_m), np.inf)
+    for depth_m in np.arange(0.5, needed_m.max() / surfels.edge_m + 0.5) * surfels.edge_m:
+        is_open = np.flatnonzero(np.isinf(thickness_m) & (needed_m > depth_m - surfels.edge_m))
+        if not len(is_open):
+            break
+        normals = surfels.normals[is_open]
+        at = surfels.positions_m[is_open] - depth_m * normals
+        distance, found = tree.query(at, distance_upper_bound=surfels.edge_m, workers=worker_count())
+        is_found = np.isfinite(distance)
+        discs, behind, normals = is_open[is_found], found[is_found], normals[is_found]
+        is_back = (surfels.normals[behind] * normals).sum(axis=1) < _BACK_TO_BACK
+        discs, behind, normals = discs[is_back], behind[is_back], normals[is_back]
+        thickness_m[discs] = ((surfels.positions_m[discs] - surfels.positions_m[behind]) * normals).sum(
+            axis=1
+        )
+    is_thin = (thickness_m >= 0) & (thickness_m < needed_m)
+    if not is_thin.any():
+        return None
+    motions_m = np.where(is_thin, (needed_m - np.where(is_thin, thickness_m, 0.0)) / 2, 0.0)
+    worst = int(motions_m.argmax())
+    return Growth(motions_m, float(thickness_m[worst]), float(needed_m[worst]))
+
+
+def grown(surfels: Surfels, motions_m: Float64s) -> Surfels:
+    """Return discs that are moved along their normals by motions float64 [n]."""
+    moved = surfels._replace(positions_m=surfels.positions_m + motions_m[:, None] * surfels.normals)
+    return coarser(moved, 1)
 
 
 def _is_closed(surfels: Surfels) -> bool:
