@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import touchfield as tf
 from cloud_makers import RADIUS_M, pcd, plane, ply, sphere, text_of
 from touchfield.errors import InvalidArgument, MissingExtra, SourceError, TouchfieldError
 from touchfield.pipeline import prepare
@@ -211,6 +212,24 @@ def test_a_cloud_becomes_a_medium_with_its_notes(tmp_path: Path) -> None:
     text = " ".join(prepared.notes)
     assert "points, " in text and "Normals are those of the file" in text
     assert prepared.medium[0].sample_n(np.zeros(3)) == pytest.approx(np.zeros(3), abs=0.05)
+
+
+def test_the_decoded_force_starts_within_half_the_spacing(tmp_path: Path) -> None:
+    points, _, spacing_m = sphere(2000)
+    tf.encode(ply(tmp_path / "ball.ply", points), tmp_path / "ball.touch", EncodeSpec(nw=6, mapping="1"))
+    angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    starts = []
+    with tf.open_stream(tmp_path / "ball.touch") as stream:
+        middle_m = stream.placement.offset_m
+        for angle in angles:
+            towards = np.array([np.cos(angle), np.sin(angle), 0.0])
+            for radius_m in np.arange(1.2 * RADIUS_M, 0.8 * RADIUS_M, -1e-4):
+                force_n = stream.medium[0].sample_n(radius_m * towards - middle_m)
+                if np.linalg.norm(force_n) > 0.1:
+                    starts.append(radius_m)
+                    break
+    assert len(starts) == len(angles)
+    assert np.abs(np.array(starts) - RADIUS_M).max() < 0.5 * spacing_m
 
 
 def thin_plate() -> tuple[np.ndarray, np.ndarray]:

@@ -92,10 +92,13 @@ class CloudScene(Scene):
         )
 
     def thickened(self, rule: MinThickness) -> tuple[CloudScene, tuple[ThinWall, ...]]:
-        """See `Scene.thickened`: walls are where points of both sides lie back to back."""
+        """See `Scene.thickened`: walls are where points of both sides lie back to back.
+
+        Points that fill a volume make no wall.
+        """
         from touchfield.sources.clouds.surfels import grown, growth_of
 
-        if not self.is_one_sided:
+        if not self.is_one_sided or self.surface.is_bulky:
             return self, ()
         surfels, _ = self._discs_for(min(rule.spacing_m))
         growth = growth_of(surfels, rule.along(surfels.normals @ self._rotation.T))

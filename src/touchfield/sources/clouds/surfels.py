@@ -67,6 +67,7 @@ class CloudSurface:
     spacing_m, scatter_m : float; Median distance of neighbouring points, and of the points from their planes.
     is_trusted : bool; Whether normals of neighbours face alike.
     is_closed : bool; Whether the surface encloses a volume.
+    is_bulky : bool; Whether many points fill a volume, as those of vegetation, and lie on no surface.
     notes : tuple of str.
     """
 
@@ -75,6 +76,7 @@ class CloudSurface:
     scatter_m: float
     is_trusted: bool
     is_closed: bool
+    is_bulky: bool
     notes: tuple[str, ...]
 
 
@@ -135,7 +137,7 @@ def surface_of(cloud: Cloud, side: str, where: str) -> CloudSurface:
         else ""
     )
     notes = tuple(filter(None, (sizes, outlier_note, bulk_note, f"Normals {facing.text}.")))
-    return CloudSurface(surfels, spacing_m, scatter_m, is_trusted, is_closed, notes)
+    return CloudSurface(surfels, spacing_m, scatter_m, is_trusted, is_closed, bulky > _BULKY, notes)
 
 
 def spacing(points: Float64s, where: str) -> tuple[float, float, float]:
@@ -352,6 +354,8 @@ class Growth(NamedTuple):
 def growth_of(surfels: Surfels, needed_m: Float64s) -> Growth | None:
     """Measure the walls between discs that lie back to back; None if all are thick enough.
 
+    A disc counts if half of its neighbours are as thin.
+
     needed_m : float64 [n]; the least thickness of a wall along the normal of each disc.
     """
     from scipy.spatial import cKDTree
@@ -372,6 +376,10 @@ def growth_of(surfels: Surfels, needed_m: Float64s) -> Growth | None:
             axis=1
         )
     is_thin = (thickness_m >= 0) & (thickness_m < needed_m)
+    thin = np.flatnonzero(is_thin)
+    if len(thin):  # a wall is more than a disc
+        _, near = tree.query(surfels.positions_m[thin], min(_NEIGHBOURS + 1, len(is_thin)))
+        is_thin[thin] = is_thin[near].mean(axis=1) >= 0.5
     if not is_thin.any():
         return None
     motions_m = np.where(is_thin, (needed_m - np.where(is_thin, thickness_m, 0.0)) / 2, 0.0)
