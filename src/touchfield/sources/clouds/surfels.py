@@ -29,7 +29,6 @@ from touchfield.sources.clouds.kernels.cells import HALF_RANGE, Cells, Table, su
 from touchfield.sources.clouds.kernels.planes import fit_planes
 from touchfield.sources.clouds.kernels.surface import Surfels
 
-SIDES: Final = ("auto", "given", "scanner", "up", "outward", "inward")
 MIN_GROUP: Final = 8
 """Fewest cells of a group of points that is no outlier."""
 _CELL_SPACINGS: Final = 2.0  # edge of a cell
@@ -101,7 +100,7 @@ class _Fit(NamedTuple):
 
 
 def surface_of(cloud: Cloud, side: str, where: str) -> CloudSurface:
-    """Reduce a cloud in metres to discs; `side` is one of `SIDES`.
+    """Reduce a cloud in metres to discs; `side` is the option `normals` of `SourceOptions`.
 
     Raises `SourceError` if the points make no surface; `InvalidArgument` if `side` needs what the file lacks.
     """
