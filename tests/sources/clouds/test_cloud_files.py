@@ -314,6 +314,11 @@ def test_damaged_las_is_one_clear_error(tmp_path: Path) -> None:
         path.write_bytes(data[:length])
         with pytest.raises(SourceError, match=r"cut\.las"):
             open_cloud(path, SourceOptions())
+    path = tmp_path / "records.las"
+    for at in (100, 243):  # numbers of records, each of which would be read
+        path.write_bytes(data[:at] + (1 << 31).to_bytes(4, "little") + data[at + 4 :])
+        with pytest.raises(SourceError, match="2147483648 records"):
+            open_cloud(path, SourceOptions())
     path = tmp_path / "many.las"
     path.write_bytes(data[:247] + (1 << 60).to_bytes(8, "little") + data[255:])
     with pytest.raises(TouchfieldError, match=r"many\.las"):

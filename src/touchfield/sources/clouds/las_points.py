@@ -30,6 +30,8 @@ _NORMAL_NAMES: Final = (
     ("normal_x", "normal_y", "normal_z"),
     ("nx", "ny", "nz"),
 )
+_HEADER_BYTES: Final = 247  # up to the number of extended records of version 1.4
+_RECORD_BYTES, _EXTENDED_BYTES = 54, 60  # of a record of variable length, at least
 _EXPECTED: Final = "a whole LAS or LAZ file"
 
 
@@ -38,6 +40,7 @@ def read_las(path: Path) -> Cloud:
     laspy = import_extra("laspy", "LAS and LAZ point clouds", "laspy", "points")
     if path.suffix.lower() == ".laz" and not laspy.LazBackend.detect_available():
         raise MissingExtra("LAZ point clouds", "lazrs", "points")
+    _require_records(path)
     try:
         with laspy.open(path) as file:
             return _read(file, path)
@@ -51,6 +54,26 @@ def read_las(path: Path) -> Cloud:
             raise
         found = f"a file that cannot be read ({type(error).__name__}: {str(error)[:120]})"
         raise SourceError(str(path), found, _EXPECTED, "Export it again.") from error
+
+
+def _require_records(path: Path) -> None:
+    """Raise `SourceError` if a header declares more records than fit: laspy would read them all."""
+    with path.open("rb") as file:
+        head = file.read(_HEADER_BYTES).ljust(_HEADER_BYTES, b"\0")
+    size = path.stat().st_size
+    points_at, count = (int.from_bytes(head[at : at + 4], "little") for at in (96, 100))
+    extended_at, extended_count = (
+        int.from_bytes(head[at:end], "little") for at, end in ((235, 243), (243, 247))
+    )
+    has_extended = head[24:26] >= b"\1\4"  # version 1.4
+    if head[:4] != b"LASF":
+        raise SourceError(str(path), "no signature LASF", _EXPECTED, "Export it again.")
+    if points_at > size or count * _RECORD_BYTES > points_at:
+        found = f"{count} records before the points at byte {points_at} of {size}"
+        raise SourceError(str(path), found, _EXPECTED, "Export it again.")
+    if has_extended and extended_count * _EXTENDED_BYTES > max(size - extended_at, 0):
+        found = f"{extended_count} records from byte {extended_at} of {size}"
+        raise SourceError(str(path), found, _EXPECTED, "Export it again.")
 
 
 def _read(file: Any, path: Path) -> Cloud:
