@@ -171,6 +171,8 @@ def test_other_columns_of_a_text_are_noted(tmp_path: Path) -> None:
     )
     cloud = read_cloud(path)
     assert len(cloud.normals) == 0 and len(cloud.points) == 300
+    path.write_bytes(text_of(POINTS).replace(b"\n", b"\n\n"))
+    assert len(read_cloud(path).points) == 300
     path.write_text("3\nwater\nO 0 0 0\nH 1 0 0\nH 0 1 0\n")
     with pytest.raises(SourceError, match=r"a\.xyz"):
         read_cloud(path)
@@ -323,6 +325,18 @@ def test_damaged_las_is_one_clear_error(tmp_path: Path) -> None:
     path.write_bytes(data[:247] + (1 << 60).to_bytes(8, "little") + data[255:])
     with pytest.raises(TouchfieldError, match=r"many\.las"):
         open_cloud(path, SourceOptions())
+
+
+def test_a_chunk_table_that_cannot_be_is_refused(tmp_path: Path) -> None:
+    """lazrs would allocate 16 bytes for each of its chunks, and abort."""
+    pytest.importorskip("lazrs", reason="extra points: lazrs")
+    data = bytearray(las(tmp_path / "a.laz", hills(200)).read_bytes())
+    points_at = int.from_bytes(data[96:100], "little")
+    table_at = int.from_bytes(data[points_at : points_at + 8], "little")
+    data[table_at + 4 : table_at + 8] = b"\xff" * 4
+    (tmp_path / "chunks.laz").write_bytes(data)
+    with pytest.raises(SourceError, match="4294967295 chunks in a table"):
+        open_cloud(tmp_path / "chunks.laz", SourceOptions())
 
 
 def test_e57_joins_scans_and_faces_their_scanners(tmp_path: Path) -> None:

@@ -31,6 +31,7 @@ _NORMAL_NAMES: Final = (
     ("nx", "ny", "nz"),
 )
 _HEADER_BYTES: Final = 247  # up to the number of extended records of version 1.4
+_COMPRESSED: Final = 128  # least format of points of a LAZ
 _RECORD_BYTES, _EXTENDED_BYTES = 54, 60  # of a record of variable length, at least
 _EXPECTED: Final = "a whole LAS or LAZ file"
 
@@ -41,6 +42,7 @@ def read_las(path: Path) -> Cloud:
     if path.suffix.lower() == ".laz" and not laspy.LazBackend.detect_available():
         raise MissingExtra("LAZ point clouds", "lazrs", "points")
     _require_records(path)
+    _require_chunks(path)
     try:
         with laspy.open(path) as file:
             return _read(file, path)
@@ -73,6 +75,28 @@ def _require_records(path: Path) -> None:
         raise SourceError(str(path), found, _EXPECTED, "Export it again.")
     if has_extended and extended_count * _EXTENDED_BYTES > max(size - extended_at, 0):
         found = f"{extended_count} records from byte {extended_at} of {size}"
+        raise SourceError(str(path), found, _EXPECTED, "Export it again.")
+
+
+def _require_chunks(path: Path) -> None:
+    """Raise `SourceError` if the chunk table of a LAZ declares more chunks than it has bytes.
+
+    lazrs allocates what the table declares, and ends the process if it cannot.
+    """
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(_HEADER_BYTES).ljust(_HEADER_BYTES, b"\0")
+        if head[104] < _COMPRESSED:
+            return
+        file.seek(int.from_bytes(head[96:100], "little"))
+        table_at = int.from_bytes(file.read(8), "little", signed=True)
+        if table_at == -1:  # written by a program that could not go back: at the end
+            file.seek(max(size - 8, 0))
+            table_at = int.from_bytes(file.read(8), "little", signed=True)
+        file.seek(min(max(table_at, 0), size))
+        count = int.from_bytes(file.read(8)[4:8], "little")
+    if not 0 < table_at < size or count > size:
+        found = f"{count} chunks in a table at byte {table_at} of {size}"
         raise SourceError(str(path), found, _EXPECTED, "Export it again.")
 
 

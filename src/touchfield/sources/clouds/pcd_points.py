@@ -13,9 +13,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.arrays import Float64s
 from touchfield.sources.clouds.cloud import Cloud, require_points
-from touchfield.sources.clouds.ply_points import columns
+from touchfield.sources.clouds.ply_points import columns, lines_of
 from touchfield.sources.scene import CAMERA_AXES, UP_Y_AXES
 
 _MAX_HEADER: Final = 1 << 16
@@ -112,7 +111,7 @@ def _text_rows(path: Path, at: int, count: int, kind: np.dtype[Any]) -> NDArray[
         return np.zeros(0, kind)
     with path.open("rb") as file:
         file.seek(at)
-        values: Float64s = np.loadtxt(file, np.float64, max_rows=count, ndmin=2)
+        values = lines_of(file, max_rows=count)
     if values.shape != (count, sum(widths)):
         raise ValueError(f"{values.shape[0]} lines of {values.shape[1]} numbers where {count} are declared")
     record = [(name, "f8", (width,) if width > 1 else ()) for name, width in zip(kind.names or (), widths)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any, Final
 
@@ -78,10 +79,17 @@ def columns(rows: NDArray[Any], names: tuple[str, ...], kind: np.dtype[Any]) -> 
     return out
 
 
+def lines_of(source: Any, **layout: Any) -> Float64s:
+    """Return lines of numbers, float64 [n, m]; ValueError if they are none. Empty lines do not count."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of empty lines
+        return np.asarray(np.loadtxt(source, np.float64, ndmin=2, **layout))
+
+
 def _text_rows(path: Path, at: int, count: int, kind: np.dtype[Any]) -> NDArray[Any]:
     with path.open("rb") as file:
         file.seek(at)
-        values: Float64s = np.loadtxt(file, np.float64, max_rows=count, ndmin=2)
+        values = lines_of(file, max_rows=count)
     if values.shape != (count, len(kind.names or ())):
         raise ValueError(f"{values.shape[0]} lines of {values.shape[1]} numbers where {count} are declared")
     return np.ascontiguousarray(values).view(kind).reshape(-1)

@@ -11,8 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from touchfield.arrays import Float64s
 from touchfield.sources.clouds.cloud import Cloud, are_unit, require_points
+from touchfield.sources.clouds.ply_points import lines_of
 
 _MAX_LINE: Final = 4096
 _MAX_COLUMNS: Final = 32
@@ -23,9 +23,7 @@ def read_text(path: Path) -> Cloud:
     """Read the lines; ValueError if they are not numbers."""
     require_points(str(path), path.stat().st_size // _MIN_LINE_BYTES)
     skipped, delimiter = _layout(path)
-    values: Float64s = np.loadtxt(
-        path, np.float64, comments=("#", "//"), delimiter=delimiter, skiprows=skipped, ndmin=2
-    )
+    values = lines_of(path, comments=("#", "//"), delimiter=delimiter, skiprows=skipped)
     if values.shape[1] < 3:
         raise ValueError(f"lines of {values.shape[1]} numbers")
     points = np.ascontiguousarray(values[:, :3])
