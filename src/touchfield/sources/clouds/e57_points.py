@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from touchfield.arrays import Bools, Float64s
-from touchfield.errors import SourceError, import_extra
+from touchfield.errors import SourceError, TouchfieldError, import_extra
 from touchfield.medium.pose_track import rotation_matrices
 from touchfield.sources.clouds.cloud import Cloud, require_points
 from touchfield.sources.scene import UP_Z_AXES
@@ -31,7 +31,7 @@ def read_e57(path: Path) -> Cloud:
     try:
         with pye57.E57(str(path)) as file:
             return _read(file, path)
-    except (SourceError, OSError, MemoryError):
+    except (TouchfieldError, OSError, MemoryError):
         raise
     except Exception as error:
         module = type(error).__module__.partition(".")[0]

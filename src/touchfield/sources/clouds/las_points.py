@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from touchfield.arrays import Bools, Float64s
-from touchfield.errors import MissingExtra, SourceError, import_extra
+from touchfield.errors import MissingExtra, SourceError, TouchfieldError, import_extra
 from touchfield.sources.clouds.cloud import Cloud, require_points
 from touchfield.sources.scene import UP_Z_AXES
 
@@ -47,7 +47,7 @@ def read_las(path: Path) -> Cloud:
         # not in parallel: lazrs would allocate whole chunks, of the size that the file declares
         with laspy.open(path, laz_backend=laspy.LazBackend.Lazrs) as file, np.errstate(all="ignore"):
             return _read(file, path)
-    except (SourceError, OSError):
+    except (TouchfieldError, OSError):
         raise
     except BaseException as error:  # a panic of lazrs is no Exception
         module = type(error).__module__.partition(".")[0]
