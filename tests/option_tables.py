@@ -64,6 +64,7 @@ def _scene(*, without: tuple[str, ...] = ()) -> dict[str, Case]:
         "reading": ("height", "source.reading", "height"),
         "shell": ("two", "source.shell", "two"),
         "holes": ("leave", "source.holes", "leave"),
+        "normals": ("up", "source.normals", "up"),
         "cell-size-m": ("0.7", "source.cell_size_m", 0.7),
         "height-scale": ("0.3", "source.height_scale", 0.3),
         "exaggeration": ("2.5", "source.exaggeration", 2.5),

@@ -27,7 +27,7 @@ ON_PAGES = ("touch-block", "objects-touch")
 NUMBA = "numba", "llvmlite"
 EXTRAS = (
     *(*NUMBA, "matplotlib", "skimage", "mujoco", "mcap", "cv2", "av", "serial", "websockets"),
-    *("zarr", "xarray", "raptorq", "distributed", "dask", "obstore", "collada", "lib3mf"),
+    *("zarr", "xarray", "raptorq", "distributed", "dask", "obstore", "collada", "lib3mf", "laspy", "pye57"),
 )
 """Modules of all extras of a user's."""
 BLOCK = """

@@ -117,6 +117,7 @@ OTHER = {
     "reading": "height",
     "shell": "one",
     "holes": "leave",
+    "normals": "up",
     "interpolation": "nearest",
     "animation": "walk",
     "relative_depth": "a.png",
@@ -135,7 +136,7 @@ def test_a_number_that_is_not_above_0_is_refused_by_its_name(name: str) -> None:
 
 def test_every_option_is_a_number_or_a_choice() -> None:
     assert {f.name for f in fields(SourceOptions)} == {*NUMBERS, *OTHER, "kind", "allow_outside"}
-    for name in ("frame", "world", "reading", "shell", "holes", "interpolation", "depth_encoding"):
+    for name in ("frame", "world", "reading", "shell", "holes", "normals", "interpolation", "depth_encoding"):
         assert getattr(SourceOptions(**{name: OTHER[name]}), name) == OTHER[name]
         with pytest.raises(InvalidArgument, match=f"{name}: found 'some'"):
             SourceOptions(**{name: "some"})

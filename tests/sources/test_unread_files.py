@@ -66,12 +66,3 @@ def test_every_extension_named_as_readable_belongs_to_a_kind() -> None:
     words = {"tif": "tiff", "stl": "stl", "touch": "", "npz": ".npz"}
     for ending in re.findall(r"\.([a-z0-9]+)", READABLE):
         assert words.get(ending, ending) in summaries, ending
-
-
-def test_a_point_cloud_in_ply_comes_with_the_surface_to_make(tmp_path: Path) -> None:
-    head = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
-    path = tmp_path / "cloud.ply"
-    path.write_text(f"{head}end_header\n0 0 0\n1 0 0\n")
-    text = message_of(path)
-    assert "a point cloud: 2 points and no triangle" in text
-    assert "pdal translate cloud.ply surface.ply" in text and "then encode surface.ply" in text

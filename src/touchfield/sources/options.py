@@ -31,12 +31,15 @@ class SourceOptions:
         world from the frames so far) or "frames" (each frame alone, as in the paper).
     reading : str; Depth maps: "camera" (back-projected with perspective; the surface is a wall with a
         thickness) or "height" (the height map of the paper: everything behind the surface is solid).
-    shell : str; Open meshes: "one" sided (the wall lies behind the faces), "two" sided, or "auto".
+    shell : str; Open meshes and point clouds: "one" sided (the wall lies behind the faces), "two" sided, or
+        "auto".
+    normals : str; Point clouds: which side the surface faces: that of the normals of the file ("given"),
+        towards the "scanner", "up", "outward", "inward", or "auto", the first of them that the file allows.
     holes : str; Meshes: close the "small" holes, all holes ("close") or none ("leave").
     cell_size_m : float or None; Height maps: metres between neighbouring samples.
     height_scale : float or None; Height maps: metres of one stored unit.
     exaggeration : float; Height maps: factor on heights; 1 keeps the true proportions.
-    unit_m : float or None; Meshes: metres of one unit of the coordinates.
+    unit_m : float or None; Meshes and point clouds: metres of one unit of the coordinates.
     rate_hz : float or None; Frames a second of the medium. A formula or a simulation is evaluated at this
         rate; a depth sequence of known rate is interpolated in time. If neither the source nor
         `source_rate_hz` gives the rate of the source, `rate_hz` is also taken as the rate of the source.
@@ -74,14 +77,17 @@ class SourceOptions:
         "fused", "Depth sequences: fused (one of all frames), causal (of those so far), frames."
     )
     reading: str = option("camera", "Depth maps: camera (metric, a wall) or height (solid, as in the paper).")
-    shell: str = option("auto", "Open meshes: one or two sided.")
+    shell: str = option("auto", "Open meshes and point clouds: one or two sided.")
+    normals: str = option(
+        "auto", "Point clouds: where the surface faces: given, scanner, up, outward or inward."
+    )
     holes: str = option(
         "small", "Holes of meshes: close, leave, or small (close those below 5 % of the area)."
     )
     cell_size_m: float | None = option(None, "Height maps: metres between samples.")
     height_scale: float | None = option(None, "Height maps: metres of one stored unit.")
     exaggeration: float = option(1.0, "Height maps: factor on heights.")
-    unit_m: float | None = option(None, "Meshes: metres of one unit.")
+    unit_m: float | None = option(None, "Meshes and point clouds: metres of one unit.")
     rate_hz: float | None = option(
         None, "Frames a second of the medium; depth frames are interpolated in time."
     )
@@ -104,6 +110,7 @@ class SourceOptions:
             world=("fused", "causal", "frames"),
             reading=("camera", "height"),
             shell=("auto", "one", "two"),
+            normals=("auto", "given", "scanner", "up", "outward", "inward"),
             holes=("small", "close", "leave"),
             interpolation=("linear", "nearest"),
         )

@@ -32,6 +32,7 @@ MODULES = (  # in the order in which they are tried: specific kinds before gener
     "depth.recorders.ros_bag",
     "recordings.contact_trace",
     "animation.animated_mesh",
+    "clouds.cloud_files",
     "mesh.mesh_files",
     "depth.recorders.stray_scanner",
     "depth.recorders.polycam",

@@ -11,9 +11,9 @@ from zipfile import is_zipfile
 from touchfield.errors import SourceError
 
 READABLE: Final = (
-    "a mesh (.obj .ply .stl .off .gltf .glb .dae .3mf), bodies (.xml .urdf .toml), "
-    "heights (.tif .asc .hgt .nc .npz .png), depth pictures (a folder, .png .npz .mcap .mkv), "
-    "a field (.npz .vti .zarr) or a .touch file"
+    "a mesh (.obj .ply .stl .off .gltf .glb .dae .3mf), points (.ply .pcd .las .laz .e57 .xyz .pts), "
+    "bodies (.xml .urdf .toml), heights (.tif .asc .hgt .nc .npz .png), "
+    "depth pictures (a folder, .png .npz .mcap .mkv), a field (.npz .vti .zarr) or a .touch file"
 )
 """What can be a source, in a user's words."""
 
@@ -29,7 +29,6 @@ _BLENDER: Final = (
     'bpy.ops.{importer}(filepath={name!r}); bpy.ops.export_scene.gltf(filepath={to!r})"'
 )
 _STEP: Final = 'pip install cascadio; python -c "import cascadio; cascadio.step_to_glb({name!r}, {to!r})"'
-_POISSON: Final = "pdal translate {name} {to} filters.normal filters.poisson --writers.ply.faces=true"
 _XACRO: Final = "pip install xacro; xacro {name} -o {to}"
 _CONVERSIONS: Final[dict[str, tuple[str, str, str]]] = {
     ".amf": ("a mesh in AMF", ".glb", _TRIMESH),
@@ -47,11 +46,6 @@ _CONVERSIONS: Final[dict[str, tuple[str, str, str]]] = {
         'blender -b {name} --python-expr "import bpy; bpy.ops.export_scene.gltf(filepath={to!r})"',
     ),
     ".xacro": ("a template of a robot (xacro)", ".urdf", _XACRO),
-    ".las": ("a point cloud", ".ply", _POISSON),
-    ".laz": ("a point cloud", ".ply", _POISSON),
-    ".e57": ("a point cloud", ".ply", _POISSON),
-    ".pcd": ("a point cloud", ".ply", _POISSON),
-    ".pts": ("a point cloud", ".ply", _POISSON),
     ".bag": ("a recording of ROS 1", ".mcap", "pip install rosbags; rosbags-convert --src {name} --dst {to}"),
     ".zip": ("an archive", "", "unzip {name} -d {to}"),
     ".tar": ("an archive", "", "mkdir {to} && tar xf {name} -C {to}"),
@@ -70,11 +64,8 @@ def without_triangles(path: Path, points: int) -> SourceError:
     """Return the error for a mesh file that has points but no triangle."""
     if path.suffix.lower() != ".ply" or not points:
         return SourceError(str(path), "no triangle", "a mesh of triangles", "Export it with its faces.")
-    name, to = _plain_name(path), "surface.ply"
-    fix = f"Make a surface of it: {_POISSON.format(name=name, to=to)}, then encode {to}"
-    return SourceError(
-        str(path), f"a point cloud: {points} points and no triangle", "a mesh of triangles", fix
-    )
+    found = f"a point cloud: {points} points and no triangle"
+    return SourceError(str(path), found, "a mesh of triangles", "Read it as points: --as cloud.")
 
 
 def compressed_mesh(path: Path, extension: str) -> SourceError:

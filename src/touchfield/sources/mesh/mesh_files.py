@@ -28,6 +28,7 @@ from touchfield.sources.gltf.model import Model
 from touchfield.sources.mesh.collada import read_collada
 from touchfield.sources.mesh.mesh_data import MeshData, fans
 from touchfield.sources.mesh.mesh_scene import MeshScene
+from touchfield.sources.mesh.ply import Properties, parse_header
 from touchfield.sources.mesh.surface import weld
 from touchfield.sources.mesh.threemf import read_3mf
 from touchfield.sources.options import SourceOptions
@@ -39,11 +40,6 @@ _GLTF: Final = (".glb", ".gltf")
 _SOLID: Final = re.compile(rb"^\s*(end)?solid", re.MULTILINE)
 _CORNER: Final = re.compile(rb"^\s*vertex\s+(\S+\s+\S+\s+\S+)", re.MULTILINE)
 _STL: Final = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("colour", "<u2")])
-_TYPES: Final = "bBhHiIfd"  # NumPy's codes; PLY has old names and NumPy's longer ones
-_PLY: Final = dict(zip(["char", "uchar", "short", "ushort", "int", "uint", "float", "double"], _TYPES))
-_PLY.update((np.dtype(code).name, code) for code in _TYPES)
-# name and types of each property; a list has the type of its length first
-_Properties = list[tuple[str, list[np.dtype[Any]]]]
 # vertices [n, 3]; number of corners of each polygon; corners of all polygons
 _Polygons = tuple[Float64s, Int64s, Int64s]
 
@@ -139,28 +135,13 @@ def _parse_ply(data: bytes) -> _Polygons:
 
     A text file is first converted to bytes of float64.
     """
-    head, *bodies = re.split(rb"\nend_header[ \t]*\r?\n", data, maxsplit=1)
-    (kind, *_), form, *lines = [line.split() for line in head.decode("latin-1").splitlines()] + [[""], [""]]
-    if kind != "ply" or not bodies or not {"ascii", "binary_little_endian", "binary_big_endian"} & {*form}:
-        raise ValueError("no PLY with a format and an end_header")
-    body = bodies[0]
-    is_text, order = "ascii" in form, ">" if "binary_big_endian" in form else "<"
-    if is_text:
+    header = parse_header(data)
+    body = data[header.size :]
+    if header.is_text:
         body = np.fromstring(body.decode("ascii"), sep=" ").astype("<f8").tobytes()
-    elements: list[tuple[str, int, _Properties]] = []
-    for first, *tokens in filter(None, lines):
-        if first == "element":
-            elements.append((tokens[0], int(tokens[1]), []))
-        elif first == "property":
-            types = [
-                np.dtype(order + ("d" if is_text else _PLY[token]))
-                for token in tokens[:-1]
-                if token != "list"
-            ]
-            elements[-1][2].append((tokens[-1], types))
     at, vertices, corners, counts, corner = 0, np.zeros((0, 3)), list[bytes](), list[int](), np.dtype("i4")
     strips = list[NDArray[Any]]()
-    for name, count, properties in elements:
+    for name, count, properties in header.elements:
         rows = _equal_rows(body, at, count, properties)
         if rows is not None:
             at += rows.nbytes
@@ -209,7 +190,7 @@ def _triangles_of_strips(indices: NDArray[Any]) -> Int64s:
     return np.asarray(three[is_real], np.int64)
 
 
-def _equal_rows(body: bytes, at: int, count: int, properties: _Properties) -> NDArray[Any] | None:
+def _equal_rows(body: bytes, at: int, count: int, properties: Properties) -> NDArray[Any] | None:
     """Return the rows of an element if all have one length, as in a mesh of triangles.
 
     Returns None otherwise.

@@ -1,0 +1,1 @@
+"""Scenes from point clouds: reads their files, reduces the points to cells, and computes signed distances."""
