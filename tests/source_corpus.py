@@ -202,17 +202,17 @@ CORPUS = [
         ),
         is_layout=False,
     ),
-    Input("3mf", "mesh: 3MF", scenes.write_3mf, CUBE, is_foreign=True),
-    Input("collada", "mesh: COLLADA", scenes.write_dae, CUBE, is_foreign=True),
+    Input("3mf", "mesh: 3MF", scenes.write_3mf, CUBE, needs=("lib3mf",)),
+    Input("collada", "mesh: COLLADA", scenes.write_dae, CUBE, needs=("collada",)),
     Input("step", "solid: STEP", scenes.write_step, CUBE, is_foreign=True),
     Input("usd", "scene: USD", scenes.write_usda, CUBE, is_foreign=True),
     Input("draco", "mesh: glTF with Draco", scenes.write_draco, CUBE, needs=("DracoPy",), is_foreign=True),
     Input("zip", "archive", scenes.write_zip, CUBE, is_layout=False),
     Input("gz", "compressed file", scenes.write_hgt_gz, TILE, is_layout=False),
     # point clouds
-    Input("cloud ply", "point cloud: PLY", scenes.write_cloud_ply, BALL, is_foreign=True),
-    Input("cloud pcd", "point cloud: PCD", scenes.write_pcd, BALL, is_foreign=True),
-    Input("cloud las", "point cloud: LAS", scenes.write_las, BALL, is_foreign=True),
+    Input("cloud ply", "point cloud: PLY", scenes.write_cloud_ply, BALL),
+    Input("cloud pcd", "point cloud: PCD", scenes.write_pcd, BALL),
+    Input("cloud las", "point cloud: LAS", scenes.write_las, BALL, needs=("laspy",)),
     # bodies
     Input("shapes", "shapes: .toml", scenes.write_shapes, truth.sphere(0.05, (0.1, 0, 0))),
     Input(
@@ -232,7 +232,6 @@ CORPUS = [
         scenes.write_urdf,
         truth.box((-0.2, -0.1, 0.4), (0.2, 0.1, 0.6)),
         needs=("mujoco",),
-        is_foreign=True,
     ),
     # fields, recordings, video, effects
     Input("field npz", "field: .npz", scenes.write_field_npz, FIELD, ("--mapping", "1")),

@@ -27,7 +27,8 @@ SECTIONS = {
     "heights": ("Heights", "Row 0 is north, unless the file says otherwise. Degrees become metres."),
     "mesh": ("Meshes", "[Meshes](moving-scenes.md#meshes) says how holes, shells and overlaps are treated."),
     "model": ("Animated models", "[Animated models](moving-scenes.md#animated-models)."),
-    "shapes": ("Shapes and bodies", "[Rigid bodies](moving-scenes.md#rigid-bodies-toml-or-mjcf)."),
+    "point cloud": ("Point clouds", "[Point clouds](how-to/cloud.md) says which side a surface faces."),
+    "shapes": ("Shapes and bodies", "[Rigid bodies](moving-scenes.md#rigid-bodies-toml-mjcf-or-urdf)."),
     "field": ("Stored fields", "The forces are used as they are."),
     "recorded": ("Recorded contacts", "[Recorded contacts](exchange.md#import-recorded-contacts)."),
     "video": ("Video", "For arrays of actuators: what catches the eye is driven."),
@@ -37,7 +38,7 @@ SECTIONS = {
         "Read, or refused in one line with the command that converts them, depending on what is installed.",
     ),
 }
-JOINED = {"bodies": "shapes"}
+JOINED = {"bodies": "shapes", "robot": "shapes"}
 HEAD = """# Samples of every source
 Every layout that is read, with what to type and the beginning of its files. They show a room, a hill or a
 cube of 1 m, and are written by `tests/source_page.py`, which writes this page, too. `touchfield sources`
