@@ -457,6 +457,36 @@ def write_las(folder: Path) -> Path:
     return folder / "cloud.las"
 
 
+def write_xyz(folder: Path) -> Path:
+    np.savetxt(made(folder) / "cloud.xyz", ball_points(), "%.6f")
+    return folder / "cloud.xyz"
+
+
+def write_pts(folder: Path) -> Path:
+    points = ball_points()
+    np.savetxt(made(folder) / "cloud.pts", points, "%.6f", header=str(len(points)), comments="")
+    return folder / "cloud.pts"
+
+
+def write_laz(folder: Path) -> Path:
+    """Write the LAS, compressed."""
+    import laspy
+
+    laspy.read(write_las(folder)).write(folder / "cloud.laz")
+    (folder / "cloud.las").unlink()
+    return folder / "cloud.laz"
+
+
+def write_e57(folder: Path) -> Path:
+    """Write one scan; the file states a scanner in the middle of the ball."""
+    import pye57
+
+    x, y, z = ball_points().astype(np.float64).T
+    with pye57.E57(str(made(folder) / "cloud.e57"), mode="w") as file:
+        file.write_scan_raw({"cartesianX": x, "cartesianY": y, "cartesianZ": z})
+    return folder / "cloud.e57"
+
+
 # -- bodies ------------------------------------------------------------------------------------------------
 def write_shapes(folder: Path) -> Path:
     (made(folder) / "ball.toml").write_text(

@@ -213,6 +213,12 @@ CORPUS = [
     Input("cloud ply", "point cloud: PLY", scenes.write_cloud_ply, BALL),
     Input("cloud pcd", "point cloud: PCD", scenes.write_pcd, BALL),
     Input("cloud las", "point cloud: LAS", scenes.write_las, BALL, needs=("laspy",)),
+    Input("cloud laz", "point cloud: LAZ", scenes.write_laz, BALL, needs=("laspy", "lazrs")),
+    Input(
+        "cloud e57", "point cloud: E57", scenes.write_e57, BALL, ("--normals", "outward"), needs=("pye57",)
+    ),
+    Input("cloud xyz", "point cloud: XYZ", scenes.write_xyz, BALL),
+    Input("cloud pts", "point cloud: PTS", scenes.write_pts, BALL),
     # bodies
     Input("shapes", "shapes: .toml", scenes.write_shapes, truth.sphere(0.05, (0.1, 0, 0))),
     Input(

@@ -19,7 +19,7 @@ from source_corpus import CORPUS, Input
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "sources.md"
 WIDTH, LINES, DIGITS = 100, 2, 6
 TEXTS = re.compile(
-    r"\.(txt|csv|json|log|xml|toml|urdf|obj|off|asc|gltf|dae|usda|step|freiburg|tact|ahap|vti|pgw|pcd|ply)"
+    r"\.(txt|csv|json|log|xml|toml|urdf|obj|off|asc|gltf|dae|usda|step|freiburg|tact|ahap|vti|pgw|pcd|ply|xyz|pts)"
 )
 PICTURES = {"I;16": "16 bits", "I;16B": "16 bits", "L": "8 bits", "F": "32-bit floats", "RGB": "colour"}
 SECTIONS = {
