@@ -82,7 +82,8 @@ typedef struct {
     int64_t ramp_limit_ns;       /* the longest time that a force may need to become zero */
     int64_t is_simulated;        /* time is the number of the tick divided by the rate */
     int64_t is_paced;            /* a driver calls: the next deadline follows its call */
-    int64_t reserved[2];
+    int64_t is_unblended;        /* the force steps where the medium does not go on: no fade (touch_seam.h) */
+    int64_t reserved[1];
 } touch_receiver_layout;
 
 typedef struct { /* where a frame lies; `tag` is written last */

@@ -126,7 +126,7 @@ static inline touch_vector touch_tick(touch_receiver *receiver, int64_t before_o
         double gain = touch_fmin(1.0, state->gain + gain_step);
         state->force.desired = touch_force_over_seam(receiver, &t, dt_s);
         state->gain = gain;
-    } else if (state->seam.is_waiting && is_pose_known && state->gain > 0.0) {
+    } else if (state->seam.is_waiting && is_pose_known && state->gain > 0.0 && !receiver->layout.is_unblended) {
         touch_wait_for_seek(receiver, dt_s);
     } else {
         touch_ramp_out(state, gain_step);
@@ -187,6 +187,7 @@ static inline touch_vector touch_force_over_seam(touch_receiver *receiver, const
     touch_tick_state *state = &receiver->state;
     touch_seam *seam = &state->seam;
     touch_vector force_before = state->force.desired, torque_before = state->torque.desired;
+    touch_vector proxy_before = state->field_force_n, stored_before = state->proxy.stored_n;
     touch_vector force = receiver->settings.gravity_n;
     int is_starting = seam->is_starting || (seam->is_frame_missing != !t);
     state->torque.desired = touch_zero();
@@ -196,9 +197,11 @@ static inline touch_vector touch_force_over_seam(touch_receiver *receiver, const
             touch_stay_in_place(receiver, t);
         }
         force = touch_desired_force(receiver, t, dt_s);
+        if (!is_starting) is_starting = touch_has_force_jumped(receiver, proxy_before, stored_before, &force_before);
     }
-    if (is_starting) touch_start_fade(seam, force_before, torque_before, force, state->torque.desired);
-    seam->is_frame_missing = !t, seam->hand_m = state->position_m;
+    if (is_starting && !receiver->layout.is_unblended)
+        touch_start_fade(seam, force_before, torque_before, force, state->torque.desired);
+    seam->is_starting = 0, seam->is_frame_missing = !t, seam->hand_m = state->position_m;
     if (!(seam->left_s > 0.0)) return force;
     state->torque.desired = touch_faded(seam, state->torque.desired, seam->torque_nm, seam->max_nm);
     force = touch_faded(seam, force, seam->force_n, seam->max_n);

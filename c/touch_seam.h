@@ -9,7 +9,11 @@
        F = F_after + w (F_before - F_after in the first tick)
 
    The hand has the stiffness, the proxy and the friction of the field after the seam from the first tick on. Where the field
-   is the same on both sides, nothing is added. |F| is at most the larger one of |F_before| and |F_after|.
+   is the same on both sides, nothing is added. |F| is at most the larger one of |F_before| and |F_after|. Where the force of
+   the proxy jumps before the fade is over, the fade starts anew (touch_has_force_jumped).
+
+   A receiver whose segments are not blended (layout.is_unblended) has no fades either: the force steps, as far as the slew
+   limit lets it.
 
    A loop whose end goes on into its start, as a body that turns, has no seam: where the frames differ by at most twice as much
    as the two before them, they are interpolated as any others are. */
@@ -108,12 +112,31 @@ static inline touch_vector touch_motion_change(const touch_receiver *receiver, c
 /* Fade from the force and the torque of the tick before to those of this one. */
 static inline void touch_start_fade(touch_seam *seam, touch_vector force_n, touch_vector torque_nm, touch_vector new_force_n,
                                     touch_vector new_torque_nm) {
-    seam->is_starting = 0;
     seam->left_s = TOUCH_BLEND_S;
     seam->force_n = touch_subtract(force_n, new_force_n);
     seam->torque_nm = touch_subtract(torque_nm, new_torque_nm);
     seam->max_n = touch_norm(force_n);
     seam->max_nm = touch_norm(torque_nm);
+}
+
+/* Whether the force of the proxy jumps in a tick of a fade. After a seam the hand may be where it does not come by itself, deep
+   in a wall or near another, and the force goes over to that of another surface within a few ticks. What changes by more than
+   the stored force at the hand, and than the spring of the proxy by the motion of the hand, is a jump: the fade starts anew.
+   What these explain is added to `*force_n`, the force of the tick before, in the device's axes. The other two are
+   that of the proxy and the stored one in the tick before, in the field's axes. */
+static inline int touch_has_force_jumped(const touch_receiver *receiver, touch_vector proxy_before_n,
+                                         touch_vector stored_before_n, touch_vector *force_n) {
+    const touch_settings *settings = &receiver->settings;
+    const touch_tick_state *state = &receiver->state;
+    if (!(settings->wall_n_per_m > 0.0 && state->seam.left_s > 0.0)) return 0;
+    touch_vector change = touch_subtract(state->field_force_n, proxy_before_n);
+    double hand_m = touch_norm(touch_subtract(state->position_m, state->seam.hand_m)), size = touch_norm(change);
+    double stored_n = touch_norm(touch_subtract(state->proxy.stored_n, stored_before_n));
+    double explained_n = touch_fmax(stored_n, settings->wall_n_per_m * hand_m);
+    if (!(size > explained_n + TOUCH_SEAM_MIN_N)) return 0;
+    change = touch_rotate_back(&settings->axes, change);
+    *force_n = touch_add_scaled(*force_n, settings->force_scale * explained_n / size, change);
+    return 1;
 }
 
 /* A force after a seam with what is left of that before; a torque, too. */

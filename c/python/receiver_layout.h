@@ -53,6 +53,7 @@ static const struct {
     {"touch_receiver_layout.ramp_limit_ns", offsetof(touch_receiver_layout, ramp_limit_ns)},
     {"touch_receiver_layout.is_simulated", offsetof(touch_receiver_layout, is_simulated)},
     {"touch_receiver_layout.is_paced", offsetof(touch_receiver_layout, is_paced)},
+    {"touch_receiver_layout.is_unblended", offsetof(touch_receiver_layout, is_unblended)},
     {"touch_receiver_layout.reserved", offsetof(touch_receiver_layout, reserved)},
     {"touch_directory_entry", sizeof(touch_directory_entry)},
     {"touch_directory_entry.tag", offsetof(touch_directory_entry, tag)},

@@ -104,7 +104,8 @@ RECEIVER_LAYOUT: Final = np.dtype(
         ("ramp_limit_ns", np.int64),
         ("is_simulated", np.int64),
         ("is_paced", np.int64),
-        ("reserved", np.int64, (2,)),
+        ("is_unblended", np.int64),
+        ("reserved", np.int64, (1,)),
     ]
 )
 
