@@ -1,5 +1,5 @@
-"""Steps of the force where a medium does not continue: the end of a loop, a seek, the start of a segment, late
-frames, another layer of a stream.
+"""Steps of the force where a medium does not continue: the end of a loop, a seek, the start of a segment,
+late frames, another layer of a stream.
 
 Bodies fall and come to rest (`sample:falling-7`, 100 frames a second), as objects and as coded voxels. Hands
 rest at seeded points in the last frames, where the force is 0.6 to 2.2 N, fixed or on a spring (0.2 kg,
@@ -72,7 +72,7 @@ class Case:
 
 
 def first_case(is_spring: bool) -> Case:
-    """Return a seek in contact, a segment that starts, the end of a loop and, for a fixed hand, another seek."""
+    """Return a seek in contact, a segment that starts, the end of a loop, and a fixed hand's second seek."""
     seek, back_s, again = 250, 1.25, 1300
     segment, loop = (round(seek + LATE + 1e3 * (time_s - back_s)) for time_s in (1.5, END_S))
     events: dict[int, Any] = {seek: back_s} if is_spring else {seek: back_s, again: 1.8}

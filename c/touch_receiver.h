@@ -206,6 +206,7 @@ typedef struct { /* over a seam of the medium, from the force before to the forc
     int64_t is_starting;         /* this tick is the first one after a seam */
     int64_t is_waiting;          /* for the frames of a seek */
     int64_t is_frame_missing;    /* there was none in the tick before */
+    double late_s;               /* since the latest frame */
     double left_s;               /* of the fade; 0: there is none */
     touch_vector force_n, torque_nm; /* by which force and torque before were larger */
     double max_n, max_nm;        /* |force| and |torque| before */

@@ -63,7 +63,7 @@ static inline touch_vector touch_desired_force(touch_receiver *receiver, const t
 static inline touch_vector touch_field_force(touch_receiver *receiver, const touch_instant *t, touch_vector *point_m,
                                              touch_vector *friction_n, double dt_s);
 static inline void touch_desired_torque(touch_receiver *receiver);
-static inline void touch_ramp_out(touch_tick_state *state, double gain_step);
+static inline void touch_ramp_out(touch_receiver *receiver, double gain_step, int is_pose_known);
 static inline void touch_leave_field(touch_tick_state *state);
 static inline touch_vector touch_limit_both(touch_receiver *receiver, touch_vector force_n, touch_vector torque_nm,
                                             double dt_s);
@@ -121,6 +121,7 @@ static inline touch_vector touch_tick(touch_receiver *receiver, int64_t before_o
     int is_pose_known = touch_is_position(device_m) && touch_orient_tool(receiver);
     if (is_pose_known) touch_move_device(receiver, device_m);
     double gain_step = touch_clamped_dt(settings, dt_s) / settings->ramp_s;
+    state->seam.late_s = before_offset && after_offset ? 0.0 : state->seam.late_s + dt_s;
     if (before_offset && after_offset && is_pose_known) {
         touch_instant t = touch_instant_of(receiver, before_offset, after_offset, blend);
         double gain = touch_fmin(1.0, state->gain + gain_step);
@@ -129,7 +130,7 @@ static inline touch_vector touch_tick(touch_receiver *receiver, int64_t before_o
     } else if (state->seam.is_waiting && is_pose_known && state->gain > 0.0 && !receiver->layout.is_unblended) {
         touch_wait_for_seek(receiver, dt_s);
     } else {
-        touch_ramp_out(state, gain_step);
+        touch_ramp_out(receiver, gain_step, is_pose_known);
     }
     if (state->gain == 0.0) state->torque.desired = touch_zero();
     touch_vector force = touch_scale(state->gain, state->force.desired);
@@ -212,9 +213,9 @@ static inline touch_vector touch_force_over_seam(touch_receiver *receiver, const
 /* A seek waits for its frames: the force before it fades. The proxy stays on its side of a wall until then. */
 static inline void touch_wait_for_seek(touch_receiver *receiver, double dt_s) {
     touch_tick_state *state = &receiver->state;
-    int is_proxy_active = state->proxy.is_active && receiver->settings.wall_n_per_m > 0.0;
+    int is_proxy_kept = touch_is_proxy_kept(receiver);
     touch_leave_field(state);
-    state->proxy.is_active = is_proxy_active;
+    state->proxy.is_active = is_proxy_kept;
     state->force.desired = touch_force_over_seam(receiver, NULL, dt_s);
     if (state->seam.left_s == 0.0) state->gain = 0.0;
 }
@@ -292,8 +293,9 @@ static inline void touch_skip_field(touch_tick_state *state) {
 }
 
 /* What was put out fades with the gain. One missing frame or position leaves proxy and anchor where they are, and a frame that
-   comes back meanwhile starts a fade. */
-static inline void touch_ramp_out(touch_tick_state *state, double gain_step) {
+   comes back meanwhile starts a fade. Late frames leave the proxy there for longer, so that no hand gets through a wall. */
+static inline void touch_ramp_out(touch_receiver *receiver, double gain_step, int is_pose_known) {
+    touch_tick_state *state = &receiver->state;
     double before = state->gain;
     state->gain = touch_fmax(0.0, before - gain_step);
     state->seam.is_frame_missing = state->gain > 0.0;
@@ -303,7 +305,9 @@ static inline void touch_ramp_out(touch_tick_state *state, double gain_step) {
         state->torque.desired = touch_scale(1.0 / before, state->torque.output);
     }
     if (state->gain > 0.0) return;
+    int is_proxy_kept = is_pose_known && touch_is_proxy_kept(receiver);
     touch_leave_field(state);
+    state->proxy.is_active = is_proxy_kept;
     state->force.desired = touch_zero();
 }
 

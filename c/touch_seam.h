@@ -23,12 +23,14 @@
 #include "touch_friction.h"
 #include "touch_proxy.h"
 #include "touch_segment_blend.h"
+#include "touch_shared.h"
 #include "touch_tool.h"
 
 #define TOUCH_SEAM_RATIO 2.0      /* of the changes of two pairs of frames: a larger one is a jump */
 #define TOUCH_SEAM_MIN_M 1e-6     /* of a body's surface: a smaller change is none */
 #define TOUCH_SEAM_MIN_N 1e-3     /* of a force */
 #define TOUCH_MAX_CARRY_M 1e-3    /* in a tick: a body that went farther has jumped, and carries nothing */
+#define TOUCH_SEAM_KEEP_S 0.25    /* how long late frames leave the proxy where it is: a hand reacts to nothing sooner */
 #define TOUCH_SEAM_SEARCHES 8     /* of the proxy in the first tick: one that the new field covers gets out of it */
 
 /* -- whether a medium jumps from a frame to the next ------------------------------------------------------------------- */
@@ -96,6 +98,15 @@ static inline void touch_stay_in_place(touch_receiver *receiver, const touch_ins
     if (!(receiver->settings.wall_n_per_m > 0.0)) return;
     for (int n = 0; n < TOUCH_SEAM_SEARCHES; n++) (void)touch_contact_force(receiver, t, state->position_m, 0.0);
     proxy->eased_n = touch_zero(); /* the fade does that for the whole force */
+}
+
+/* Whether the proxy stays where it is without a frame: those to come may have the wall that held the hand. */
+static inline int touch_is_proxy_kept(const touch_receiver *receiver) {
+    const touch_clock *clock = &receiver->clock;
+    const touch_tick_state *state = &receiver->state;
+    if (clock->mode == TOUCH_IDLE || clock->feed == TOUCH_ENDED || clock->is_silent) return 0;
+    if (!state->is_started || touch_shared(&receiver->orders.has_feed_failed)) return 0;
+    return state->proxy.is_active && receiver->settings.wall_n_per_m > 0.0 && state->seam.late_s < TOUCH_SEAM_KEEP_S;
 }
 
 /* By how much the motion of the hand since the tick before changes the force of the field, N, in the device's axes: no
