@@ -191,6 +191,7 @@ static inline touch_vector touch_force_over_seam(touch_receiver *receiver, const
     touch_vector proxy_before = state->field_force_n, stored_before = state->proxy.stored_n;
     touch_vector force = receiver->settings.gravity_n;
     int is_starting = seam->is_starting || (seam->is_frame_missing != !t);
+    double fade_s = TOUCH_BLEND_S;
     state->torque.desired = touch_zero();
     if (t) {
         if (is_starting) {
@@ -198,10 +199,13 @@ static inline touch_vector touch_force_over_seam(touch_receiver *receiver, const
             touch_stay_in_place(receiver, t);
         }
         force = touch_desired_force(receiver, t, dt_s);
-        if (!is_starting) is_starting = touch_has_force_jumped(receiver, proxy_before, stored_before, &force_before);
+        if (!is_starting && touch_has_force_jumped(receiver, proxy_before, stored_before, &force_before)) {
+            is_starting = 1;
+            fade_s = touch_fmax(seam->left_s, TOUCH_SEAM_JUMP_S);
+        }
     }
     if (is_starting && !receiver->layout.is_unblended)
-        touch_start_fade(seam, force_before, torque_before, force, state->torque.desired);
+        touch_start_fade(seam, fade_s, force_before, torque_before, force, state->torque.desired);
     seam->is_starting = 0, seam->is_frame_missing = !t, seam->hand_m = state->position_m;
     if (!(seam->left_s > 0.0)) return force;
     state->torque.desired = touch_faded(seam, state->torque.desired, seam->torque_nm, seam->max_nm);

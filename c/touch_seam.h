@@ -10,7 +10,7 @@
 
    The hand has the stiffness, the proxy and the friction of the field after the seam from the first tick on. Where the field
    is the same on both sides, nothing is added. |F| is at most the larger one of |F_before| and |F_after|. Where the force of
-   the proxy jumps before the fade is over, the fade starts anew (touch_has_force_jumped).
+   the proxy jumps before the fade is over, the jump fades, too (touch_has_force_jumped).
 
    A receiver whose segments are not blended (layout.is_unblended) has no fades either: the force steps, as far as the slew
    limit lets it.
@@ -30,6 +30,8 @@
 #define TOUCH_SEAM_MIN_M 1e-6     /* of a body's surface: a smaller change is none */
 #define TOUCH_SEAM_MIN_N 1e-3     /* of a force */
 #define TOUCH_MAX_CARRY_M 1e-3    /* in a tick: a body that went farther has jumped, and carries nothing */
+#define TOUCH_SEAM_JUMP_S 0.05    /* so long a fade goes on after a jump of the proxy: it ends even where each tick jumps */
+#define TOUCH_SEAM_MIN_JUMP 0.005 /* of a large force of the field: what changes by no more is noise, and no jump */
 #define TOUCH_SEAM_KEEP_S 0.25    /* how long late frames leave the proxy where it is: a hand reacts to nothing sooner */
 #define TOUCH_SEAM_SEARCHES 8     /* of the proxy in the first tick: one that the new field covers gets out of it */
 
@@ -120,19 +122,23 @@ static inline touch_vector touch_motion_change(const touch_receiver *receiver, c
     return touch_scale(settings->force_scale, touch_rotate_back(&settings->axes, change));
 }
 
-/* Fade from the force and the torque of the tick before to those of this one. */
-static inline void touch_start_fade(touch_seam *seam, touch_vector force_n, touch_vector torque_nm, touch_vector new_force_n,
-                                    touch_vector new_torque_nm) {
-    seam->left_s = TOUCH_BLEND_S;
-    seam->force_n = touch_subtract(force_n, new_force_n);
-    seam->torque_nm = touch_subtract(torque_nm, new_torque_nm);
+/* The weight of what was before, where a fade has so long to go. */
+static inline double touch_fade_weight(double left_s) { return 0.5 - 0.5 * cos(TOUCH_PI * left_s / TOUCH_BLEND_S); }
+
+/* Fade from the force and the torque of the tick before to those of this one in `left_s`, at most TOUCH_BLEND_S. */
+static inline void touch_start_fade(touch_seam *seam, double left_s, touch_vector force_n, touch_vector torque_nm,
+                                    touch_vector new_force_n, touch_vector new_torque_nm) {
+    double weight = touch_fade_weight(left_s);
+    seam->left_s = left_s;
+    seam->force_n = touch_scale(1.0 / weight, touch_subtract(force_n, new_force_n));
+    seam->torque_nm = touch_scale(1.0 / weight, touch_subtract(torque_nm, new_torque_nm));
     seam->max_n = touch_norm(force_n);
     seam->max_nm = touch_norm(torque_nm);
 }
 
 /* Whether the force of the proxy jumps in a tick of a fade. After a seam the hand may be where it does not come by itself, deep
    in a wall or near another, and the force goes over to that of another surface within a few ticks. What changes by more than
-   the stored force at the hand, and than the spring of the proxy by the motion of the hand, is a jump: the fade starts anew.
+   the stored force at the hand, and than the spring of the proxy by the motion of the hand, is a jump, and fades, too.
    What these explain is added to `*force_n`, the force of the tick before, in the device's axes. The other two are
    that of the proxy and the stored one in the tick before, in the field's axes. */
 static inline int touch_has_force_jumped(const touch_receiver *receiver, touch_vector proxy_before_n,
@@ -144,7 +150,7 @@ static inline int touch_has_force_jumped(const touch_receiver *receiver, touch_v
     double hand_m = touch_norm(touch_subtract(state->position_m, state->seam.hand_m)), size = touch_norm(change);
     double stored_n = touch_norm(touch_subtract(state->proxy.stored_n, stored_before_n));
     double explained_n = touch_fmax(stored_n, settings->wall_n_per_m * hand_m);
-    if (!(size > explained_n + TOUCH_SEAM_MIN_N)) return 0;
+    if (!(size > explained_n + TOUCH_SEAM_MIN_JUMP * settings->wall_force_n)) return 0;
     change = touch_rotate_back(&settings->axes, change);
     *force_n = touch_add_scaled(*force_n, settings->force_scale * explained_n / size, change);
     return 1;
@@ -152,7 +158,7 @@ static inline int touch_has_force_jumped(const touch_receiver *receiver, touch_v
 
 /* A force after a seam with what is left of that before; a torque, too. */
 static inline touch_vector touch_faded(const touch_seam *seam, touch_vector force, touch_vector more, double max_before) {
-    double weight = 0.5 - 0.5 * cos(TOUCH_PI * seam->left_s / TOUCH_BLEND_S);
+    double weight = touch_fade_weight(seam->left_s);
     double limit = touch_fmax(max_before, touch_norm(force));
     touch_vector sum = touch_add_scaled(force, weight, more);
     double size = touch_norm(sum);

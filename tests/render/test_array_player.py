@@ -106,6 +106,8 @@ def drives_at(
     found = []
     for position in positions:
         prefetcher.wait_for(start + position)
+        if loop:  # the frame after the last one is used if it is there
+            prefetcher.wait_for(start + np.floor(position) + 1.0)
         sample = prefetcher.at(start + position)
         assert sample is not None and sample[1] is None and np.ptp(sample[0]) == 0
         found.append(float(sample[0].flat[0]))
