@@ -308,7 +308,7 @@ def measure(seconds: int, walks: int, lattices: int, points: int) -> Figures:
         "speed": speeds(fields, walks),
         "hum_mn": hums(fields, walks),
         "friction": friction.friction(lattices),
-        "seams_mn": seams.seams(points),
+        "seams_mn": seams.seams(min(points, MAX_SEAM_POINTS)),
         "rests_mn": rests.rests(points, min(lattices, 2)),
     }
 

@@ -39,7 +39,7 @@
 typedef struct {
     touch_render_options render;
     touch_device device;
-    int is_loop, blends;     /* whether segments blend into each other */
+    int is_loop, blends;     /* whether segments blend into each other, and the force fades over seams */
     double speed, start_s;
     int64_t max_ahead;       /* frames that are decoded ahead, a power of two */
     int64_t log_rows;        /* of the latest ticks; 0: no log */
@@ -600,7 +600,7 @@ static inline void touch_play_lay_out(touch_play *play) {
     layout->arena_offset = layout->log_offset + (int64_t)touch_play_materials_room(play) +
                            (int64_t)touch_play_aligned((uint64_t)options->log_rows * sizeof(touch_log_row));
     layout->frame_count = play->file.frame_count, layout->frame_rate_hz = play->file.rate_hz;
-    layout->is_loop = options->is_loop && play->file.frame_count > 1;
+    layout->is_loop = options->is_loop && play->file.frame_count > 1, layout->is_unblended = !options->blends;
     layout->tick_ns = (int64_t)(1e9 / options->render.rate_hz + 0.5), layout->is_simulated = options->is_simulated;
     touch_directory_entry *entries = (touch_directory_entry *)(void *)((char *)receiver + layout->directory_offset);
     for (int64_t n = 0; n < layout->directory_slots; n++) entries[n].tag = -1, entries[n].frame_offset = 0;

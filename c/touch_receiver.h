@@ -82,7 +82,8 @@ typedef struct {
     int64_t ramp_limit_ns;       /* the longest time that a force may need to become zero */
     int64_t is_simulated;        /* time is the number of the tick divided by the rate */
     int64_t is_paced;            /* a driver calls: the next deadline follows its call */
-    int64_t reserved[2];
+    int64_t is_unblended;        /* the force steps where the medium does not go on: no fade (touch_seam.h) */
+    int64_t reserved[1];
 } touch_receiver_layout;
 
 typedef struct { /* where a frame lies; `tag` is written last */
@@ -205,6 +206,7 @@ typedef struct { /* over a seam of the medium, from the force before to the forc
     int64_t is_starting;         /* this tick is the first one after a seam */
     int64_t is_waiting;          /* for the frames of a seek */
     int64_t is_frame_missing;    /* there was none in the tick before */
+    double late_s;               /* since the latest frame */
     double left_s;               /* of the fade; 0: there is none */
     touch_vector force_n, torque_nm; /* by which force and torque before were larger */
     double max_n, max_nm;        /* |force| and |torque| before */

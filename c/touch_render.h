@@ -68,7 +68,7 @@ static inline touch_vector touch_desired_force(touch_receiver *receiver, const t
 static inline touch_vector touch_field_force(touch_receiver *receiver, const touch_instant *t, touch_vector *point_m,
                                              touch_vector *friction_n, double dt_s);
 static inline void touch_desired_torque(touch_receiver *receiver);
-static inline void touch_ramp_out(touch_tick_state *state, double gain_step);
+static inline void touch_ramp_out(touch_receiver *receiver, double gain_step, int is_pose_known);
 static inline void touch_leave_field(touch_tick_state *state);
 static inline touch_vector touch_limit_both(touch_receiver *receiver, touch_vector force_n, touch_vector torque_nm,
                                             double dt_s);
@@ -127,15 +127,16 @@ static inline touch_vector touch_tick(touch_receiver *receiver, int64_t before_o
     int is_pose_known = touch_is_position(device_m) && is_tool_known;
     if (is_pose_known) touch_move_device(receiver, device_m);
     double gain_step = touch_clamped_dt(settings, dt_s) / settings->ramp_s;
+    state->seam.late_s = before_offset && after_offset ? 0.0 : state->seam.late_s + dt_s;
     if (before_offset && after_offset && is_pose_known) {
         touch_instant t = touch_instant_of(receiver, before_offset, after_offset, blend);
         double gain = touch_fmin(1.0, state->gain + gain_step);
         state->force.desired = touch_force_over_seam(receiver, &t, dt_s);
         state->gain = gain; /* only now: touch_force_over_seam needs that of the tick before */
-    } else if (state->seam.is_waiting && is_pose_known && state->gain > 0.0) {
+    } else if (state->seam.is_waiting && is_pose_known && state->gain > 0.0 && !receiver->layout.is_unblended) {
         touch_wait_for_seek(receiver, dt_s);
     } else {
-        touch_ramp_out(state, gain_step);
+        touch_ramp_out(receiver, gain_step, is_pose_known);
     }
     touch_vector force = touch_scale(state->gain, state->force.desired);
     return touch_limit_both(receiver, force, touch_scale(state->gain, state->torque.desired), dt_s);
@@ -192,8 +193,10 @@ static inline touch_vector touch_force_over_seam(touch_receiver *receiver, const
     touch_tick_state *state = &receiver->state;
     touch_seam *seam = &state->seam;
     touch_vector force_before = state->force.desired, torque_before = state->torque.desired;
+    touch_vector proxy_before = state->field_force_n, stored_before = state->proxy.stored_n;
     touch_vector force = receiver->settings.gravity_n;
     int is_starting = seam->is_starting || (seam->is_frame_missing != !t);
+    double fade_s = TOUCH_BLEND_S;
     state->torque.desired = touch_zero();
     if (t) {
         if (is_starting) {
@@ -201,9 +204,14 @@ static inline touch_vector touch_force_over_seam(touch_receiver *receiver, const
             touch_stay_in_place(receiver, t);
         }
         force = touch_desired_force(receiver, t, dt_s);
+        if (!is_starting && touch_has_force_jumped(receiver, proxy_before, stored_before, &force_before)) {
+            is_starting = 1;
+            fade_s = touch_fmax(seam->left_s, TOUCH_SEAM_JUMP_S);
+        }
     }
-    if (is_starting) touch_start_fade(seam, force_before, torque_before, force, state->torque.desired);
-    seam->is_frame_missing = !t, seam->hand_m = state->position_m;
+    if (is_starting && !receiver->layout.is_unblended)
+        touch_start_fade(seam, fade_s, force_before, torque_before, force, state->torque.desired);
+    seam->is_starting = 0, seam->is_frame_missing = !t, seam->hand_m = state->position_m;
     if (!(seam->left_s > 0.0)) return force;
     state->torque.desired = touch_faded(seam, state->torque.desired, seam->torque_nm, seam->max_nm);
     force = touch_faded(seam, force, seam->force_n, seam->max_n);
@@ -214,9 +222,9 @@ static inline touch_vector touch_force_over_seam(touch_receiver *receiver, const
 /* A seek waits for its frames: the force before it fades. The proxy stays on its side of a wall until then. */
 static inline void touch_wait_for_seek(touch_receiver *receiver, double dt_s) {
     touch_tick_state *state = &receiver->state;
-    int is_proxy_active = state->proxy.is_active && receiver->settings.wall_n_per_m > 0.0;
+    int is_proxy_kept = touch_is_proxy_kept(receiver);
     touch_leave_field(state);
-    state->proxy.is_active = is_proxy_active;
+    state->proxy.is_active = is_proxy_kept;
     state->force.desired = touch_force_over_seam(receiver, NULL, dt_s);
     if (state->seam.left_s == 0.0) state->gain = 0.0;
 }
@@ -295,8 +303,9 @@ static inline void touch_skip_field(touch_tick_state *state) {
 }
 
 /* What was put out fades with the gain. One missing frame or position leaves proxy and anchor where they are, and a frame that
-   comes back meanwhile starts a fade. */
-static inline void touch_ramp_out(touch_tick_state *state, double gain_step) {
+   comes back meanwhile starts a fade. Late frames leave the proxy there for longer, so that no hand gets through a wall. */
+static inline void touch_ramp_out(touch_receiver *receiver, double gain_step, int is_pose_known) {
+    touch_tick_state *state = &receiver->state;
     double before = state->gain;
     state->gain = touch_fmax(0.0, before - gain_step);
     state->seam.is_frame_missing = state->gain > 0.0;
@@ -306,7 +315,9 @@ static inline void touch_ramp_out(touch_tick_state *state, double gain_step) {
         state->torque.desired = touch_scale(1.0 / before, state->torque.output);
     }
     if (state->gain > 0.0) return;
+    int is_proxy_kept = is_pose_known && touch_is_proxy_kept(receiver);
     touch_leave_field(state);
+    state->proxy.is_active = is_proxy_kept;
     state->force.desired = state->torque.desired = touch_zero();
 }
 

@@ -9,7 +9,11 @@
        F = F_after + w (F_before - F_after in the first tick)
 
    The hand has the stiffness, the proxy and the friction of the field after the seam from the first tick on. Where the field
-   is the same on both sides, nothing is added. |F| is at most the larger one of |F_before| and |F_after|.
+   is the same on both sides, nothing is added. |F| is at most the larger one of |F_before| and |F_after|. Where the force of
+   the proxy jumps before the fade is over, the jump fades, too (touch_has_force_jumped).
+
+   A receiver whose segments are not blended (layout.is_unblended) has no fades either: the force steps, as far as the slew
+   limit lets it.
 
    A loop whose end goes on into its start, as a body that turns, has no seam: where the frames differ by at most twice as much
    as the two before them, they are interpolated as any others are. */
@@ -19,12 +23,16 @@
 #include "touch_friction.h"
 #include "touch_proxy.h"
 #include "touch_segment_blend.h"
+#include "touch_shared.h"
 #include "touch_tool.h"
 
 #define TOUCH_SEAM_RATIO 2.0      /* of the changes of two pairs of frames: a larger one is a jump */
 #define TOUCH_SEAM_MIN_M 1e-6     /* of a body's surface: a smaller change is none */
 #define TOUCH_SEAM_MIN_N 1e-3     /* of a force */
 #define TOUCH_MAX_CARRY_M 1e-3    /* in a tick: a body that went farther has jumped, and carries nothing */
+#define TOUCH_SEAM_JUMP_S 0.05    /* so long a fade goes on after a jump of the proxy: it ends even where each tick jumps */
+#define TOUCH_SEAM_MIN_JUMP 0.005 /* of a large force of the field: what changes by no more is noise, and no jump */
+#define TOUCH_SEAM_KEEP_S 0.25    /* how long late frames leave the proxy where it is: a hand reacts to nothing sooner */
 #define TOUCH_SEAM_SEARCHES 8     /* of the proxy in the first tick: one that the new field covers gets out of it */
 
 /* -- whether a medium jumps from a frame to the next ------------------------------------------------------------------- */
@@ -94,6 +102,15 @@ static inline void touch_stay_in_place(touch_receiver *receiver, const touch_ins
     proxy->eased_n = touch_zero(); /* the fade does that for the whole force */
 }
 
+/* Whether the proxy stays where it is without a frame: those to come may have the wall that held the hand. */
+static inline int touch_is_proxy_kept(const touch_receiver *receiver) {
+    const touch_clock *clock = &receiver->clock;
+    const touch_tick_state *state = &receiver->state;
+    if (clock->mode == TOUCH_IDLE || clock->feed == TOUCH_ENDED || clock->is_silent) return 0;
+    if (!state->is_started || touch_shared(&receiver->orders.has_feed_failed)) return 0;
+    return state->proxy.is_active && receiver->settings.wall_n_per_m > 0.0 && state->seam.late_s < TOUCH_SEAM_KEEP_S;
+}
+
 /* By how much the motion of the hand since the tick before changes the force of the field, N, in the device's axes: no
    part of what changes at a seam. Before the gain is that of this tick: where it was zero, there was no force to go on. */
 static inline touch_vector touch_motion_change(const touch_receiver *receiver, const touch_instant *t) {
@@ -105,20 +122,43 @@ static inline touch_vector touch_motion_change(const touch_receiver *receiver, c
     return touch_scale(settings->force_scale, touch_rotate_back(&settings->axes, change));
 }
 
-/* Fade from the force and the torque of the tick before to those of this one. */
-static inline void touch_start_fade(touch_seam *seam, touch_vector force_n, touch_vector torque_nm, touch_vector new_force_n,
-                                    touch_vector new_torque_nm) {
-    seam->is_starting = 0;
-    seam->left_s = TOUCH_BLEND_S;
-    seam->force_n = touch_subtract(force_n, new_force_n);
-    seam->torque_nm = touch_subtract(torque_nm, new_torque_nm);
+/* The weight of what was before, where a fade has so long to go. */
+static inline double touch_fade_weight(double left_s) { return 0.5 - 0.5 * cos(TOUCH_PI * left_s / TOUCH_BLEND_S); }
+
+/* Fade from the force and the torque of the tick before to those of this one in `left_s`, at most TOUCH_BLEND_S. */
+static inline void touch_start_fade(touch_seam *seam, double left_s, touch_vector force_n, touch_vector torque_nm,
+                                    touch_vector new_force_n, touch_vector new_torque_nm) {
+    double weight = touch_fade_weight(left_s);
+    seam->left_s = left_s;
+    seam->force_n = touch_scale(1.0 / weight, touch_subtract(force_n, new_force_n));
+    seam->torque_nm = touch_scale(1.0 / weight, touch_subtract(torque_nm, new_torque_nm));
     seam->max_n = touch_norm(force_n);
     seam->max_nm = touch_norm(torque_nm);
 }
 
+/* Whether the force of the proxy jumps in a tick of a fade. After a seam the hand may be where it does not come by itself, deep
+   in a wall or near another, and the force goes over to that of another surface within a few ticks. What changes by more than
+   the stored force at the hand, and than the spring of the proxy by the motion of the hand, is a jump, and fades, too.
+   What these explain is added to `*force_n`, the force of the tick before, in the device's axes. The other two are
+   that of the proxy and the stored one in the tick before, in the field's axes. */
+static inline int touch_has_force_jumped(const touch_receiver *receiver, touch_vector proxy_before_n,
+                                         touch_vector stored_before_n, touch_vector *force_n) {
+    const touch_settings *settings = &receiver->settings;
+    const touch_tick_state *state = &receiver->state;
+    if (!(settings->wall_n_per_m > 0.0 && state->seam.left_s > 0.0)) return 0;
+    touch_vector change = touch_subtract(state->field_force_n, proxy_before_n);
+    double hand_m = touch_norm(touch_subtract(state->position_m, state->seam.hand_m)), size = touch_norm(change);
+    double stored_n = touch_norm(touch_subtract(state->proxy.stored_n, stored_before_n));
+    double explained_n = touch_fmax(stored_n, settings->wall_n_per_m * hand_m);
+    if (!(size > explained_n + TOUCH_SEAM_MIN_JUMP * settings->wall_force_n)) return 0;
+    change = touch_rotate_back(&settings->axes, change);
+    *force_n = touch_add_scaled(*force_n, settings->force_scale * explained_n / size, change);
+    return 1;
+}
+
 /* A force after a seam with what is left of that before; a torque, too. */
 static inline touch_vector touch_faded(const touch_seam *seam, touch_vector force, touch_vector more, double max_before) {
-    double weight = 0.5 - 0.5 * cos(TOUCH_PI * seam->left_s / TOUCH_BLEND_S);
+    double weight = touch_fade_weight(seam->left_s);
     double limit = touch_fmax(max_before, touch_norm(force));
     touch_vector sum = touch_add_scaled(force, weight, more);
     double size = touch_norm(sum);

@@ -124,4 +124,7 @@ def test_play_can_disable_the_blend(tmp_path: Path, capsys: pytest.CaptureFixtur
     capsys.readouterr()
     blended, unblended = (log.read_text().splitlines() for log in logs)
     assert len(blended) == len(unblended) > 400
-    assert blended[:100] == unblended[:100] and blended != unblended  # the first segment lasts for 133 ticks
+    # the first segment lasts for 133 ticks; the columns up to the field's force and friction
+    fields = [[row.split(",")[:13] for row in rows] for rows in (blended, unblended)]
+    assert fields[0][:100] == fields[1][:100] and fields[0] != fields[1]
+    assert blended[20:90] != unblended[20:90]  # the force fades in only with the blend

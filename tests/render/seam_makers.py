@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -19,6 +19,8 @@ from touchfield.render.spec import RenderSpec
 
 HAND_KG, SPRING_N_PER_M, DAMPING_N_S_PER_M, PARTS = 0.2, 200.0, 2.0, 10
 Vector = NDArray[np.float64]
+Events = Mapping[int, "float | Callable[[Played], None]"]
+"""By tick: a media time to seek to, or what else happens."""
 
 
 class Played:
@@ -56,25 +58,42 @@ class Played:
         """A copy of a value of the receiver, such as "state.friction_n"."""
         return value_of(self.memory, path)
 
-    def at_rest(self, hand_m: Vector, ticks: int, seeks: Mapping[int, float] | None = None) -> Vector:
-        """Forces on a hand that does not move, float64 [ticks, 3]; seeks by tick, to media times."""
+    def pause(self) -> None:
+        """Stop the media clock."""
+        self.session.order(self.memory, mode=layout.PAUSED)
+
+    def play(self) -> None:
+        """Let the media clock run."""
+        self.session.order(self.memory, mode=layout.PLAYING)
+
+    def hold_back_frames(self, ticks: int) -> None:
+        """Decode no frame for so long; some 4 are decoded already."""
+        self.fed_from = self.ticks + ticks
+
+    def happen(self, event: float | Callable[[Played], None] | None) -> None:
+        """Let an event happen."""
+        if callable(event):
+            event(self)
+        elif event is not None:
+            self.seek(event)
+
+    def at_rest(self, hand_m: Vector, ticks: int, events: Events | None = None) -> Vector:
+        """Forces on a hand that does not move, float64 [ticks, 3]."""
         rows = []
         for n in range(ticks):
-            if seeks and n in seeks:
-                self.seek(seeks[n])
+            self.happen((events or {}).get(n))
             rows.append(self.tick(hand_m))
         return np.array(rows)
 
     def on_spring(
-        self, hand_m: Vector, goal_m: Vector, ticks: int, seeks: Mapping[int, float] | None = None
+        self, hand_m: Vector, goal_m: Vector, ticks: int, events: Events | None = None
     ) -> tuple[Vector, Vector]:
         """Forces on a hand that a spring pulls to a point, or to one a tick, and its positions, each float64
         [ticks, 3].
         """
         x, v, forces, positions = np.array(hand_m, np.float64), np.zeros(3), [], []
         for n, goal in enumerate(np.broadcast_to(goal_m, (ticks, 3))):
-            if seeks and n in seeks:
-                self.seek(seeks[n])
+            self.happen((events or {}).get(n))
             force = self.tick(x)
             forces.append(force)
             positions.append(x.copy())

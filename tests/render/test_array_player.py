@@ -95,24 +95,67 @@ def test_the_mean_rate_is_that_of_the_intervals_between_frames() -> None:
     assert player.statistics()["mean_rate_hz"] == 5.0
 
 
-@pytest.mark.parametrize("round_of_loop", [0, 1, 2, 7])
-def test_drives_are_linear_between_frames_and_the_last_one_stays(round_of_loop: int) -> None:
-    """In each round of a loop: the last frame is not blended into the first one of the next round."""
-    start, loop = 3.0 * round_of_loop, round_of_loop > 0
-    prefetcher = DrivePrefetcher(Frames(lambda i: [0.0, 1.0, 0.5][i], 3), SHAPE, start, 0.25, 50, loop)
+def drives_at(
+    levels: list[float], positions: list[float], start: float = 0.0, **options: bool
+) -> list[float]:
+    """Drives at positions after `start`, of a player of 50 Hz that takes a quarter of a frame each time."""
+    frames = Frames(lambda i: levels[i], len(levels))
+    loop, is_blended = options.get("loop", False), options.get("is_blended", True)
+    prefetcher = DrivePrefetcher(frames, SHAPE, start, 0.25, 50, loop, is_blended)
     prefetcher.thread.start()
-    for position, drive in (
-        (0.0, 0.0),
-        (0.25, 0.25),
-        (0.75, 0.75),
-        (1.0, 1.0),
-        (1.5, 0.75),
-        (2.0, 0.5),
-        (2.75, 0.5),
-    ):
+    found = []
+    for position in positions:
         prefetcher.wait_for(start + position)
+        if loop:  # the frame after the last one is used if it is there
+            prefetcher.wait_for(start + np.floor(position) + 1.0)
         sample = prefetcher.at(start + position)
-        assert sample is not None and sample[1] is None and (sample[0] == np.float32(drive)).all()
+        assert sample is not None and sample[1] is None and np.ptp(sample[0]) == 0
+        found.append(float(sample[0].flat[0]))
+    prefetcher.stop()
+    prefetcher.thread.join(5.0)
+    return found
+
+
+def test_drives_are_linear_between_frames_and_the_last_one_stays() -> None:
+    positions = [0.0, 0.25, 0.75, 1.0, 1.5, 2.0, 2.75]
+    assert drives_at([0.0, 1.0, 0.5], positions) == [0.0, 0.25, 0.75, 1.0, 0.75, 0.5, 0.5]
+
+
+@pytest.mark.parametrize("round_of_loop", [1, 2, 7])
+def test_a_loop_that_goes_on_is_interpolated(round_of_loop: int) -> None:
+    turn = [0.5 + 0.5 * float(np.sin(2 * np.pi * n / 24)) for n in range(24)]
+    positions = [float(n) for n in range(23)] + [23.5, 24.0]
+    found = drives_at(turn, positions, 24.0 * round_of_loop, loop=True)
+    assert found == pytest.approx([*turn[:23], (turn[23] + turn[0]) / 2, turn[0]], abs=1e-6)
+
+
+def test_a_loop_that_jumps_fades_from_its_last_frame() -> None:
+    """A fade of 0.1 s is one and a quarter frames of the medium here."""
+    levels = [0.0, 0.0, 0.0, 0.9, 1.0]
+    positions = [0.25 * n for n in range(2 * len(levels) * 4)]
+    stepped = drives_at(levels, positions, loop=True, is_blended=False)
+    faded = drives_at(levels, positions, loop=True)
+    end = len(levels) * 4
+    assert stepped[end - 4 : end + 1] == pytest.approx([1.0] * 4 + [0.0])
+    weights = 0.5 + 0.5 * np.cos(np.pi * np.arange(6) / 5)
+    assert faded[end - 4 : end] == stepped[end - 4 : end]
+    assert faded[end : end + 6] == pytest.approx(weights, abs=1e-6)
+    assert faded[:end] == stepped[:end] and faded[end + 6 :] == stepped[end + 6 :]
+
+
+def test_a_fade_takes_half_of_a_short_loop_and_keeps_its_frequencies() -> None:
+    class Vibrating(Frames):
+        def frequencies(self, frame: int) -> np.ndarray:
+            return np.full(SHAPE, [0.0, 0.0, 150.0][frame], np.float32)
+
+    prefetcher = DrivePrefetcher(Vibrating(lambda i: [0.0, 0.9, 1.0][i], 3), SHAPE, 0.0, 1.0, 500, True)
+    prefetcher.thread.start()
+    for position, drive, frequency_hz in ((2.0, 1.0, 150.0), (3.75, 0.8375, 150.0), (4.5, 0.95, 150.0)):
+        prefetcher.wait_for(position)
+        sample = prefetcher.at(position)
+        assert sample is not None and sample[1] is not None
+        assert sample[0].flat[0] == pytest.approx(drive, abs=1e-6)
+        assert (sample[1] == frequency_hz).all()
     prefetcher.stop()
     prefetcher.thread.join(5.0)
 

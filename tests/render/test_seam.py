@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from player_makers import numbered_medium
 from proxy_makers import field_of
 from seam_makers import Played, steps_n
 
+from touchfield.filters.resample import pyramid, rebuild_level
 from touchfield.medium import ForceField, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.deformation import Deformation
 from touchfield.render.block import layout
@@ -137,6 +139,107 @@ def test_a_seek_takes_no_proxy_through_a_plate(late: int) -> None:
     forces = played.at_rest(np.array([0.001, 0.002, -0.0035]), late + 150)
     assert forces[-1] == pytest.approx(before, rel=0.1)
     assert steps_n(forces).max() < 1.1 * np.pi / 2 * np.linalg.norm(before) / FADE
+
+
+@pytest.mark.parametrize("late", [0, 12, 40])
+def test_seeks_and_late_frames_let_no_hand_through_a_plate(late: int) -> None:
+    """A hand on a spring presses with some 1.5 N while the player seeks, again within a fade, and stalls."""
+    away = np.tile([0.05, 0.0, 0.0], (FRAMES, 1))
+    away[:, 1] = np.linspace(0, 0.02, FRAMES)
+    both = scene(body(PLATE, np.zeros((FRAMES, 3))), body(BALL, away))
+    played = Played(both, late, start_s=0.1, loop=True, spec=RenderSpec(render="proxy"))
+    rng = np.random.default_rng(late)
+    events: dict[int, Any] = {n: float(rng.uniform(0, 0.5)) for n in (500, 620, 660, 690, 900, 1000)}
+    events |= {1200: Played.pause, 1230: 0.2, 1300: Played.play, 1500: lambda p: p.hold_back_frames(60)}
+    start, goal = np.array([0.001, 0.002, 0.004]), np.array([0.001, 0.002, -0.010])
+    forces, hands = played.on_spring(start, goal, 2200, events)
+    assert hands[2000:, 2] == pytest.approx(hands[450:500, 2].mean(), abs=2e-4)
+    assert forces[2000:, 2].min() > 1.2 and played.value("state.proxy.position_m")[2] > 0.0
+    assert played.value("state.proxy.is_in_contact")
+
+
+@pytest.mark.parametrize("is_spring", [False, True])
+def test_a_seek_into_falling_bodies_steps_as_the_field_does(is_spring: bool) -> None:
+    """The hand is deep in a wall or near another, where the proxy would change over from one to the other."""
+    fall = np.zeros((FRAMES, 3))
+    fall[:, 2] = 0.03 - 0.15 * np.maximum(np.arange(FRAMES) / RATE_HZ - 0.1, 0)
+    turning = body(PLATE, fall, np.linspace(0, 0.5, FRAMES))
+    both = scene(turning, body(BALL, fall - [0.008, 0.0, 0.012]))
+    worst = {"field": 0.0, "auto": 0.0}
+    for render in worst:
+        for n, hand in enumerate(np.random.default_rng(3).uniform(-0.01, 0.01, (8, 3))):
+            played = Played(both, 12, loop=True, spec=RenderSpec(render=render, up="lattice"))
+            seeks = {40: 0.3 + 0.01 * n, 200: 0.1, 260: 0.4}
+            forces = (
+                played.on_spring(hand, hand, 380, seeks)[0] if is_spring else played.at_rest(hand, 380, seeks)
+            )
+            steps = steps_n(forces)
+            worst[render] = max(worst[render], *(float(steps[tick + 11 :][:104].max()) for tick in seeks))
+    assert worst["field"] > 0.1
+    assert worst["auto"] < 1.1 * worst["field"]
+
+
+def test_each_end_of_a_loop_fades() -> None:
+    forces = Played(falling(), start_s=0.3, loop=True).at_rest(ON_BALL, 1700)
+    size = np.linalg.norm(forces[199])
+    for end in (200, 700, 1200):
+        assert np.linalg.norm(forces[end - 1]) == pytest.approx(size, abs=1e-6)
+        assert worst_around(forces, end) < 1.1 * np.pi / 2 * size / FADE
+        assert not forces[end + FADE + 1 : end + 150].any()
+
+
+@pytest.mark.parametrize("speed", [0.5, 2.0])
+def test_a_fade_takes_as_long_at_any_speed(speed: float) -> None:
+    played = Played(falling(), start_s=0.3, loop=True, speed=speed)
+    end = round(200 / speed)
+    forces = played.at_rest(ON_BALL, end + 130)
+    size = np.linalg.norm(forces[end - 1])
+    assert size > 0.9
+    passed = np.linalg.norm(forces[end : end + 50], axis=1)  # the bodies are away for 90 ms or more
+    assert passed == pytest.approx(size * (0.5 + 0.5 * np.cos(np.pi * np.arange(50) / FADE)), abs=0.02)
+
+
+def test_a_seek_during_a_pause_fades() -> None:
+    played = Played(falling(), 12, start_s=0.3)
+    events: dict[int, Any] = {120: Played.pause, 150: 0.0, 300: Played.play}
+    forces = played.at_rest(ON_BALL, 340, events)
+    size = np.linalg.norm(forces[119])
+    assert size > 0.9 and worst_around(forces, 150) < 1.1 * np.pi / 2 * size / FADE
+    assert not forces[150 + FADE + 13 :].any()
+
+
+def test_a_coarse_layer_starts_and_ends_without_a_step() -> None:
+    """As in a live stream that loses its fine layer for a while (`LiveFrames.is_seam`)."""
+    fine = BALL
+    coarse = rebuild_level(pyramid(fine, 1)[1], fine.grid)
+
+    class Layers:
+        def __call__(self, frame: int) -> ForceField:
+            return coarse if 20 <= frame < 35 else fine
+
+        @staticmethod
+        def is_seam(frame: int) -> bool:
+            return frame in (20, 35)
+
+    medium = HapticMedium(fine.grid, RATE_HZ, FRAMES, Layers())
+    for render in ("field", "auto"):
+        played = Played(medium, start_s=0.05, spec=RenderSpec(render=render, up="lattice"))
+        forces = played.at_rest(np.array([0.001, 0.002, 0.011]), 430)
+        change = np.linalg.norm(forces[149] - forces[280])
+        assert change > 0.01
+        assert steps_n(forces)[110:].max() < 1.1 * np.pi / 2 * change / FADE + 1e-4
+
+
+@pytest.mark.parametrize("render", ["field", "proxy"])
+def test_without_blend_the_force_steps_at_a_seam(render: str) -> None:
+    spec = RenderSpec(render=render, blend=False)
+    forces = Played(falling(), start_s=0.3, loop=True, spec=spec).at_rest(ON_BALL, 250)
+    size = np.linalg.norm(forces[199])
+    assert size > 0.9 and not forces[210:].any()  # the slew limit takes some ticks
+    played = Played(falling(), 30, start_s=0.3, spec=spec)
+    forces = played.at_rest(ON_BALL, 250, {120: 0.35})
+    assert not forces[142:149].any()  # the ramp of 20 ms while the frames are missing, and then back
+    assert forces[-1] == pytest.approx(forces[119], abs=1e-6)
 
 
 @pytest.mark.parametrize("late", [0, 12, 60, 150])

@@ -25,7 +25,12 @@ RENDER: Final = rows_of(RenderSpec, "Renderer") + rows(
     "Renderer",
     ("clutch-mm", str | None, None, "Point of the field at the device's origin, X,Y,Z in millimetres."),
     ("gravity-n", str | None, None, "A steady force for the weight of the handle, X,Y,Z in newtons."),
-    ("no-blend", bool, False, "Play every frame as it was decoded, with the steps where a segment starts."),
+    (
+        "no-blend",
+        bool,
+        False,
+        "Play every frame as decoded, with the steps where a segment or a loop starts and after a seek.",
+    ),
     (
         "tool",
         str,

@@ -8,6 +8,10 @@ process are enough (docs/decisions/0010). The output is safe for any input: each
 last frame switches all actuators off, whether the medium has ended, `close` was called, or the frames or the
 device have raised an error. While the feed stalls, the actuators are off and the medium's time stands still;
 playback continues with the missing frame. A medium of a single frame has no end: it plays until it is closed.
+
+At the end of a loop the drives fade from the last frame into the first ones, as a raised cosine over 0.1 s,
+at most half the loop. A loop whose end continues into its start, where no drive changes by more than twice as
+much as in the frame before, is interpolated there instead; ``c/touch_seam.h`` does the same for points.
 """
 
 from __future__ import annotations
@@ -47,6 +51,15 @@ MAX_DEFAULT_RATE_HZ: Final = 100.0
 
 MAX_RATE_HZ: Final = 2000.0
 
+BLEND_S: Final = 0.1
+"""Time of the fade at the end of a loop: ``TOUCH_BLEND_S`` of ``c/touch_segment_blend.h``."""
+
+SEAM_RATIO: Final = 2.0
+"""Of the changes of two pairs of frames: a larger one is a jump, as ``TOUCH_SEAM_RATIO``."""
+
+SEAM_MIN_DRIVE: Final = 1e-3
+"""A smaller change of a drive is none."""
+
 _MAX_CLOSE_S: Final = 5.0
 """Time for which `close` waits for a decoder that is in the middle of a frame."""
 
@@ -71,7 +84,8 @@ class DrivePrefetcher:
 
     A *position* counts frames from the start and continues through the repeats of a loop; it may have a
     fraction. Every frame has the shape `shape`. `first` is the position of the player's first frame, `stride`
-    the step from one of its frames to the next, and `rate_hz` the player's rate.
+    the step from one of its frames to the next, and `rate_hz` the player's rate. Without `is_blended`, a loop
+    ends with a step.
     """
 
     def __init__(
@@ -82,8 +96,11 @@ class DrivePrefetcher:
         stride: float,
         rate_hz: float,
         loop: bool,
+        is_blended: bool = True,
     ) -> None:
         self._frames, self._shape, self._loop = frames, shape, loop
+        self._fade_frames = min(BLEND_S * rate_hz * stride, 0.5 * frames.frame_count) if is_blended else 0.0
+        self._ends: dict[int, DriveSample] = {}  # the first and the last two frames, once they are decoded
         self._lookahead = stride * np.arange(max(2, math.ceil(LOOKAHEAD_S * rate_hz)))
         self._position = first
         self._buffer: dict[int, DriveSample] = {}
@@ -122,19 +139,37 @@ class DrivePrefetcher:
             is_missing = len(samples) < len(needed)
             if is_missing and self._error is not None:
                 raise self._error
+            last, following = self._ends.get(self._frames.frame_count - 1), self._buffer.get(needed[-1] + 1)
         if is_missing:
             return None
-        before, after = samples[0], samples[-1]
-        weight = np.float32(position - needed[0])
-        drives = before[0] + weight * (after[0] - before[0])
-        nearest_hz, other_hz = (before[1], after[1]) if weight < 0.5 else (after[1], before[1])
-        if nearest_hz is None:
-            frequencies_hz = other_hz
-        elif other_hz is None:
-            frequencies_hz = nearest_hz
-        else:
-            frequencies_hz = np.where(nearest_hz > 0, nearest_hz, other_hz)
+        is_last = len(needed) == 1 and position > needed[0]
+        if is_last and following is not None and self._loop and not self._is_jump():
+            samples.append(following)
+        drives, frequencies_hz = _between(samples[0], samples[-1], position - needed[0])
+        weight = self._weight_of_last(position)
+        if weight > 0.0 and last is not None:
+            drives, frequencies_hz = _between((drives, frequencies_hz), last, weight)
         return np.clip(drives, np.float32(0), np.float32(1)), frequencies_hz
+
+    def _weight_of_last(self, position: float) -> float:
+        """Return the weight of the last frame in the fade after the end of a loop, 0 to 1."""
+        count = self._frames.frame_count
+        passed = position % count
+        if not (self._loop and position >= count and passed < self._fade_frames and self._is_jump()):
+            return 0.0
+        return 0.5 + 0.5 * math.cos(math.pi * passed / self._fade_frames)
+
+    def _is_jump(self) -> bool:
+        """Return whether the end of the medium does not continue into its start, as far as is known."""
+        count = self._frames.frame_count
+        ends = [self._ends.get(frame % count) for frame in (count - 2, count - 1, count)]
+        if count < 3 or self._fade_frames == 0.0:
+            return True
+        before, last, first = (None if sample is None else sample[0] for sample in ends)
+        if before is None or last is None or first is None:
+            return True
+        change, own = np.abs(first - last).max(), np.abs(last - before).max()
+        return bool(change > SEAM_RATIO * own + SEAM_MIN_DRIVE)
 
     def _run(self) -> None:
         try:
@@ -155,6 +190,8 @@ class DrivePrefetcher:
                 sample = limited, self._frames.frequencies(frame)
                 with self._changed:
                     self._buffer[number] = sample
+                    if frame == 0 or frame >= self._frames.frame_count - 2:
+                        self._ends[frame] = sample
                     self._changed.notify_all()
         except BaseException as error:
             with self._changed:
@@ -178,7 +215,7 @@ class DrivePrefetcher:
     def _needed(self, position: float) -> list[int]:
         """Return the positions of the one or two frames for a position of the player.
 
-        The last frame of the medium is not blended into another.
+        The last frame of the medium needs no other one.
         """
         first, count = math.floor(position), self._frames.frame_count
         if count == 1:
@@ -187,14 +224,27 @@ class DrivePrefetcher:
         return [first] if is_last or first == position else [first, first + 1]
 
 
+def _between(before: DriveSample, after: DriveSample, weight: float) -> DriveSample:
+    """Return drives between two samples, linear in the weight of the second, and frequencies.
+
+    These are those of the nearer sample, and of the other one where it has none.
+    """
+    drives = before[0] + np.float32(weight) * (after[0] - before[0])
+    nearest_hz, other_hz = (before[1], after[1]) if weight < 0.5 else (after[1], before[1])
+    if nearest_hz is None or other_hz is None:
+        return drives, other_hz if nearest_hz is None else nearest_hz
+    return drives, np.where(nearest_hz > 0, nearest_hz, other_hz)
+
+
 class ArrayPlayer:
     """Plays frames of drives on an array; a context manager that closes the device.
 
     `frames` are for example `touchfield.pipeline.array_medium.Drives`. `rate_hz` is the number of frames a
     second sent to the device; its default is the profile's rate, at most 100, or 50 if the profile has none.
     `speed` is seconds of the medium for one second, and `start_s` the time of the medium to start at. The
-    device may take `wait_s` seconds to get ready; `on_note` is called with what it lacks. Raises
-    `InvalidArgument` if a number is out of range or `start_s` is past the end of the medium.
+    device may take `wait_s` seconds to get ready; `on_note` is called with what it lacks. Without
+    `is_blended`, the drives step where a loop ends. Raises `InvalidArgument` if a number is out of range or
+    `start_s` is past the end of the medium.
     """
 
     def __init__(
@@ -208,6 +258,7 @@ class ArrayPlayer:
         start_s: float = 0.0,
         wait_s: float = DEFAULT_WAIT_S,
         on_note: Callable[[str], None] = lambda note: None,
+        is_blended: bool = True,
     ) -> None:
         require_between(0, MAX_WAIT_S, wait_s=wait_s)
         self._wait_s, self._on_note = wait_s, on_note
@@ -225,7 +276,9 @@ class ArrayPlayer:
         self._stride = speed * frames.rate_hz / rate
         columns, rows, _ = device.profile.lattice
         self._shape = (device.profile.panels, rows, columns)
-        self._prefetcher = DrivePrefetcher(frames, self._shape, self._first, self._stride, rate, loop)
+        self._prefetcher = DrivePrefetcher(
+            frames, self._shape, self._first, self._stride, rate, loop, is_blended
+        )
         self._stop, self._started, self._done = threading.Event(), threading.Event(), threading.Event()
         self._sender = threading.Thread(target=self._run, name="touchfield-array", daemon=True)
         self.error: BaseException | None = None  # what ended playback early

@@ -570,7 +570,7 @@ class Session:
     def set_up(self, memory: Memory, mode: int = layout.IDLE) -> None:
         """Write everything that the servo needs before its first tick."""
         source, spec = self.source, self._spec
-        self.layout.write(memory, source.frame_count, source.rate_hz, self.is_loop, spec.rate_hz)
+        self.layout.write(memory, source.frame_count, source.rate_hz, self.is_loop, spec.rate_hz, spec.blend)
         self._notes = write_parameters(
             memory, spec, self._device, source.friction, source.damping_n_s_per_m, source.axes
         )

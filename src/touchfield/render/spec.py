@@ -89,7 +89,8 @@ class RenderSpec:
     ramp_s: float = 0.02
     # cut-off of the low-pass on the velocity, which is estimated from positions
     velocity_cutoff_hz: float = 100.0
-    # whether the segments of a stream are blended into each other (`render.segment_blend`)
+    # whether the segments of a stream are blended into each other (`render.segment_blend`), and the force
+    # fades over a seam: the end of a loop, a seek, late frames (`c/touch_seam.h`)
     blend: bool = True
     render: str = option(
         "auto", "proxy (for thin walls), field (the stored force) or auto (proxy for fields with walls)."

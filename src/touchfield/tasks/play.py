@@ -384,6 +384,7 @@ def _play_array(stream: OpenStream, spec: PlaySpec, report: Progress, on_note: O
         on_note(f"The stream was made {change}; --profile takes another.")
     drives = array_drives(stream, driver.profile, spec.panel)
     times: dict[str, Any] = {"loop": spec.loop, "speed": spec.speed, "start_s": spec.start_s}
+    times["is_blended"] = spec.render.blend
     wait_s = duration_s(spec.wait, "wait")
     with ArrayPlayer(drives, driver, **times, wait_s=wait_s, on_note=on_note) as player:
         try:

@@ -223,11 +223,17 @@ class Layout:
         )
 
     def write(
-        self, memory: Memory, frame_count: int, frame_rate_hz: float, is_loop: bool, rate_hz: float
+        self,
+        memory: Memory,
+        frame_count: int,
+        frame_rate_hz: float,
+        is_loop: bool,
+        rate_hz: float,
+        is_blended: bool = True,
     ) -> None:
         """Write what does not change during playback, and empty the directory.
 
-        `rate_hz` is that of the ticks.
+        `rate_hz` is that of the ticks. With `is_blended` the force fades where the medium does not continue.
         """
         receiver = memory.receiver
         for name, value in (
@@ -242,6 +248,7 @@ class Layout:
             ("frame_rate_hz", frame_rate_hz),
             ("is_loop", is_loop),
             ("tick_ns", round(1e9 / rate_hz)),
+            ("is_unblended", not is_blended),
         ):
             receiver["layout"][name] = value
         memory.array(layout.DIRECTORY_ENTRY, self.directory, self.slots)["tag"] = -1

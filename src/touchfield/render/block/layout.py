@@ -104,7 +104,8 @@ RECEIVER_LAYOUT: Final = np.dtype(
         ("ramp_limit_ns", np.int64),
         ("is_simulated", np.int64),
         ("is_paced", np.int64),
-        ("reserved", np.int64, (2,)),
+        ("is_unblended", np.int64),
+        ("reserved", np.int64, (1,)),
     ]
 )
 
@@ -249,6 +250,7 @@ SEAM: Final = np.dtype(
         ("is_starting", np.int64),
         ("is_waiting", np.int64),
         ("is_frame_missing", np.int64),
+        ("late_s", np.float64),
         ("left_s", np.float64),
         ("force_n", np.float64, (3,)),
         ("torque_nm", np.float64, (3,)),
