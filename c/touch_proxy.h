@@ -36,8 +36,6 @@ static inline void touch_store_proxy(touch_proxy *proxy, const touch_instant *t,
 static inline touch_vector touch_proxy_force(const touch_isosurface *s, touch_vector hand_m, touch_vector stored_n);
 static inline double touch_ramp_depth(const touch_isosurface *s, touch_vector position_m, touch_vector inwards,
                                       double depth_m);
-static inline double touch_field_share(const touch_isosurface *s, touch_vector stored_n, touch_vector outwards,
-                                       double force_n);
 static inline void touch_ease_jump(const touch_isosurface *s, const touch_contact_motion *motion, double step_m,
                                    touch_vector force_n, touch_vector stored_n, double dt_s);
 
@@ -85,23 +83,26 @@ static inline void touch_store_proxy(touch_proxy *proxy, const touch_instant *t,
 /* -- the force -------------------------------------------------------------------------------------------------------- */
 
 #define TOUCH_PROXY_RAMP_DOUBT 0.05           /* samples: by so much a ramp within the low-pass overestimates */
-#define TOUCH_PROXY_THIN_RATIO 0.2            /* of the stored force to that of the spring: up to this a wall is thin, */
-#define TOUCH_PROXY_THIN_WIDTH 0.3            /* and from so much more on it is thick */
 #define TOUCH_PROXY_EDGE_COSINE 0.85          /* between the stored force and that of the spring: up to this it is an edge, */
 #define TOUCH_PROXY_EDGE_WIDTH 0.13           /* and from so much more on a surface */
 
-/* The force of the proxy on the hand, N: that of its spring, or the stored one where this is that of the same wall. */
+/* The force of the proxy on the hand, N: the stored force, and along the spring as much as it lacks. */
 static inline touch_vector touch_proxy_force(const touch_isosurface *s, touch_vector hand_m, touch_vector stored_n) {
     const touch_tick_state *state = &s->receiver->state;
     touch_vector pull = touch_subtract(state->proxy.position_m, hand_m);
-    /* where the loop needs a softer spring, the stored force would be too stiff */
-    double k = 1.0 / (1.0 / s->stiffness_n_per_m + state->compliance_m_per_n);
-    double depth = touch_magnitude(pull);
+    double k = s->stiffness_n_per_m, depth = touch_magnitude(pull);
+    if (!(depth > 0.0)) return stored_n;
     touch_vector outwards = touch_scale(1.0 / depth, pull);
-    double ramp_depth = touch_ramp_depth(s, state->proxy.position_m, touch_scale(-1.0, outwards), depth);
-    double force = touch_fmax(touch_fmax(0.0, touch_dot(stored_n, outwards)), k * (depth + ramp_depth));
-    double share = state->compliance_m_per_n > 0.0 ? 0.0 : touch_field_share(s, stored_n, outwards, force);
-    return touch_add(touch_scale(share, stored_n), touch_scale((1.0 - share) * force, outwards));
+    double spring_n = k * (depth + touch_ramp_depth(s, state->proxy.position_m, touch_scale(-1.0, outwards), depth));
+    double along_n = touch_dot(stored_n, outwards), stored = touch_magnitude(stored_n);
+    double lack_n = touch_clamp(spring_n - along_n, 0.0, spring_n);
+    double size_n = touch_fmax(along_n, 0.0);
+    if (lack_n > 0.0) size_n += lack_n * lack_n / spring_n;
+    double tangential = stored > 0.0 ? touch_smooth_step((along_n / stored - TOUCH_PROXY_EDGE_COSINE) / TOUCH_PROXY_EDGE_WIDTH) : 0.0;
+    touch_vector force = touch_scale(size_n, outwards);
+    force = touch_add_scaled(force, tangential, touch_add_scaled(stored_n, -along_n, outwards));
+    /* a coupling makes the wall softer, and so what it stores */
+    return touch_scale(1.0 / (1.0 + k * state->compliance_m_per_n), force);
 }
 
 /* Depth of a proxy below the surface that the ramp of forces behind it extrapolates to, metres; negative above. Two samples
@@ -118,26 +119,10 @@ static inline double touch_ramp_depth(const touch_isosurface *s, touch_vector po
     return touch_fmin(touch_fmin(depth, sample), 0.5 * depth_m);
 }
 
-/* How far the field itself is the force of this wall, 0 to 1. In a wall that fills its neighbourhood the stored force at the
-   hand is what the proxy's spring approximates, but it changes with time as smoothly as the field does, and not as a surface
-   that is searched for; so it is rendered. Where the wall is thin or has an edge the stored force is smaller or turned. */
-static inline double touch_field_share(const touch_isosurface *s, touch_vector stored_n, touch_vector outwards,
-                                       double force_n) {
-    double stored = touch_magnitude(stored_n), expected = touch_fmin(force_n, s->large_n);
-    if (!(stored > 0.0)) return 0.0;
-    double along = touch_dot(stored_n, outwards), by_size = 1.0;
-    if (expected > 0.0)
-        by_size = touch_smooth_step((along / expected - TOUCH_PROXY_THIN_RATIO) / TOUCH_PROXY_THIN_WIDTH);
-    return by_size * touch_smooth_step((along / stored - TOUCH_PROXY_EDGE_COSINE) / TOUCH_PROXY_EDGE_WIDTH);
-}
-
 /* -- jumps of the proxy ----------------------------------------------------------------------------------------------- */
 
 #define TOUCH_PROXY_EASE_S 1.0                /* in which the correction at rest may change by a large force of the field */
-#define TOUCH_PROXY_FOLLOW 3.0                /* times the motion of hand and surface: a longer step is a jump */
-#define TOUCH_PROXY_MIN_JUMP 0.1              /* of the longest step: a shorter one is none */
-#define TOUCH_PROXY_STEEP 20.0                /* times the spring: more is no change of force by a motion of the hand */
-#define TOUCH_PROXY_LEAK 0.25                 /* of the spring: what a motion gives back of a jump's force */
+#define TOUCH_PROXY_FOLLOW 2.0                /* times the motion of hand and surface: a longer step is a jump */
 
 /* How far hand and surface moved since the tick before. */
 static inline touch_contact_motion touch_motion_of(const touch_isosurface *s, touch_vector hand_m, touch_field_point carried) {
@@ -156,25 +141,15 @@ static inline touch_vector touch_shortened(touch_vector v, double length) {
     return size > length ? touch_scale(1.0 - length / size, v) : touch_zero();
 }
 
-/* Whether the proxy moved by more than hand and surface explain, to another surface, or on or off one; or the force changed by
-   more than the field's own and a motion of the hand, where the medium changes. */
-static inline int touch_has_jumped(const touch_isosurface *s, const touch_contact_motion *motion, double step_m,
-                                   double field_n, double jump_n) {
-    if (step_m > TOUCH_PROXY_FOLLOW * motion->total_m + TOUCH_PROXY_MIN_JUMP * s->max_step_m) return 1;
-    if (s->instant->before == s->instant->after) return 0; /* the medium stands still */
-    return jump_n > field_n + TOUCH_PROXY_STEEP * s->stiffness_n_per_m * motion->hand_m;
-}
-
-/* Where the proxy jumped, the hand gets the field's own change; the rest is given back with time and with motion. */
+/* The force follows that of the proxy by as much as the field's own changes, and the motion of the hand and time allow. */
 static inline void touch_ease_jump(const touch_isosurface *s, const touch_contact_motion *motion, double step_m,
                                    touch_vector force_n, touch_vector stored_n, double dt_s) {
     touch_proxy *proxy = &s->receiver->state.proxy;
-    touch_vector field_n = touch_subtract(stored_n, proxy->stored_n);
-    touch_vector jump_n = touch_subtract(touch_subtract(force_n, proxy->force_n), field_n);
-    if (touch_has_jumped(s, motion, step_m, touch_magnitude(field_n), touch_magnitude(jump_n)))
-        proxy->eased_n = touch_add(proxy->eased_n, jump_n);
-    double given_n = TOUCH_PROXY_LEAK * s->stiffness_n_per_m * motion->total_m + s->large_n * dt_s / TOUCH_PROXY_EASE_S;
-    proxy->eased_n = touch_shortened(proxy->eased_n, given_n);
+    (void)step_m;
+    touch_vector before_n = touch_subtract(proxy->force_n, proxy->eased_n);
+    double allowed_n = touch_magnitude(touch_subtract(stored_n, proxy->stored_n));
+    allowed_n += TOUCH_PROXY_FOLLOW * s->stiffness_n_per_m * motion->hand_m + s->large_n * dt_s / TOUCH_PROXY_EASE_S;
+    proxy->eased_n = touch_shortened(touch_subtract(force_n, before_n), allowed_n);
 }
 
 #endif

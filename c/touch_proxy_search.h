@@ -220,6 +220,11 @@ static inline int touch_find_surface(const touch_isosurface *s, touch_field_poin
     return !(next->force_n > TOUCH_PROXY_OFF_LEVELS * s->level_n || farther > s->max_step_m);
 }
 
+static inline void touch_keep_nearest(touch_vector hand_m, touch_field_point at, touch_field_point *nearest, double *nearest_m) {
+    double distance_m = touch_magnitude(touch_subtract(hand_m, at.position_m));
+    if (distance_m < *nearest_m) *nearest = at, *nearest_m = distance_m;
+}
+
 /* Move the proxy from where it is, `*proxy_at`, towards the hand, without friction. 1: a surface stops it; 0: the hand is
    free. */
 static inline int touch_move_proxy(const touch_isosurface *s, touch_vector hand_m, touch_field_point *proxy_at) {
@@ -229,6 +234,8 @@ static inline int touch_move_proxy(const touch_isosurface *s, touch_vector hand_
     if (at.force_n > TOUCH_PROXY_TOUCHING_LEVELS * s->level_n) touch_add_constraint(&planes, touch_steady_normal(s, at));
     touch_vector before = touch_zero();
     int left_planes = 0; /* how many planes the proxy left; they hold on where no step is left to find out */
+    touch_field_point nearest = at;
+    double nearest_m = touch_magnitude(touch_subtract(hand_m, at.position_m));
     double growth = 2.0, step_m = s->max_step_m, min_step_m = TOUCH_PROXY_MIN_STEP * s->max_step_m;
     if (proxy->is_in_contact) step_m = touch_fmax(proxy->step_m, 2.0 * min_step_m);
     for (int n = 0; n < TOUCH_PROXY_STEPS; n++) {
@@ -249,18 +256,28 @@ static inline int touch_move_proxy(const touch_isosurface *s, touch_vector hand_
             if (planes.count > left_planes) left_planes = planes.count;
             at = next;
             planes.count = 0;
+            touch_keep_nearest(hand_m, at, &nearest, &nearest_m);
             continue;
         }
         if (!touch_find_surface(s, at, motion, planes.count > 0, hand_m, &next)) {
             /* a force that begins with a jump has no point at the level: the proxy stays in front of it */
             int is_jump = !planes.count && at.force_n <= s->level_n && next.force_n > s->level_n;
-            if (is_jump) touch_add_constraint(&planes, next.normal);
-            break;
+            if (is_jump) {
+                touch_add_constraint(&planes, next.normal);
+                break;
+            }
+            step_m *= 0.4, growth = 1.0;
+            continue;
         }
         at = next;
         touch_add_constraint(&planes, touch_steady_normal(s, at));
+        touch_keep_nearest(hand_m, at, &nearest, &nearest_m);
     }
     int count = planes.count > 0 ? planes.count : left_planes;
+    if (touch_magnitude(touch_subtract(hand_m, at.position_m)) > nearest_m) {
+        at = nearest;
+        step_m *= 0.4;
+    }
     proxy->step_m = step_m;
     *proxy_at = at;
     return count > 0 && touch_dot(touch_subtract(hand_m, at.position_m), planes.normal[count - 1]) < 0.0;
