@@ -43,7 +43,7 @@ static inline void touch_ease_jump(const touch_isosurface *s, const touch_contac
 
 /* -- a tick of the proxy ---------------------------------------------------------------------------------------------- */
 
-#define TOUCH_PROXY_AWAY 0.5                  /* of the motion of hand and surface: so far the proxy may go from the hand */
+#define TOUCH_PROXY_AWAY 2.0                  /* of the motion of hand and surface: so far the proxy may go from the hand */
 
 /* The force on the hand, N, without friction. One tick of the proxy. Friction acts at the proxy, state.proxy.position_m. */
 static inline touch_vector touch_contact_force(touch_receiver *receiver, const touch_instant *t, touch_vector hand_m,
@@ -124,8 +124,8 @@ static inline double touch_ramp_depth(const touch_isosurface *s, touch_vector po
 }
 
 /* What is added to a stored force along the spring, N. It lacks the rest of the spring's force; a small lack is only that of
-   two approximations, and of a large one nearly all is added. Where the far side of a wall makes the stored force fall by K per
-   metre of depth, the sum never rises by more than 2.3 K. */
+   two approximations, and nearly all of a large one is added. Where the stored force falls by S per metre, as from the middle
+   of a wall on, the sum rises by at most 1.25 S + K: without a switch from the one to the other. */
 static inline double touch_added_force(double spring_n, double along_n) {
     double lack_n = spring_n - along_n;
     if (!(lack_n > TOUCH_PROXY_SMALL_LACK * spring_n)) return 0.0;
@@ -135,7 +135,7 @@ static inline double touch_added_force(double spring_n, double along_n) {
 /* -- jumps of the proxy ----------------------------------------------------------------------------------------------- */
 
 #define TOUCH_PROXY_EASE_S 1.0                /* in which a jump by a large force of the field comes to a hand at rest, */
-#define TOUCH_PROXY_EASE_SMALL_S 0.2          /* and time constant for a small one */
+#define TOUCH_PROXY_EASE_SMALL_S 0.5          /* and time constant for a small one */
 
 /* How far hand and surface moved since the tick before. */
 static inline touch_contact_motion touch_motion_of(const touch_isosurface *s, touch_vector hand_m, touch_field_point carried) {
