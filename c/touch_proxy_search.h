@@ -234,12 +234,12 @@ static inline int touch_move_proxy(const touch_isosurface *s, touch_vector hand_
     if (at.force_n > TOUCH_PROXY_TOUCHING_LEVELS * s->level_n) touch_add_constraint(&planes, touch_steady_normal(s, at));
     touch_vector before = touch_zero();
     int left_planes = 0; /* how many planes the proxy left; they hold on where no step is left to find out */
-    touch_field_point near = at; /* where it was last no farther from the hand than it may be */
+    touch_field_point accepted = at; /* where it was last no farther from the hand than it may be */
     double farthest_m = touch_distance(hand_m, at.position_m) + away_m - TOUCH_PROXY_MIN_APPROACH_M;
     double growth = 2.0, step_m = s->max_step_m, min_step_m = TOUCH_PROXY_MIN_STEP * s->max_step_m;
     if (proxy->is_in_contact) step_m = touch_fmax(proxy->step_m, 2.0 * min_step_m);
     for (int n = 0; n < TOUCH_PROXY_STEPS; n++) {
-        if (touch_distance(hand_m, at.position_m) <= farthest_m) near = at;
+        if (touch_distance(hand_m, at.position_m) <= farthest_m) accepted = at;
         touch_vector motion = touch_constrained_motion(touch_subtract(hand_m, at.position_m), &planes);
         double length = touch_magnitude(motion);
         touch_adapt_step(s, motion, before, &step_m, &growth);
@@ -274,7 +274,7 @@ static inline int touch_move_proxy(const touch_isosurface *s, touch_vector hand_
     }
     int count = planes.count > 0 ? planes.count : left_planes;
     if (touch_distance(hand_m, at.position_m) > farthest_m) {
-        at = near;
+        at = accepted;
         step_m *= TOUCH_PROXY_SHORTER;
     }
     proxy->step_m = step_m;
