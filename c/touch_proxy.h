@@ -10,38 +10,40 @@
            touch_carried_point             the proxy of the tick before, moved with its body       touch_query.h
            touch_move_proxy                towards the hand along the surface, no friction         touch_proxy_search.h
            touch_store_proxy               for the next tick
-           touch_proxy_force               a spring, or the stored force where this is that of the same wall:
+           touch_proxy_force               the stored force, and along the spring what this lacks:
                touch_ramp_depth                how far the proxy lies below the surface of what was coded, x
-               touch_field_share               how far the stored force is that of this wall
-           touch_ease_jump                 where the proxy jumped, its force comes slowly
+               touch_added_force               how much of what the stored force lacks is added
+           touch_ease_jump                 what the field and the motion of the hand do not explain comes slowly
 
-   The force is F = K' (|proxy - hand| + x) along proxy - hand, at least what the stored force is along it, less what a jump
-   still owes (eased_n). K' is the stiffness K of the walls in series with the virtual coupling. The low-pass of a field
-   makes a ramp of each wall, and x extrapolates that ramp. Where the stored force at the hand agrees with that spring, it is
-   rendered itself; where a wall is thin or has an edge, the spring still stops the hand. Friction acts at the proxy
-   (touch_friction.h). */
+   The spring pulls by K' (|proxy - hand| + x). K' is the stiffness K of the walls in series with the virtual coupling. The
+   low-pass of a field makes a ramp of each wall, and x extrapolates that ramp. In a wall that fills its neighbourhood the
+   stored force at the hand is what the spring approximates, and it is rendered: it changes with time as smoothly as the field
+   does, and not as a surface that is searched for. Where a wall is thin or has an edge, the stored force is smaller or turned,
+   and what it lacks along the spring is added. The hand gets that force less what a jump still owes (eased_n). Friction acts
+   at the proxy (touch_friction.h). */
 #ifndef TOUCH_PROXY_H
 #define TOUCH_PROXY_H
 
 #include "touch_proxy_search.h"
 
 typedef struct { /* in a tick, beside the body that carries the proxy */
-    double hand_m;    /* how far the hand moved */
-    double surface_n; /* by how much |F| changed at the proxy */
-    double total_m;   /* how far hand and surface moved */
+    touch_vector hand_m; /* of the hand */
+    double total_m;      /* how far hand and surface moved */
 } touch_contact_motion;
 
 static inline touch_contact_motion touch_motion_of(const touch_isosurface *s, touch_vector hand_m, touch_field_point carried);
 static inline void touch_store_proxy(touch_proxy *proxy, const touch_instant *t, touch_vector position_m, int is_in_contact);
-static inline touch_vector touch_proxy_force(const touch_isosurface *s, touch_vector hand_m, touch_vector stored_n);
+static inline touch_vector touch_proxy_force(const touch_isosurface *s, double softness, touch_vector hand_m,
+                                             touch_vector stored_n);
 static inline double touch_ramp_depth(const touch_isosurface *s, touch_vector position_m, touch_vector inwards,
                                       double depth_m);
-static inline double touch_field_share(const touch_isosurface *s, touch_vector stored_n, touch_vector outwards,
-                                       double force_n);
-static inline void touch_ease_jump(const touch_isosurface *s, const touch_contact_motion *motion, double step_m,
-                                   touch_vector force_n, touch_vector stored_n, double dt_s);
+static inline double touch_added_force(double spring_n, double along_n);
+static inline void touch_ease_jump(const touch_isosurface *s, const touch_contact_motion *motion, touch_vector force_n,
+                                   touch_vector stored_n, double dt_s);
 
 /* -- a tick of the proxy ---------------------------------------------------------------------------------------------- */
+
+#define TOUCH_PROXY_AWAY 1.0                  /* of the motion of hand and surface: so far the proxy may go from the hand */
 
 /* The force on the hand, N, without friction. One tick of the proxy. Friction acts at the proxy, state.proxy.position_m. */
 static inline touch_vector touch_contact_force(touch_receiver *receiver, const touch_instant *t, touch_vector hand_m,
@@ -56,16 +58,17 @@ static inline touch_vector touch_contact_force(touch_receiver *receiver, const t
     touch_vector carried_m = touch_carried_point(t, proxy->body, proxy->body_position_m, proxy->position_m);
     touch_field_point carried = touch_probe(&s, is_new ? hand_m : carried_m), found = carried;
     touch_contact_motion motion = touch_motion_of(&s, hand_m, carried);
-    int is_in_contact = touch_move_proxy(&s, hand_m, &found);
+    int is_in_contact = touch_move_proxy(&s, hand_m, TOUCH_PROXY_AWAY * motion.total_m, &found);
     touch_store_proxy(proxy, t, found.position_m, is_in_contact);
 
-    touch_vector stored = touch_force_at(t, hand_m);
-    touch_vector force = is_in_contact ? touch_proxy_force(&s, hand_m, stored) : stored;
-    double step_m = touch_magnitude(touch_subtract(found.position_m, carried.position_m));
+    /* the coupling makes the whole field softer, so that neither contact nor a thin wall changes how stiff it is */
+    double softness = 1.0 / (1.0 + s.stiffness_n_per_m * receiver->state.compliance_m_per_n);
+    touch_vector stored = touch_scale(softness, touch_force_at(t, hand_m));
+    touch_vector force = is_in_contact ? touch_proxy_force(&s, softness, hand_m, stored) : stored;
     if (is_new)
         proxy->eased_n = touch_zero();
     else
-        touch_ease_jump(&s, &motion, step_m, force, stored, dt_s);
+        touch_ease_jump(&s, &motion, force, stored, dt_s);
     proxy->surface_n = found.force_n;
     proxy->hand_m = hand_m;
     proxy->force_n = force;
@@ -85,23 +88,25 @@ static inline void touch_store_proxy(touch_proxy *proxy, const touch_instant *t,
 /* -- the force -------------------------------------------------------------------------------------------------------- */
 
 #define TOUCH_PROXY_RAMP_DOUBT 0.05           /* samples: by so much a ramp within the low-pass overestimates */
-#define TOUCH_PROXY_THIN_RATIO 0.2            /* of the stored force to that of the spring: up to this a wall is thin, */
-#define TOUCH_PROXY_THIN_WIDTH 0.3            /* and from so much more on it is thick */
-#define TOUCH_PROXY_EDGE_COSINE 0.85          /* between the stored force and that of the spring: up to this it is an edge, */
+#define TOUCH_PROXY_SMALL_LACK 0.2            /* of the spring's force: less than this the stored force may lack */
+#define TOUCH_PROXY_EDGE_COSINE 0.85          /* between the stored force and the spring: up to this it is an edge, */
 #define TOUCH_PROXY_EDGE_WIDTH 0.13           /* and from so much more on a surface */
 
-/* The force of the proxy on the hand, N: that of its spring, or the stored one where this is that of the same wall. */
-static inline touch_vector touch_proxy_force(const touch_isosurface *s, touch_vector hand_m, touch_vector stored_n) {
-    const touch_tick_state *state = &s->receiver->state;
-    touch_vector pull = touch_subtract(state->proxy.position_m, hand_m);
-    /* where the loop needs a softer spring, the stored force would be too stiff */
-    double k = 1.0 / (1.0 / s->stiffness_n_per_m + state->compliance_m_per_n);
-    double depth = touch_magnitude(pull);
+/* The force of the proxy on the hand, N: the stored one, and along the spring what this lacks. Beside the spring the stored
+   force counts as far as it has about its direction. */
+static inline touch_vector touch_proxy_force(const touch_isosurface *s, double softness, touch_vector hand_m,
+                                             touch_vector stored_n) {
+    touch_vector proxy_m = s->receiver->state.proxy.position_m, pull = touch_subtract(proxy_m, hand_m);
+    double depth = touch_magnitude(pull), stored = touch_magnitude(stored_n);
+    if (!(depth > 0.0)) return stored_n;
     touch_vector outwards = touch_scale(1.0 / depth, pull);
-    double ramp_depth = touch_ramp_depth(s, state->proxy.position_m, touch_scale(-1.0, outwards), depth);
-    double force = touch_fmax(touch_fmax(0.0, touch_dot(stored_n, outwards)), k * (depth + ramp_depth));
-    double share = state->compliance_m_per_n > 0.0 ? 0.0 : touch_field_share(s, stored_n, outwards, force);
-    return touch_add(touch_scale(share, stored_n), touch_scale((1.0 - share) * force, outwards));
+    double ramp_depth = touch_ramp_depth(s, proxy_m, touch_scale(-1.0, outwards), depth);
+    double spring_n = softness * s->stiffness_n_per_m * (depth + ramp_depth);
+    double along_n = touch_dot(stored_n, outwards), sideways = 0.0;
+    if (stored > 0.0) sideways = touch_smooth_step((along_n / stored - TOUCH_PROXY_EDGE_COSINE) / TOUCH_PROXY_EDGE_WIDTH);
+    touch_vector force = touch_scale(sideways, touch_add_scaled(stored_n, -along_n, outwards));
+    along_n = touch_fmax(0.0, along_n);
+    return touch_add_scaled(force, along_n + touch_added_force(spring_n, along_n), outwards);
 }
 
 /* Depth of a proxy below the surface that the ramp of forces behind it extrapolates to, metres; negative above. Two samples
@@ -118,35 +123,27 @@ static inline double touch_ramp_depth(const touch_isosurface *s, touch_vector po
     return touch_fmin(touch_fmin(depth, sample), 0.5 * depth_m);
 }
 
-/* How far the field itself is the force of this wall, 0 to 1. In a wall that fills its neighbourhood the stored force at the
-   hand is what the proxy's spring approximates, but it changes with time as smoothly as the field does, and not as a surface
-   that is searched for; so it is rendered. Where the wall is thin or has an edge the stored force is smaller or turned. */
-static inline double touch_field_share(const touch_isosurface *s, touch_vector stored_n, touch_vector outwards,
-                                       double force_n) {
-    double stored = touch_magnitude(stored_n), expected = touch_fmin(force_n, s->large_n);
-    if (!(stored > 0.0)) return 0.0;
-    double along = touch_dot(stored_n, outwards), by_size = 1.0;
-    if (expected > 0.0)
-        by_size = touch_smooth_step((along / expected - TOUCH_PROXY_THIN_RATIO) / TOUCH_PROXY_THIN_WIDTH);
-    return by_size * touch_smooth_step((along / stored - TOUCH_PROXY_EDGE_COSINE) / TOUCH_PROXY_EDGE_WIDTH);
+/* What is added to a stored force along the spring, N. It lacks the rest of the spring's force; a small lack is only that of
+   two approximations, and nearly all of a large one is added. Where the stored force falls by S per metre, as from the middle
+   of a wall on, the sum rises by at most 1.25 S + K: without a switch from the one to the other. */
+static inline double touch_added_force(double spring_n, double along_n) {
+    double lack_n = spring_n - along_n;
+    if (!(lack_n > TOUCH_PROXY_SMALL_LACK * spring_n)) return 0.0;
+    return lack_n * (lack_n / spring_n - TOUCH_PROXY_SMALL_LACK) / (1.0 - TOUCH_PROXY_SMALL_LACK);
 }
 
 /* -- jumps of the proxy ----------------------------------------------------------------------------------------------- */
 
-#define TOUCH_PROXY_EASE_S 1.0                /* in which the correction at rest may change by a large force of the field */
-#define TOUCH_PROXY_FOLLOW 3.0                /* times the motion of hand and surface: a longer step is a jump */
-#define TOUCH_PROXY_MIN_JUMP 0.1              /* of the longest step: a shorter one is none */
-#define TOUCH_PROXY_STEEP 20.0                /* times the spring: more is no change of force by a motion of the hand */
-#define TOUCH_PROXY_LEAK 0.25                 /* of the spring: what a motion gives back of a jump's force */
+#define TOUCH_PROXY_EASE_S 1.0                /* in which a jump by a large force of the field comes to a hand at rest, */
+#define TOUCH_PROXY_EASE_SMALL_S 0.5          /* and time constant for a small one */
 
 /* How far hand and surface moved since the tick before. */
 static inline touch_contact_motion touch_motion_of(const touch_isosurface *s, touch_vector hand_m, touch_field_point carried) {
     const touch_proxy *proxy = &s->receiver->state.proxy;
     touch_vector carry_m = touch_subtract(carried.position_m, proxy->position_m);
     touch_contact_motion motion;
-    motion.hand_m = touch_magnitude(touch_subtract(touch_subtract(hand_m, proxy->hand_m), carry_m));
-    motion.surface_n = fabs(carried.force_n - proxy->surface_n);
-    motion.total_m = motion.hand_m + motion.surface_n / s->stiffness_n_per_m;
+    motion.hand_m = touch_subtract(touch_subtract(hand_m, proxy->hand_m), carry_m);
+    motion.total_m = touch_magnitude(motion.hand_m) + fabs(carried.force_n - proxy->surface_n) / s->stiffness_n_per_m;
     return motion;
 }
 
@@ -156,25 +153,20 @@ static inline touch_vector touch_shortened(touch_vector v, double length) {
     return size > length ? touch_scale(1.0 - length / size, v) : touch_zero();
 }
 
-/* Whether the proxy moved by more than hand and surface explain, to another surface, or on or off one; or the force changed by
-   more than the field's own and a motion of the hand, where the medium changes. */
-static inline int touch_has_jumped(const touch_isosurface *s, const touch_contact_motion *motion, double step_m,
-                                   double field_n, double jump_n) {
-    if (step_m > TOUCH_PROXY_FOLLOW * motion->total_m + TOUCH_PROXY_MIN_JUMP * s->max_step_m) return 1;
-    if (s->instant->before == s->instant->after) return 0; /* the medium stands still */
-    return jump_n > field_n + TOUCH_PROXY_STEEP * s->stiffness_n_per_m * motion->hand_m;
-}
-
-/* Where the proxy jumped, the hand gets the field's own change; the rest is given back with time and with motion. */
-static inline void touch_ease_jump(const touch_isosurface *s, const touch_contact_motion *motion, double step_m,
-                                   touch_vector force_n, touch_vector stored_n, double dt_s) {
+/* The force changes at once by as much as the field itself changes at the hand. The rest of a change is owed, as where the
+   proxy jumps to another surface, or on or off one. It comes with time, and with the motion of the hand by K per metre: by
+   twice as much where it works against the motion, and not where it works along it, so that it drives no hand. */
+static inline void touch_ease_jump(const touch_isosurface *s, const touch_contact_motion *motion, touch_vector force_n,
+                                   touch_vector stored_n, double dt_s) {
     touch_proxy *proxy = &s->receiver->state.proxy;
-    touch_vector field_n = touch_subtract(stored_n, proxy->stored_n);
-    touch_vector jump_n = touch_subtract(touch_subtract(force_n, proxy->force_n), field_n);
-    if (touch_has_jumped(s, motion, step_m, touch_magnitude(field_n), touch_magnitude(jump_n)))
-        proxy->eased_n = touch_add(proxy->eased_n, jump_n);
-    double given_n = TOUCH_PROXY_LEAK * s->stiffness_n_per_m * motion->total_m + s->large_n * dt_s / TOUCH_PROXY_EASE_S;
-    proxy->eased_n = touch_shortened(proxy->eased_n, given_n);
+    double field_n = touch_magnitude(touch_subtract(stored_n, proxy->stored_n));
+    touch_vector change_n = touch_subtract(force_n, proxy->force_n);
+    touch_vector owed_n = touch_add(proxy->eased_n, touch_shortened(change_n, field_n));
+    double size_n = touch_magnitude(owed_n), against_m = touch_magnitude(motion->hand_m);
+    if (size_n > 0.0) against_m -= touch_dot(motion->hand_m, owed_n) / size_n;
+    owed_n = touch_shortened(owed_n, s->stiffness_n_per_m * against_m);
+    double given_n_per_s = touch_fmin(touch_magnitude(owed_n) / TOUCH_PROXY_EASE_SMALL_S, s->large_n / TOUCH_PROXY_EASE_S);
+    proxy->eased_n = touch_shortened(owed_n, given_n_per_s * dt_s);
 }
 
 #endif

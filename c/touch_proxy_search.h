@@ -7,7 +7,8 @@
            touch_find_surface              a step that ends within a surface is brought back onto it
            touch_add_constraint            its tangent plane constrains the next step
 
-   Steps get shorter where those of the tick before went to and fro, so that the proxy comes to rest. */
+   Steps get shorter where those of the tick before went to and fro. The proxy goes from the hand only as far as hand and surface
+   moved, so that it comes to rest where they do. */
 #ifndef TOUCH_PROXY_SEARCH_H
 #define TOUCH_PROXY_SEARCH_H
 
@@ -15,7 +16,9 @@
 
 #define TOUCH_PROXY_STEPS 8                   /* of one tick: some four samples */
 #define TOUCH_PROXY_MIN_MOTION_M 1e-7         /* a shorter motion is none */
+#define TOUCH_PROXY_MIN_APPROACH_M 1e-8       /* a proxy that gets no nearer to a hand at rest stays where it is */
 #define TOUCH_PROXY_MIN_STEP 0.003            /* of the longest step */
+#define TOUCH_PROXY_SHORTER 0.4               /* times the step: the next one after a step that led nowhere */
 #define TOUCH_PROXY_TURN_BACK 0.25            /* of the motion before: one that goes back by so much has crossed an edge */
 #define TOUCH_PROXY_SAME_NORMAL 0.9           /* cosine of normals that are those of one surface */
 #define TOUCH_PROXY_SLIDE_LEVELS 6.0          /* a step along a surface that ends below so much is moved out along the normal */
@@ -51,6 +54,8 @@ typedef struct { /* the tangent planes of the surfaces that stop the proxy, by t
 /* Half the time of touch_norm, where no square is beyond the range of double. */
 static inline double touch_magnitude(touch_vector v) { return sqrt(touch_dot(v, v)); }
 
+static inline double touch_distance(touch_vector p, touch_vector q) { return touch_magnitude(touch_subtract(p, q)); }
+
 /* The field at a point. */
 static inline touch_field_point touch_probe(const touch_isosurface *s, touch_vector point_m) {
     touch_vector force = touch_force_at(s->instant, point_m);
@@ -74,7 +79,8 @@ static inline touch_field_point touch_move_onto_surface(const touch_isosurface *
         if (fabs(at.force_n - s->level_n) <= TOUCH_PROXY_TOLERANCE * s->level_n) break;
         double motion = touch_clamp((at.force_n - s->level_n) / slope, -s->max_step_m, s->max_step_m);
         touch_field_point next = touch_probe(s, touch_add_scaled(at.position_m, motion, at.normal));
-        if (next.force_n == 0.0) { /* outside of the field: a shorter motion */
+        /* outside of the field, or farther off the level, as where forces turn: a shorter motion */
+        if (next.force_n == 0.0 || fabs(next.force_n - s->level_n) > fabs(at.force_n - s->level_n)) {
             slope *= 4.0;
             continue;
         }
@@ -199,7 +205,7 @@ static inline void touch_adapt_step(const touch_isosurface *s, touch_vector moti
                                     double *growth) {
     double cosine = touch_dot(motion, before);
     if (cosine < -TOUCH_PROXY_TURN_BACK * touch_dot(before, before))
-        *step_m = 0.4 * *step_m, *growth = 1.0;
+        *step_m = TOUCH_PROXY_SHORTER * *step_m, *growth = 1.0;
     else if (cosine > TOUCH_PROXY_SAME_NORMAL * touch_magnitude(motion) * touch_magnitude(before))
         *step_m = touch_fmin(*growth * *step_m, s->max_step_m);
 }
@@ -215,23 +221,25 @@ static inline int touch_find_surface(const touch_isosurface *s, touch_field_poin
         if (at.force_n > s->level_n) return 0; /* from within, no crossing can be found */
         *next = touch_find_crossing(s, at, *next);
     }
-    double farther = touch_magnitude(touch_subtract(hand_m, next->position_m));
-    farther -= touch_magnitude(touch_subtract(hand_m, at.position_m));
+    double farther = touch_distance(hand_m, next->position_m) - touch_distance(hand_m, at.position_m);
     return !(next->force_n > TOUCH_PROXY_OFF_LEVELS * s->level_n || farther > s->max_step_m);
 }
 
-/* Move the proxy from where it is, `*proxy_at`, towards the hand, without friction. 1: a surface stops it; 0: the hand is
-   free. */
-static inline int touch_move_proxy(const touch_isosurface *s, touch_vector hand_m, touch_field_point *proxy_at) {
+/* Move the proxy from where it is, `*proxy_at`, towards the hand, without friction; it may end by `away_m` farther from it. 1: a
+   surface stops it; 0: the hand is free. */
+static inline int touch_move_proxy(const touch_isosurface *s, touch_vector hand_m, double away_m, touch_field_point *proxy_at) {
     touch_proxy *proxy = &s->receiver->state.proxy;
     touch_constraint_planes planes = {{{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}}, 0};
     touch_field_point at = touch_push_out(s, *proxy_at);
     if (at.force_n > TOUCH_PROXY_TOUCHING_LEVELS * s->level_n) touch_add_constraint(&planes, touch_steady_normal(s, at));
     touch_vector before = touch_zero();
     int left_planes = 0; /* how many planes the proxy left; they hold on where no step is left to find out */
+    touch_field_point accepted = at; /* where it was last no farther from the hand than it may be */
+    double farthest_m = touch_distance(hand_m, at.position_m) + away_m - TOUCH_PROXY_MIN_APPROACH_M;
     double growth = 2.0, step_m = s->max_step_m, min_step_m = TOUCH_PROXY_MIN_STEP * s->max_step_m;
     if (proxy->is_in_contact) step_m = touch_fmax(proxy->step_m, 2.0 * min_step_m);
     for (int n = 0; n < TOUCH_PROXY_STEPS; n++) {
+        if (touch_distance(hand_m, at.position_m) <= farthest_m) accepted = at;
         touch_vector motion = touch_constrained_motion(touch_subtract(hand_m, at.position_m), &planes);
         double length = touch_magnitude(motion);
         touch_adapt_step(s, motion, before, &step_m, &growth);
@@ -254,13 +262,21 @@ static inline int touch_move_proxy(const touch_isosurface *s, touch_vector hand_
         if (!touch_find_surface(s, at, motion, planes.count > 0, hand_m, &next)) {
             /* a force that begins with a jump has no point at the level: the proxy stays in front of it */
             int is_jump = !planes.count && at.force_n <= s->level_n && next.force_n > s->level_n;
-            if (is_jump) touch_add_constraint(&planes, next.normal);
-            break;
+            if (is_jump) {
+                touch_add_constraint(&planes, next.normal);
+                break;
+            }
+            step_m *= TOUCH_PROXY_SHORTER, growth = 1.0; /* a shorter one may find it */
+            continue;
         }
         at = next;
         touch_add_constraint(&planes, touch_steady_normal(s, at));
     }
     int count = planes.count > 0 ? planes.count : left_planes;
+    if (touch_distance(hand_m, at.position_m) > farthest_m) {
+        at = accepted;
+        step_m *= TOUCH_PROXY_SHORTER;
+    }
     proxy->step_m = step_m;
     *proxy_at = at;
     return count > 0 && touch_dot(touch_subtract(hand_m, at.position_m), planes.normal[count - 1]) < 0.0;

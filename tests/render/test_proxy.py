@@ -18,6 +18,7 @@ from touchfield.medium.deformation import Deformation
 from touchfield.medium.medium import HapticObject, HapticScene, VibrationFrame
 from touchfield.medium.pose_track import PoseTrack
 from touchfield.medium.trace import Trace
+from touchfield.perception.hand_motion import points_on_surface
 from touchfield.pipeline import prepare
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.render.feeder import FrameSource
@@ -148,6 +149,63 @@ def test_a_hand_that_slides_off_is_released_once(shape: Box | Sphere) -> None:
         assert eased[:first].max() < 1e-6 and (np.diff(eased[last:]) <= 1e-7).all()
         assert eased[last] < 2 * rendered.wall.level_n and eased[last + 10 :].max() < 1e-7
     assert releases > 30
+
+
+@pytest.mark.parametrize("thickness_mm", [1, 2, 5])
+def test_a_thin_plate_is_little_stiffer_than_its_field(thickness_mm: int) -> None:
+    """Behind the middle of a plate the stored force falls, and that of the proxy's spring takes over."""
+    rendered, step_m = Held(plate(1e-3 * thickness_mm)), 2e-5
+    path = np.array([(0.004, -0.003, z) for z in np.arange(0.004, -0.006, -step_m)])
+    forces, stored = (
+        np.array([rendered.tick(hand) for hand in path])[:, 2],
+        rendered.field.sample_n(path)[:, 2],
+    )
+    steepest_n = np.abs(np.diff(stored)).max()
+    assert 0 < np.diff(forces).max() < 1.6 * steepest_n  # 3 to 4.3 where the one is switched for the other
+    assert (np.maximum.accumulate(forces) - forces).max() < 0.15
+    assert forces[-1] > rendered.wall.stiffness_n_per_m * 0.006
+
+
+def test_a_coupling_softens_a_thick_wall() -> None:
+    for coupling_n_per_m in (150.0, 500.0):
+        rendered = Held(field_of(BALL))
+        rendered.memory.receiver["settings"]["coupling_n_per_m"] = coupling_n_per_m
+        force = into(rendered, np.array([0.0, 0.0, 0.03]), np.array([0.0, 0.0, 0.022]))
+        expected_n = 0.003 / (1 / rendered.wall.stiffness_n_per_m + 1 / coupling_n_per_m)
+        assert abs(force[2] / expected_n - 1) < 0.03
+
+
+def test_a_proxy_that_jumps_pulls_a_hand_at_rest_slowly() -> None:
+    """As where a surface vanishes: the force goes down to that of the other one within seconds."""
+    rendered, hand = Held(plate(0.002)), np.array([0.004, -0.003, -0.003])
+    before = into(rendered, np.array([0.004, -0.003, 0.006]), hand)
+    rendered.memory.receiver["state"]["proxy"]["position_m"] = (0.004, -0.003, -0.002)
+    forces = np.array([before, *(rendered.tick(hand) for _ in range(4000))])
+    steps = np.linalg.norm(np.diff(forces, axis=0), axis=1)
+    assert before[2] > 0.5 and steps.max() < 1.05e-3 * rendered.wall.large_n
+    assert np.linalg.norm(forces[-1]) < 0.01 and (np.diff(forces[:, 2]) <= 1e-9).all()
+
+
+def test_a_proxy_comes_to_rest_with_its_hand() -> None:
+    """Between the surfaces of a heap of boxes a proxy went to and fro for ever, by up to 15 mN a tick."""
+    rng = np.random.default_rng(0)
+    heap = [
+        Box(
+            tuple(rng.uniform(-0.02, 0.02, 3) * (1, 1, 0.3)),
+            tuple(rng.uniform(0.003, 0.008, 3)),
+            tuple(rng.uniform(0, 90, 3)),
+        )
+        for _ in range(24)
+    ]
+    field = field_of(*heap, nw=6)
+    points = points_on_surface(field, 30, np.random.default_rng(1))
+    normals = field.sample_n(points)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    for point, normal in zip(points, normals, strict=True):
+        rendered = Held(field)
+        into(rendered, point + 0.008 * normal, point - 0.006 * normal, 100)
+        forces = np.array([rendered.tick(point - 0.006 * normal) for _ in range(4000)])
+        assert np.linalg.norm(np.diff(forces[-100:], axis=0), axis=1).max() < 1e-4
 
 
 def test_random_pressing_adds_no_energy() -> None:
