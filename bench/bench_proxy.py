@@ -289,6 +289,10 @@ def stiffness_of(field: ForceField) -> float:
     return float(wall.stiffness_n_per_m)
 
 
+MAX_SEAM_POINTS = 24
+"""Hands of `seams`, each of which goes through a session of its own."""
+
+
 def measure(seconds: int, walks: int, lattices: int, points: int) -> Figures:
     """Measure all figures on the available fields."""
     fields: dict[str, ForceField] = {
