@@ -190,7 +190,7 @@ typedef struct { /* the proxy, or the other end of the virtual coupling */
     double surface_n;            /* |F| where it ended */
     touch_vector stored_n, force_n; /* at the hand; of the proxy */
     touch_vector eased_n;        /* what jumps of the proxy added to its force and the hand has not got yet */
-    touch_vector coupling_step_m, coupling_pull_n, hand_m; double added_n_per_m; /* of the coupling's latest step */
+    touch_vector coupling_step_m, coupling_pull_n, hand_m; double added_n_per_m; /* in the tick before; hand_m of both */
 } touch_proxy;
 
 typedef struct { /* of friction: the point of the surface that the hand stuck to last */
@@ -205,7 +205,7 @@ typedef struct { /* over a seam of the medium, from the force before to the forc
     int64_t is_cut;              /* the medium jumps there: the frame before stands until then */
     int64_t is_starting;         /* this tick is the first one after a seam */
     int64_t is_waiting;          /* for the frames of a seek */
-    int64_t is_frame_missing;    /* there was none in the tick before */
+    int64_t is_field_missing;    /* in the tick before: no frame, or no position */
     double late_s;               /* since the latest frame */
     double left_s;               /* of the fade; 0: there is none */
     touch_vector force_n, torque_nm; /* by which force and torque before were larger */

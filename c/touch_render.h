@@ -22,7 +22,7 @@
                    touch_passivity_observer        the energy that the hand put in                        touch_effects.h
                    touch_update_velocity           low-passed                                             touch_effects.h
                    touch_smooth_settings           brake and coupling, on their way to the settings       touch_effects.h
-               touch_force_over_seam           the desired force; after a jump of the medium with what is left of that before
+               touch_force_over_seam           the desired force; after a jump of the medium it fades in  touch_seam.h
                    touch_desired_force
                        touch_find_material         the material there, if there are any, and mu           touch_effects.h
                        touch_field_force           one of four:
@@ -31,7 +31,7 @@
                            touch_coupling_force        virtual coupling                                   touch_effects.h
                            touch_force_at              penalty force at the point                         touch_query.h
                            touch_yield                 a deformed medium gives way, if there is no proxy  touch_query.h
-                           touch_friction_force        dry friction at the proxy or the hand              touch_friction.h
+                           touch_friction_force        dry friction                                       touch_friction.h
                        touch_vibration_force, touch_texture, touch_braked                                 touch_effects.h
                        touch_passivity_controller                                                         touch_effects.h
                touch_wait_for_seek             or, while a seek waits for its frames: the force before fades
@@ -62,7 +62,6 @@ static inline touch_vector touch_tick(touch_receiver *receiver, int64_t before_o
 static inline touch_vector touch_release(touch_receiver *receiver, double dt_s);
 static inline int touch_is_position(touch_vector p);
 static inline void touch_move_device(touch_receiver *receiver, touch_vector device_m);
-static inline touch_vector touch_force_over_seam(touch_receiver *receiver, const touch_instant *t, double dt_s);
 static inline void touch_wait_for_seek(touch_receiver *receiver, double dt_s);
 static inline touch_vector touch_desired_force(touch_receiver *receiver, const touch_instant *t, double dt_s);
 static inline touch_vector touch_field_force(touch_receiver *receiver, const touch_instant *t, touch_vector *point_m,
@@ -187,38 +186,6 @@ static inline void touch_move_device(touch_receiver *receiver, touch_vector devi
 
 /* -- the force that is desired ---------------------------------------------------------------------------------------- */
 
-/* The desired force, N, and the torque, in state.torque.desired. `t` is NULL while a seek waits for its frames: a field without
-   a force. In the first tick after a seam the force of the tick before goes on, and then fades into that of the field. */
-static inline touch_vector touch_force_over_seam(touch_receiver *receiver, const touch_instant *t, double dt_s) {
-    touch_tick_state *state = &receiver->state;
-    touch_seam *seam = &state->seam;
-    touch_vector force_before = state->force.desired, torque_before = state->torque.desired;
-    touch_vector proxy_before = state->field_force_n, stored_before = state->proxy.stored_n;
-    touch_vector force = receiver->settings.gravity_n;
-    int is_starting = seam->is_starting || (seam->is_frame_missing != !t);
-    double fade_s = TOUCH_BLEND_S;
-    state->torque.desired = touch_zero();
-    if (t) {
-        if (is_starting) {
-            force_before = touch_add(force_before, touch_motion_change(receiver, t));
-            touch_stay_in_place(receiver, t);
-        }
-        force = touch_desired_force(receiver, t, dt_s);
-        if (!is_starting && touch_has_force_jumped(receiver, proxy_before, stored_before, &force_before)) {
-            is_starting = 1;
-            fade_s = touch_fmax(seam->left_s, TOUCH_SEAM_JUMP_S);
-        }
-    }
-    if (is_starting && !receiver->layout.is_unblended)
-        touch_start_fade(seam, fade_s, force_before, torque_before, force, state->torque.desired);
-    seam->is_starting = 0, seam->is_frame_missing = !t, seam->hand_m = state->position_m;
-    if (!(seam->left_s > 0.0)) return force;
-    state->torque.desired = touch_faded(seam, state->torque.desired, seam->torque_nm, seam->max_nm);
-    force = touch_faded(seam, force, seam->force_n, seam->max_n);
-    seam->left_s = touch_fmax(0.0, seam->left_s - dt_s);
-    return force;
-}
-
 /* A seek waits for its frames: the force before it fades. The proxy stays on its side of a wall until then. */
 static inline void touch_wait_for_seek(touch_receiver *receiver, double dt_s) {
     touch_tick_state *state = &receiver->state;
@@ -308,7 +275,7 @@ static inline void touch_ramp_out(touch_receiver *receiver, double gain_step, in
     touch_tick_state *state = &receiver->state;
     double before = state->gain;
     state->gain = touch_fmax(0.0, before - gain_step);
-    state->seam.is_frame_missing = state->gain > 0.0;
+    state->seam.is_field_missing = state->gain > 0.0;
     touch_skip_field(state);
     if (before > 0.0) { /* touch_tick multiplies by the gain */
         state->force.desired = touch_scale(1.0 / before, state->force.output);

@@ -26,6 +26,8 @@
 #include "touch_shared.h"
 #include "touch_tool.h"
 
+static inline touch_vector touch_desired_force(touch_receiver *receiver, const touch_instant *t, double dt_s); /* touch_render.h */
+
 #define TOUCH_SEAM_RATIO 2.0      /* of the changes of two pairs of frames: a larger one is a jump */
 #define TOUCH_SEAM_MIN_M 1e-6     /* of a body's surface: a smaller change is none */
 #define TOUCH_SEAM_MIN_N 1e-3     /* of a force */
@@ -116,7 +118,7 @@ static inline int touch_is_proxy_kept(const touch_receiver *receiver) {
 static inline touch_vector touch_motion_change(const touch_receiver *receiver, const touch_instant *t) {
     const touch_settings *settings = &receiver->settings;
     const touch_tick_state *state = &receiver->state;
-    if (state->seam.is_frame_missing || !(state->gain > 0.0)) return touch_zero();
+    if (state->seam.is_field_missing || !(state->gain > 0.0)) return touch_zero();
     touch_vector now = touch_hand_force(receiver, t, state->position_m);
     touch_vector change = touch_subtract(now, touch_hand_force(receiver, t, state->seam.hand_m));
     return touch_scale(settings->force_scale, touch_rotate_back(&settings->axes, change));
@@ -163,6 +165,38 @@ static inline touch_vector touch_faded(const touch_seam *seam, touch_vector forc
     touch_vector sum = touch_add_scaled(force, weight, more);
     double size = touch_norm(sum);
     return size > limit ? touch_scale(limit / size, sum) : sum;
+}
+
+/* The desired force, N, and the torque, in state.torque.desired. `t` is NULL while a seek waits for its frames: a field without
+   a force. In the first tick after a seam the force of the tick before goes on, and then fades into that of the field. */
+static inline touch_vector touch_force_over_seam(touch_receiver *receiver, const touch_instant *t, double dt_s) {
+    touch_tick_state *state = &receiver->state;
+    touch_seam *seam = &state->seam;
+    touch_vector force_before = state->force.desired, torque_before = state->torque.desired;
+    touch_vector proxy_before = state->field_force_n, stored_before = state->proxy.stored_n;
+    touch_vector force = receiver->settings.gravity_n;
+    int is_starting = seam->is_starting || (seam->is_field_missing != !t);
+    double fade_s = TOUCH_BLEND_S;
+    state->torque.desired = touch_zero();
+    if (t) {
+        if (is_starting) {
+            force_before = touch_add(force_before, touch_motion_change(receiver, t));
+            touch_stay_in_place(receiver, t);
+        }
+        force = touch_desired_force(receiver, t, dt_s);
+        if (!is_starting && touch_has_force_jumped(receiver, proxy_before, stored_before, &force_before)) {
+            is_starting = 1;
+            fade_s = touch_fmax(seam->left_s, TOUCH_SEAM_JUMP_S);
+        }
+    }
+    if (is_starting && !receiver->layout.is_unblended)
+        touch_start_fade(seam, fade_s, force_before, torque_before, force, state->torque.desired);
+    seam->is_starting = 0, seam->is_field_missing = !t, seam->hand_m = state->position_m;
+    if (!(seam->left_s > 0.0)) return force;
+    state->torque.desired = touch_faded(seam, state->torque.desired, seam->torque_nm, seam->max_nm);
+    force = touch_faded(seam, force, seam->force_n, seam->max_n);
+    seam->left_s = touch_fmax(0.0, seam->left_s - dt_s);
+    return force;
 }
 
 #endif

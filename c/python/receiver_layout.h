@@ -158,7 +158,7 @@ static const struct {
     {"touch_seam.is_cut", offsetof(touch_seam, is_cut)},
     {"touch_seam.is_starting", offsetof(touch_seam, is_starting)},
     {"touch_seam.is_waiting", offsetof(touch_seam, is_waiting)},
-    {"touch_seam.is_frame_missing", offsetof(touch_seam, is_frame_missing)},
+    {"touch_seam.is_field_missing", offsetof(touch_seam, is_field_missing)},
     {"touch_seam.late_s", offsetof(touch_seam, late_s)},
     {"touch_seam.left_s", offsetof(touch_seam, left_s)},
     {"touch_seam.force_n", offsetof(touch_seam, force_n)},

@@ -249,7 +249,7 @@ SEAM: Final = np.dtype(
         ("is_cut", np.int64),
         ("is_starting", np.int64),
         ("is_waiting", np.int64),
-        ("is_frame_missing", np.int64),
+        ("is_field_missing", np.int64),
         ("late_s", np.float64),
         ("left_s", np.float64),
         ("force_n", np.float64, (3,)),
