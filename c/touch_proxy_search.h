@@ -262,12 +262,8 @@ static inline int touch_move_proxy(const touch_isosurface *s, touch_vector hand_
         if (!touch_find_surface(s, at, motion, planes.count > 0, hand_m, &next)) {
             /* a force that begins with a jump has no point at the level: the proxy stays in front of it */
             int is_jump = !planes.count && at.force_n <= s->level_n && next.force_n > s->level_n;
-            if (is_jump) {
-                touch_add_constraint(&planes, next.normal);
-                break;
-            }
-            step_m *= TOUCH_PROXY_SHORTER, growth = 1.0; /* a shorter one may find it */
-            continue;
+            if (is_jump) touch_add_constraint(&planes, next.normal);
+            break;
         }
         at = next;
         touch_add_constraint(&planes, touch_steady_normal(s, at));
