@@ -43,7 +43,7 @@ static inline void touch_ease_jump(const touch_isosurface *s, const touch_contac
 
 /* -- a tick of the proxy ---------------------------------------------------------------------------------------------- */
 
-#define TOUCH_PROXY_AWAY 1.0                  /* of the motion of hand and surface: so far the proxy may go from the hand */
+#define TOUCH_PROXY_AWAY 1.2                  /* of the motion of hand and surface: how far the proxy may go from the hand */
 
 /* The force on the hand, N, without friction. One tick of the proxy. Friction acts at the proxy, state.proxy.position_m. */
 static inline touch_vector touch_contact_force(touch_receiver *receiver, const touch_instant *t, touch_vector hand_m,

@@ -79,8 +79,8 @@ static inline touch_field_point touch_move_onto_surface(const touch_isosurface *
         if (fabs(at.force_n - s->level_n) <= TOUCH_PROXY_TOLERANCE * s->level_n) break;
         double motion = touch_clamp((at.force_n - s->level_n) / slope, -s->max_step_m, s->max_step_m);
         touch_field_point next = touch_probe(s, touch_add_scaled(at.position_m, motion, at.normal));
-        /* outside of the field, or farther off the level, as where forces turn: a shorter motion */
-        if (next.force_n == 0.0 || fabs(next.force_n - s->level_n) > fabs(at.force_n - s->level_n)) {
+        /* outside of the field, or farther off the level on the same side, as where forces turn: a shorter motion */
+        if (next.force_n == 0.0 || (next.force_n - s->level_n) / (at.force_n - s->level_n) > 1.0) {
             slope *= 4.0;
             continue;
         }
@@ -262,12 +262,8 @@ static inline int touch_move_proxy(const touch_isosurface *s, touch_vector hand_
         if (!touch_find_surface(s, at, motion, planes.count > 0, hand_m, &next)) {
             /* a force that begins with a jump has no point at the level: the proxy stays in front of it */
             int is_jump = !planes.count && at.force_n <= s->level_n && next.force_n > s->level_n;
-            if (is_jump) {
-                touch_add_constraint(&planes, next.normal);
-                break;
-            }
-            step_m *= TOUCH_PROXY_SHORTER, growth = 1.0; /* a shorter one may find it */
-            continue;
+            if (is_jump) touch_add_constraint(&planes, next.normal);
+            break;
         }
         at = next;
         touch_add_constraint(&planes, touch_steady_normal(s, at));
