@@ -121,7 +121,8 @@ def parsed(data: bytes, where: str, expected: str) -> Any:
     except RecursionError:
         raise SourceError(where, "JSON nested too deeply", expected) from None
     except ValueError as error:  # also UnicodeDecodeError, and integers of thousands of digits
-        raise SourceError(where, f"no JSON ({error})", expected) from None
+        mend = "Copy the file again, or export it again."
+        raise SourceError(where, f"no JSON ({error})", expected, mend) from None
 
 
 def _no_constant(name: str) -> float:

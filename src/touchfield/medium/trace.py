@@ -280,9 +280,9 @@ def _fault(chunk: list[tuple[int, str]], columns: _Columns, where: str) -> Sourc
     for number, text in chunk:
         location, cells = f"{where} line {number}", text.split(columns.delimiter)
         if len(cells) <= max(columns.columns):
-            return SourceError(
-                location, f"{len(cells)} columns", f"at least {max(columns.columns) + 1}, as the header has"
-            )
+            expected = f"at least {max(columns.columns) + 1}, as the header has"
+            mend = "Copy the file again, or complete the line."
+            return SourceError(location, f"{len(cells)} columns", expected, mend)
         for name, column in zip(columns.names, columns.columns, strict=True):
             cell = cells[column].strip().strip('"')
             try:

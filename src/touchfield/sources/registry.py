@@ -9,7 +9,7 @@ row. The modules must be cheap to import: heavy libraries (numba, Pillow) are im
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -83,10 +83,16 @@ class SourceKind:
 @cache
 def kinds() -> tuple[SourceKind, ...]:
     """Return all source kinds: plug-ins first, then specific kinds before general ones."""
-    built_in = tuple(_kind(*entry.split(":")) for entry in MODULES)
-    return (*plugins("touchfield.sources", SourceKind).values(), *built_in)
+    return tuple(_kinds_in_order())
 
 
+def _kinds_in_order() -> Iterator[SourceKind]:
+    """Yield the kinds in the order in which they are tried, and import no module before its turn."""
+    yield from plugins("touchfield.sources", SourceKind).values()
+    yield from (_kind(*entry.split(":")) for entry in MODULES)
+
+
+@cache
 def _kind(module: str, key: str | None = None) -> SourceKind:
     """Return the kind of a module, or that of a row of its table `KINDS`."""
     namespace = import_module(f"touchfield.sources.{module}")
@@ -102,8 +108,8 @@ def open_source(path: str | Path, options: SourceOptions | None = None) -> Scene
     """
     path = Path(path)
     options = options or SourceOptions()
-    by_name = {kind.name: kind for kind in kinds()}
     name = options.kind or ("relative-depth" if options.relative_depth else None)
+    by_name = {} if name is None else {kind.name: kind for kind in kinds()}
     if name is not None:
         require_one_of("--as", name, by_name)
     if not os.path.exists(path):  # unlike Path.exists, does not raise for a name that is too long
@@ -111,7 +117,7 @@ def open_source(path: str | Path, options: SourceOptions | None = None) -> Scene
     require_plain(path, "a file or folder", or_folder=True)
     if name is not None:
         return by_name[name].open(path, options)
-    for kind in kinds():
+    for kind in _kinds_in_order():
         if kind.recognise(path):
             return kind.open(path, options)
     if not path.is_dir():

@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 from typing import Final
+from zipfile import is_zipfile
 
 from touchfield.errors import SourceError
 
@@ -105,6 +106,8 @@ def unread_file(path: Path) -> SourceError:
         fix = command.format(name=name, to=to)
         then = f", then encode {to}" if ending != ".gz" else ""
         return SourceError(str(path), what, "a format that is read here", f"Convert it: {fix}{then}")
+    if ending == ".npz" and not is_zipfile(path):
+        return SourceError(str(path), "a damaged archive", "a whole .npz file", "Copy the file again.")
     if not ending:
         found = "a file without an extension"
     elif f"{ending} " in READABLE.replace(")", " "):

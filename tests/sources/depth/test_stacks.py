@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 import room_makers as room
+from stack_makers import BASELINE_M, CAMERA, disparities_px, write_exr, write_tiff
 from touchfield.errors import SourceError
 from touchfield.sources.camera import Intrinsics
 from touchfield.sources.depth.layouts import LAYOUTS
@@ -18,21 +18,12 @@ from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import kinds, open_source
 
 MM = SourceOptions(depth_scale=1000)
-CAMERA = ",".join(map(str, room.CAMERA))
 depth_folder = next(layout for layout in LAYOUTS if layout.name == "depth-folder")
 depth_map = next(layout for layout in LAYOUTS if layout.name == "depth-map")
 
 
 def kind_of(path: Path) -> str:
     return next(kind for kind in kinds() if kind.recognise(path)).name
-
-
-def write_tiff(path: Path, frames: list[np.ndarray]) -> Path:
-    pages = [Image.fromarray(frame) for frame in frames]
-    pages[0].save(path, save_all=True, append_images=pages[1:])
-    (path.parent / "intrinsics.txt").write_text(CAMERA)
-    np.savetxt(path.parent / "poses.txt", room.poses().reshape(-1, 16))
-    return path
 
 
 @pytest.mark.parametrize("is_float", [False, True])
@@ -58,13 +49,6 @@ def test_pages_that_differ_are_refused(tmp_path: Path) -> None:
 
 
 # -- disparity ---------------------------------------------------------------------------------------------
-BASELINE_M = 0.12
-
-
-def disparities_px() -> np.ndarray:
-    return np.stack([room.CAMERA[0] * BASELINE_M / room.depth_m(pose) for pose in room.poses()])
-
-
 @pytest.mark.parametrize("names", [("disparity", "K", "baseline_m"), ("disp", "intrinsics", "baseline")])
 def test_disparity_of_an_npz_with_its_camera(tmp_path: Path, names: tuple[str, str, str]) -> None:
     fx, fy, cx, cy = room.CAMERA
@@ -102,17 +86,10 @@ def test_an_npz_without_disparities_is_refused(tmp_path: Path, array: np.ndarray
 
 
 # -- EXR ---------------------------------------------------------------------------------------------------
-def write_exr(path: Path, channels: dict[str, np.ndarray]) -> Path:
-    exr = pytest.importorskip("OpenEXR")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
-    exr.File(header, channels).write(str(path))
-    return path
-
-
 @pytest.mark.parametrize("name", ["Z", "V", "ViewLayer.Depth.Z", "any"])
 def test_a_folder_of_exr_is_read(tmp_path: Path, name: str) -> None:
     """Metres; 1e10 where the renderer saw no surface."""
+    pytest.importorskip("OpenEXR")
     for i, pose in enumerate(room.poses()):
         depth = room.depth_m(pose).astype(np.float32)
         depth[0, :5] = 1e10
@@ -127,6 +104,7 @@ def test_a_folder_of_exr_is_read(tmp_path: Path, name: str) -> None:
 
 
 def test_one_exr_picture_of_half_floats(tmp_path: Path) -> None:
+    pytest.importorskip("OpenEXR")
     depth = room.depth_m(room.poses()[0]).astype(np.float16)
     path = write_exr(tmp_path / "depth.exr", {"R": depth, "G": depth, "B": depth})
     assert kind_of(path) == "depth-map"
@@ -135,6 +113,7 @@ def test_one_exr_picture_of_half_floats(tmp_path: Path) -> None:
 
 
 def test_an_exr_that_is_no_depth_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("OpenEXR")
     grey = np.ones((4, 6), np.float32)
     colour = write_exr(tmp_path / "depth.exr", {"R": grey, "G": 2 * grey, "B": grey})
     with pytest.raises(SourceError, match=r"depth\.exr.*colour.*channel Z"):

@@ -10,31 +10,12 @@ import pytest
 import tifffile
 from PIL import Image
 
+from height_makers import METRES, NORTH_UP, SCALE, SIZE_M, TIE, data_array, gdal, geotiff, matrix
 from touchfield.errors import MissingExtra, SourceError
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
 from touchfield.sources.terrain.height_map import degree_m
 from touchfield.sources.terrain.height_scene import HeightScene
-
-ROWS = 115.0 - np.arange(16.0)[:, None]
-NORTH_UP = (ROWS + 0.01 * np.arange(16.0)).astype(np.float32)  # falls to the south, rises to the east
-METRES = (1, 1, 0, 2, 1024, 0, 1, 1, 1025, 0, 1, 1)
-SCALE, TIE = (33550, (10.0, 10.0, 0.0)), (33922, (0.0, 0.0, 0.0, 5e5, 4.2e6, 0.0))
-SIZE_M = np.array([150.0, 150.0])
-
-
-def geotiff(path: Path, values: np.ndarray, *tags: tuple[int, Any], **options: Any) -> Path:
-    """Write a TIFF with tags: a tuple of doubles, of shorts for the GeoKeys, or text."""
-    extra = []
-    for code, content in tags:
-        kind = 2 if isinstance(content, str) else 3 if code == 34735 else 12
-        extra.append((code, kind, 0 if kind == 2 else len(content), content, True))
-    tifffile.imwrite(path, values, extratags=extra, metadata=None, **{"photometric": "minisblack", **options})
-    return path
-
-
-def matrix(a: float, b: float, c: float, d: float, e: float, f: float) -> tuple[int, Any]:
-    return 34264, (a, b, 0.0, c, d, e, 0.0, f, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 def opened(path: Path, **options: Any) -> HeightScene:
@@ -179,10 +160,6 @@ def test_a_colour_tiff_is_no_height_map(tmp_path: Path) -> None:
 
 
 # -- GeoTIFF: heights --------------------------------------------------------------------------------------
-def gdal(*items: str) -> tuple[int, str]:
-    return 42112, f"<GDALMetadata>{''.join(items)}</GDALMetadata>"
-
-
 def test_scale_offset_and_unit_of_gdal_are_used(tmp_path: Path) -> None:
     stored = np.round((NORTH_UP - 100) / 0.1).astype(np.uint16)
     scale = '<Item name="SCALE" sample="0" role="scale">0.1</Item>'
@@ -384,14 +361,9 @@ def test_a_tile_of_srtm(tmp_path: Path) -> None:
         opened(tmp_path / "N00E000.hgt")
 
 
-def data_array(**attributes: Any) -> Any:
-    xarray = pytest.importorskip("xarray")
-    x, y = 10.0 * np.arange(16), 10.0 * np.arange(16)  # y rises: row 0 is south
-    return xarray.DataArray(NORTH_UP[::-1], {"y": y, "x": x}, ("y", "x"), "ground", attributes)
-
-
 @pytest.mark.parametrize("version", ["NETCDF3_64BIT", "NETCDF4"])
 def test_heights_of_netcdf(tmp_path: Path, version: Any) -> None:
+    pytest.importorskip("xarray")
     array = data_array(units="cm")
     array.values[3, 3] = np.nan
     if version == "NETCDF4":
@@ -425,6 +397,7 @@ def test_netcdf_of_degrees_time_and_depths(tmp_path: Path) -> None:
 
 
 def test_a_damaged_netcdf_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("xarray")
     data_array().to_netcdf(tmp_path / "a.nc", engine="scipy")
     raw = (tmp_path / "a.nc").read_bytes()
     for size in range(4, len(raw) - 200, 97):
@@ -443,6 +416,7 @@ def test_netcdf_4_without_its_library_names_the_extra(
 
 
 def test_an_xarray_of_heights_is_a_source() -> None:
+    pytest.importorskip("xarray")
     from touchfield.pipeline.source import scene_of
     from touchfield.pipeline.spec import EncodeSpec
 

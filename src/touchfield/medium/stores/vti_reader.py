@@ -85,7 +85,9 @@ def _parse(path: Path) -> tuple[Element, bytes]:
     try:
         root = ElementTree.fromstring(data)
     except (ElementTree.ParseError, ValueError) as error:
-        raise SourceError(str(path), f"no VTK file ({reason(error)})", "VTK ImageData") from error
+        raise SourceError(
+            str(path), f"no VTK file ({reason(error)})", "VTK ImageData", "Copy the file again."
+        ) from error
     return root, appended
 
 

@@ -28,6 +28,7 @@ PLAIN_FRACTION: Final = 0.5  # below this fraction, the bits are not rotated (a 
 _MIN_VALUES = 64  # different values for a statement on their low bits,
 _MIN_8_BIT_VALUES = 16  # and on all of them
 _SAMPLED_FRAMES = 3
+_SAMPLED_VALUES = 40_000  # of a frame, for medians and bits; the range is that of all values
 
 
 def range_notes(sequence: DepthSequence) -> tuple[str, ...]:
@@ -38,7 +39,7 @@ def range_notes(sequence: DepthSequence) -> tuple[str, ...]:
     code = sequence.metres if isinstance(sequence, CodedSequence) else None
     if not isinstance(sequence, CodedSequence) or not isinstance(code, DepthCode):
         return range_note([sequence.depth_m(frame) for frame in frames])
-    return stored_notes([sequence.frames.values(frame) for frame in frames], code, sequence.is_unit_assumed)
+    return stored_notes([sequence.stored_values(frame) for frame in frames], code, sequence.is_unit_assumed)
 
 
 def stored_notes(values: list[NDArray[Any]], code: DepthCode, is_assumed: bool) -> tuple[str, ...]:
@@ -48,7 +49,7 @@ def stored_notes(values: list[NDArray[Any]], code: DepthCode, is_assumed: bool) 
     """
     depth_m = [code(frame) for frame in values]
     notes = range_note(depth_m, code.units_per_m)
-    stored = np.concatenate([frame[depth > 0] for frame, depth in zip(values, depth_m)])
+    stored = np.concatenate([sampled(frame[depth > 0]) for frame, depth in zip(values, depth_m)])
     different = np.unique(stored) if stored.dtype.kind in "ui" else stored[:0]
     rotation = rotation_note(stored, code) if len(different) >= _MIN_VALUES else ()
     bits = eight_bits_note(different, code) if len(different) >= _MIN_8_BIT_VALUES else ()
@@ -57,18 +58,24 @@ def stored_notes(values: list[NDArray[Any]], code: DepthCode, is_assumed: bool) 
 
 def range_note(depth_m: list[Float32s], units_per_m: float | None = None) -> tuple[str, ...]:
     """Return a note with the smallest, largest and median depth; none if no depth is known."""
-    known = np.concatenate([depth[depth > 0] for depth in depth_m])
-    if not len(known):
+    known = [values for depth in depth_m if len(values := depth[depth > 0])]
+    if not known:
         return ()
-    low, high, median = float(known.min()), float(known.max()), float(np.median(known))
+    low, high = min(float(values.min()) for values in known), max(float(values.max()) for values in known)
+    median = float(np.median(np.concatenate([sampled(values) for values in known])))
     unit = "" if units_per_m is None else f", at {units_per_m:g} stored units in a metre"
     where = f" in {len(depth_m)} frames" if len(depth_m) > 1 else ""
     return (f"Depth is {low:.3g} to {high:.3g} m{where}, median {median:.3g} m{unit}.",)
 
 
+def sampled(values: NDArray[Any]) -> NDArray[Any]:
+    """Return about `_SAMPLED_VALUES` of values [n], at equal distances; all of them if there are fewer."""
+    return values[:: max(1, len(values) // _SAMPLED_VALUES)]
+
+
 def unit_note(depth_m: list[Float32s], units_per_m: float, is_assumed: bool) -> tuple[str, ...]:
     """Return a note if the median depth is implausible, with the units that make it usual."""
-    known = np.concatenate([depth[depth > 0] for depth in depth_m])
+    known = np.concatenate([sampled(depth[depth > 0]) for depth in depth_m])
     median = float(np.median(known)) if len(known) else 1.0
     if NEAR_M <= median <= (FAR_ASSUMED_M if is_assumed else FAR_M):
         return ()

@@ -312,14 +312,16 @@ def camera_of(
     folders: Iterable[Path],
     size: tuple[int, int],
     default: CameraFile | None = None,
+    missing: str = "",
 ) -> CameraFile:
     """Return the requested camera, else that of a file, else the default.
 
     Files are searched in `folders`.
 
     `name` names the source in an error, `intrinsics` is "fx,fy,cx,cy" or the path of a file, `size` width and
-    height of the pictures. Raises `InvalidArgument` if `intrinsics` is neither; `SourceError` if a file is
-    invalid, or there is no camera.
+    height of the pictures, and `missing` how to add what else is missing, for the error without a camera.
+    Raises `InvalidArgument` if `intrinsics` is neither; `SourceError` if a file is invalid, or there is no
+    camera.
     """
     if intrinsics is None:
         for file in named_like_intrinsics(folders):
@@ -327,7 +329,7 @@ def camera_of(
             return replace(camera, notes=(f"The camera is that of {file.name}.", *camera.notes))
         if default is not None:
             return default
-        mend = "Add --intrinsics fx,fy,cx,cy, or a file intrinsics.txt in the folder."
+        mend = f"Add --intrinsics fx,fy,cx,cy, or a file intrinsics.txt in the folder. {missing}".rstrip()
         raise SourceError(name, "no camera intrinsics", "fx, fy, cx, cy in pixels", mend)
     if os.path.isfile(intrinsics):  # unlike Path.is_file, never raises for a strange name
         return parse_intrinsics(read_text(Path(intrinsics)), intrinsics, size)

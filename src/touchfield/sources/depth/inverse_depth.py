@@ -134,7 +134,9 @@ def read_disparity(path: Path, options: SourceOptions) -> CodedSequence:
     name = "cam1" if path.stem.lower().startswith("disp1") else "cam0"
     calibration = _calibration(folder / "calib.txt", size, name)
     default = CameraFile(calibration.intrinsics) if calibration else None
-    camera = camera_of(str(path), options.intrinsics, () if default else (folder,), size, default)
+    mend = "Add --baseline-m, or put a calib.txt next to it."
+    missing = mend if calibration is None and options.baseline_m is None else ""
+    camera = camera_of(str(path), options.intrinsics, () if default else (folder,), size, default, missing)
     baseline_m, offset_px = options.baseline_m, options.disparity_offset_px
     notes = camera.notes
     if camera.distortion is not None:  # matching needs rectified pictures
@@ -144,7 +146,6 @@ def read_disparity(path: Path, options: SourceOptions) -> CodedSequence:
         baseline_m = baseline_m or calibration.baseline_m
         offset_px = calibration.disparity_offset_px if offset_px is None else offset_px
     if baseline_m is None:
-        mend = "Add --baseline-m, or put a calib.txt next to it."
         raise SourceError(str(path), "no baseline", "the distance of the two cameras", mend)
     return _of_disparity(
         str(path), disparity, StereoRig(camera.intrinsics, baseline_m, offset_px or 0.0), notes

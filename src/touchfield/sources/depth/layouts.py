@@ -184,7 +184,10 @@ class Layout:
                         "--near-m 0.5 --far-m 3."
                     )
                 raise SourceError(str(file), header.wording, "16-bit (or float) grey depth", mend)
-        cameras = self._cameras(path, pictures, frames.size, options)
+        is_metres = any(header.sample.startswith("float") for header in frames.headers)
+        has_scale = options.depth_scale or self.units_per_m or is_metres
+        missing = "" if has_scale else SCALE_HINT
+        cameras = self._cameras(path, pictures, frames.size, options, missing)
         camera = cameras[0]
         code, unit_notes = self._depth_code(path, options, camera.units_per_m, frames)
         gaps = np.diff(np.empty(0) if pictures.times_s is None else pictures.times_s)
@@ -202,15 +205,24 @@ class Layout:
         return rectified(sequence, [lenses[i] for i in posed.indices] if len(lenses) > 1 else lenses)
 
     def _cameras(
-        self, path: Path, pictures: PictureSet, size: tuple[int, int], options: SourceOptions
+        self,
+        path: Path,
+        pictures: PictureSet,
+        size: tuple[int, int],
+        options: SourceOptions,
+        missing: str,
     ) -> tuple[CameraFile, ...]:
-        """Return the camera of all pictures, or one for each; `size` is the width and height of a picture."""
+        """Return the camera of all pictures, or one for each; `size` is the width and height of a picture.
+
+        `missing` says how to add what else is missing, for the error without a camera.
+        """
         if self.cameras is not None and options.intrinsics is None:
             return self.cameras(path, pictures.paths, size)
         default = None
         if size == (640, 480):
             default = self.camera(path) if callable(self.camera) else self.camera
-        return (camera_of(str(pictures.where), options.intrinsics, pictures.camera_folders, size, default),)
+        where, folders = str(pictures.where), pictures.camera_folders
+        return (camera_of(where, options.intrinsics, folders, size, default, missing),)
 
     def _depth_code(
         self, path: Path, options: SourceOptions, file_scale: float | None, frames: Any
@@ -236,14 +248,16 @@ class Layout:
         return DepthCode(scale, is_rotated), tuple(notes)
 
 
+SCALE_HINT: Final = "Add --depth-scale, for example 1000 for millimetres."
+
+
 def required_scale(where: str, scale: float | None, is_metres: bool) -> float:
     """Return the stored units in a metre, by default 1 for floats.
 
     Raises `SourceError` if there is no scale and the values are not floats.
     """
     if scale is None and not is_metres:
-        mend = "Add --depth-scale, for example 1000 for millimetres."
-        raise SourceError(where, "no depth scale", "how many stored units are in one metre", mend)
+        raise SourceError(where, "no depth scale", "how many stored units are in one metre", SCALE_HINT)
     return scale or 1.0
 
 
@@ -547,7 +561,8 @@ def _open_video(path: Path) -> PictureSet:
         )
         raise SourceError(str(path), found, expected, mend)
     folder = (path.absolute().parent,)
-    return PictureSet((), path, folder, folder, file_frames=GreyVideo(path), rate_hz=header.rate_hz)
+    video = GreyVideo(path)
+    return PictureSet((), path, folder, folder, file_frames=video, rate_hz=header.rate_hz, notes=video.notes)
 
 
 def _is_video(path: Path) -> bool:

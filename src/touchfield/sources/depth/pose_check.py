@@ -119,12 +119,13 @@ def check_poses(sequence: DepthSequence, file_poses: Float64s | None = None) -> 
 def choose_pairs(sequence: DepthSequence, depth_m: Callable[[int], Float32s]) -> list[tuple[int, int]]:
     """Choose pairs of frames between which the view changes, from a few places of the sequence.
 
-    The gap is doubled until at most `CHANGED_FRACTION` of the points agree without a motion.
+    The gap is doubled until at most `CHANGED_FRACTION` of the points agree without a motion. The first gap of
+    a place is half that of the place before, since a camera seldom changes its speed much.
     """
     count, still = sequence.frame_count, np.eye(4)
-    pairs = []
+    pairs, gap = [], 0
     for anchor in sorted({i * count // _ANCHORS for i in range(_ANCHORS)}):
-        gap = max(1, min(4, count // 8))
+        gap = max(1, min(4, count // 8), gap // 2)
         pair = None
         while anchor + gap < count:
             pair = anchor, anchor + gap

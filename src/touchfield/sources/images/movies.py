@@ -12,6 +12,7 @@ Colour pictures, with transparency as black, are reduced to means over the pixel
 from __future__ import annotations
 
 import re
+import shlex
 from bisect import bisect_right
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,6 +24,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s
 from touchfield.errors import SourceError, TouchfieldError, import_extra
 from touchfield.sources.camera import MAX_FRAMES
 from touchfield.sources.images.pictures import (
@@ -44,6 +46,9 @@ _FORMATS: Final = {".mkv": "matroska", ".avi": "avi", ".mov": "mov", ".mp4": "mo
 VIDEO_SUFFIXES: Final = tuple(_FORMATS)
 _OPTIONS: Final = {"err_detect": "crccheck+explode", "trans_color": "0"}
 """Decoder options: damaged data are an error, and transparent pixels of a GIF are black."""
+_GIF_TAIL: Final = 4096  # bytes at the end, zeros of a padding included
+_UNEVEN: Final = 1.5  # longest over shortest time between frames, from which a note is given
+_MAX_EVEN_HZ: Final = 100
 _NEUTRAL: Final = 12  # 8-bit levels by which red, green and blue of a grey may differ after lossy coding
 
 
@@ -72,6 +77,35 @@ def video_header(path: Path) -> VideoHeader:
         return header
 
 
+def unfinished_note(path: Path) -> tuple[str, ...]:
+    """Return a note for a GIF without its last byte: it declares no number of frames to compare with."""
+    if path.suffix.lower() != ".gif":
+        return ()
+    with path.open("rb") as stream:
+        stream.seek(max(0, path.stat().st_size - _GIF_TAIL))
+        end = stream.read(_GIF_TAIL).rstrip(b"\0")
+    if end.endswith(b";"):
+        return ()
+    return ("The file does not end as a GIF does: frames may be missing. Copy it again.",)
+
+
+def uneven_note(path: Path, gaps_s: Float64s, rate_hz: float | None) -> tuple[str, ...]:
+    """Return a note if the frames of a video are at unequal times, with a command that repeats frames.
+
+    `gaps_s` float64 [frames - 1] are the seconds from one frame to the next; 0 if they are unknown.
+    """
+    gaps_s = gaps_s[gaps_s > 0]
+    if len(gaps_s) == 0 or gaps_s.max() <= _UNEVEN * gaps_s.min():
+        return ()
+    rate = "one rate" if rate_hz is None else f"{rate_hz:.4g} a second"
+    frequent_hz = min(_MAX_EVEN_HZ, round(1 / float(gaps_s.min())) or 1)
+    name = shlex.quote(path.name)
+    return (
+        f"The frames are {gaps_s.min():.3g} to {gaps_s.max():.3g} s apart, and are read at {rate}. For their "
+        f"own times: ffmpeg -i {name} -vf fps={frequent_hz} -c:v ffv1 even.mkv, then encode even.mkv",
+    )
+
+
 class GreyVideo(InOrder):
     """The frames of a grey video.
 
@@ -85,8 +119,10 @@ class GreyVideo(InOrder):
         self.path = path
         with _opened(path) as (container, stream, self.header):
             self._stamps, self._keys = _scan(path, container, stream, self.header.rate_hz)
+            gaps_s = np.diff(np.sort(self._stamps)) * float(stream.time_base or 0)
         super().__init__(str(path), len(self._stamps))
         self.size, self.rate_hz = (self.header.width, self.header.height), self.header.rate_hz
+        self.notes = (*unfinished_note(path), *uneven_note(path, gaps_s, self.rate_hz))
 
     def _decode_start(self, frame: int) -> int:
         return self._keys[bisect_right(self._keys, frame) - 1]
@@ -241,6 +277,7 @@ class ColourPictures:
     """Picture files of one size as frames like those of `ColourVideo`."""
 
     rate_hz = None
+    notes: tuple[str, ...] = ()
 
     def __init__(self, paths: tuple[Path, ...]) -> None:
         self.paths, self.frame_count = paths, len(paths)

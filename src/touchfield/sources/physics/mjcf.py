@@ -190,7 +190,8 @@ def _elements(model: Path) -> list[tuple[str, dict[str, str]]]:
         with readable(model, "a model that can be read"):
             parser.Parse(model.read_bytes(), True)
     except expat.ExpatError as error:
-        raise SourceError(str(model), f"no XML ({error})", "a whole MJCF model") from error
+        mend = "Check that place, or copy the file again."
+        raise SourceError(str(model), f"no XML ({error})", "a whole MJCF model", mend) from error
     if elements[0][0] not in ("mujoco", "mujocoinclude"):
         raise SourceError(str(model), f"the element {elements[0][0][:40]!r}", "mujoco")
     return elements

@@ -353,7 +353,7 @@ def read_mcap(path: Path) -> ContactTrace:
                         str(path), f"more than {2 * MAX_SAMPLES} messages", _EXPECTED, "Cut it in parts."
                     )
     except (faults.McapError, struct.error, EOFError, KeyError, RuntimeError, ValueError) as error:
-        raise SourceError(str(path), f"no sound MCAP ({error})", _EXPECTED) from error
+        raise SourceError(str(path), f"no sound MCAP ({error})", _EXPECTED, "Copy it again.") from error
     for rows, quantity in zip(rows_of, ("positions", "forces")):
         if not rows:
             listed = ", ".join(list(names)[:6]) or "no message"

@@ -199,7 +199,8 @@ def read_toml(path: Path, expected: str) -> JsonValue:
     try:
         return JsonValue(tomllib.loads(read_text(path, _MAX_BYTES)), str(path))
     except (ValueError, RecursionError) as error:
-        raise SourceError(str(path), f"no TOML ({error})", expected) from error
+        mend = "Check that place, or copy the file again."
+        raise SourceError(str(path), f"no TOML ({error})", expected, mend) from error
 
 
 def tables(table: JsonValue, name: str) -> list[JsonValue]:

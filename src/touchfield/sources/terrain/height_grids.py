@@ -165,7 +165,8 @@ def read_asc(path: Path) -> tuple[NDArray[Any], GeoReference]:
     except ValueError as error:
         raise SourceError(str(path), f"a height that is no number ({error})", "numbers") from error
     if len(values) != rows * cols:
-        raise SourceError(str(path), f"{len(values)} heights", f"{rows * cols} of {rows} rows of {cols}")
+        expected = f"{rows * cols} of {rows} rows of {cols}"
+        raise SourceError(str(path), f"{len(values)} heights", expected, "Copy the file again.")
     left = head.get("xllcorner", head.get("xllcenter", math.nan) - dx / 2)
     bottom = head.get("yllcorner", head.get("yllcenter", math.nan) - dy / 2)
     affine = dx, 0.0, left, 0.0, -dy, bottom + dy * rows

@@ -243,7 +243,8 @@ def open_saliency(path: Path, options: SourceOptions) -> SaliencyScene:
         else:
             pictures = moving.ColourPictures((path,))
     note = "Symbolic: forces show where the picture is salient, not a surface; a point device renders a slab."
-    return SaliencyScene(pictures, pictures.rate_hz or source_rate(options), options.rate_hz, (note,))
+    rate_hz = pictures.rate_hz or source_rate(options)
+    return SaliencyScene(pictures, rate_hz, options.rate_hz, (note, *pictures.notes))
 
 
 def _recognise(path: Path) -> bool:

@@ -46,12 +46,13 @@ def read_archive(path: Path, options: SourceOptions) -> CodedSequence:
         raise SourceError(where, header.description, "numbers [height, width] or [frames, height, width]")
     with np.errstate(over="ignore"):  # inf means unknown
         disparity = archive.read(name).astype(np.float64) / (options.depth_scale or 1.0)
-    camera = _camera(archive, options, (header.shape[-1], header.shape[-2]))
+    mend = f"Add --baseline-m, or an array {_BASELINES[0]}."
+    has_baseline = options.baseline_m is not None or _first(archive, _BASELINES) is not None
+    camera = _camera(archive, options, (header.shape[-1], header.shape[-2]), "" if has_baseline else mend)
     baseline_m = _number(archive, _BASELINES) if options.baseline_m is None else options.baseline_m
     offset_px = options.disparity_offset_px
     offset_px = _number(archive, _OFFSETS) if offset_px is None else offset_px
     if baseline_m is None:
-        mend = f"Add --baseline-m, or an array {_BASELINES[0]}."
         raise SourceError(str(path), "no baseline", "the distance of the two cameras, metres", mend)
     with as_source_error(f"{path}: "):
         rig = StereoRig(camera.intrinsics, baseline_m, offset_px or 0.0)
@@ -74,11 +75,15 @@ def _number(archive: NpzArchive, names: tuple[str, ...]) -> float | None:
     return None if name is None else archive.numbers(name, 1)[0]
 
 
-def _camera(archive: NpzArchive, options: SourceOptions, size: tuple[int, int]) -> CameraFile:
-    """Return the camera of the options, of the archive, or of a file beside it."""
+def _camera(archive: NpzArchive, options: SourceOptions, size: tuple[int, int], missing: str) -> CameraFile:
+    """Return the camera of the options, of the archive, or of a file beside it.
+
+    `missing` says how to add what else is missing, for the error without a camera.
+    """
     name = _first(archive, _CAMERAS)
     if name is None or options.intrinsics is not None:
-        return camera_of(str(archive.path), options.intrinsics, (archive.path.absolute().parent,), size)
+        folders = (archive.path.absolute().parent,)
+        return camera_of(str(archive.path), options.intrinsics, folders, size, None, missing)
     numbers = archive.numbers(name, math.prod(archive.header(name).shape))
     stored = parse_intrinsics(" ".join(map(repr, numbers)), f"{archive.path}, array {name}")
     return CameraFile(stored.intrinsics, notes=(f"The camera is the array {name}.", *stored.notes))
