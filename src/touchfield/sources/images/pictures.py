@@ -144,15 +144,17 @@ class PictureHeader(NamedTuple):
         return f"a {colour} picture of {self.sample or 'other'} samples, {self.width} x {self.height}"
 
 
-def bound_pixels(path: Path, width: int, height: int, bytes_per_pixel: int = 1) -> None:
+def bound_pixels(
+    path: Path, width: int, height: int, bytes_per_pixel: int = 1, *, max_pixels: int = MAX_PIXELS
+) -> None:
     """Raise `SourceError` if the size of a picture is invalid.
 
     It is invalid if there are no pixels, too many, or more than the bytes of the file can encode.
     """
     if width < 1 or height < 1:
         raise SourceError(str(path), f"a picture of {width} x {height} pixels", "at least one pixel")
-    if width * height > MAX_PIXELS:
-        expected = f"at most {MAX_PIXELS} pixels"
+    if width * height > max_pixels:
+        expected = f"at most {max_pixels} pixels"
         raise SourceError(str(path), f"{width} x {height} pixels", expected, "Give a smaller picture.")
     size = path.stat().st_size
     if width * height * bytes_per_pixel > _MAX_EXPANSION * size:
