@@ -66,7 +66,7 @@ def read_tiff(path: Path) -> tuple[NDArray[Any], GeoReference]:
         _require_numbers(path, page)
         further = _further_pages(tiff, page)
         notes = _band_notes(page)
-        if further.count:
+        if further.page_count:
             notes += ("The file has several pages of this size: the first is read.",)
         tags = {code: page.tags[code].value for code in _GEO_TAGS if code in page.tags}
         reference = reference_of(path, tags)
@@ -163,11 +163,11 @@ def _decoded(path: Path, page: Any) -> NDArray[Any]:
 
 
 class _FurtherPages(NamedTuple):
-    """Pages after the first: masks and overviews, and the number of others of its size."""
+    """Pages after the first: masks and overviews, and the number of others that are as large."""
 
     masks: tuple[Any, ...]
     overviews: tuple[Any, ...]
-    count: int
+    page_count: int
 
     def mask_of(self, page: Any) -> Any:
         """Return the page that hides samples of a page; None if there is none."""
@@ -203,7 +203,7 @@ def _pages_after_first(tiff: Any) -> Iterator[Any]:
 def _is_smaller_copy(page: Any, first: Any) -> bool:
     """Return True if a page has the proportions of the first, to the rounding of its size."""
     by_row, by_col = first.imagelength / page.imagelength, first.imagewidth / page.imagewidth
-    return min(by_row, by_col) > 1 and abs(by_row / by_col - 1) < _MAX_STRETCH
+    return bool(min(by_row, by_col) > 1 and abs(by_row / by_col - 1) < _MAX_STRETCH)
 
 
 # -- georeference ------------------------------------------------------------------------------------------

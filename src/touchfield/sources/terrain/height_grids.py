@@ -415,11 +415,11 @@ def _role(dim: str, coordinate: Labelled | None) -> str:
 class _Ordered(NamedTuple):
     """How a variable is read as [rows, cols] or [frames, rows, cols], which is its `shape`.
 
-    `index` has an index of each dimension of the variable; `order` permutes those that are left.
+    `selection` has an index of each dimension of the variable; `order` permutes those that are left.
     """
 
     values: Any
-    index: tuple[Any, ...]
+    selection: tuple[Any, ...]
     order: tuple[int, ...]
     row_dim: int
     frame_dim: int | None
@@ -427,7 +427,7 @@ class _Ordered(NamedTuple):
 
     def read(self, frame: int | None = None, rows: slice = slice(None)) -> NDArray[Any]:
         """Read all values, or those of a frame, or of some rows of it."""
-        index = list(self.index)
+        index = list(self.selection)
         index[self.row_dim] = rows
         if self.frame_dim is not None and frame is not None:
             index[self.frame_dim] = slice(frame, frame + 1)

@@ -149,7 +149,7 @@ def _reduction_notes(upright_map: UprightMap, cell_m: Pair) -> tuple[str, ...]:
     side = reduction.mean_side
     how = "an overview in the file" if reduction.is_of_overview else ""
     means = f"means of the known heights among {side} x {side} samples" if side > 1 else ""
-    notes = (
+    notes: tuple[str, ...] = (
         f"The map of {stored[0]} x {stored[1]} samples, {y:.4g} x {x:.4g} m apart, is read as {rows} x "
         f"{cols}, {dy:.4g} x {dx:.4g} m apart: {', '.join(filter(None, (how, means)))}.",
     )
