@@ -208,7 +208,7 @@ def _scan(path: Path, container: Any, stream: Any, rate_hz: float | None) -> tup
 
 
 def _depth_track(streams: Any) -> tuple[Any, str]:
-    """Return the track of depth of an Azure Kinect or Femto, by its name, else the first; and a note on others.
+    """Return the track of depth of an Azure Kinect or Femto, else the first, and a note on the others.
 
     Source: Azure Kinect DK, record file format: the tracks COLOR, DEPTH and IR, in any order.
     """

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from touchfield.arrays import Float64s
 from touchfield.errors import SourceError
-from touchfield.sources.images.pictures import MAX_PIXELS, bound_pixels
+from touchfield.sources.images.pictures import MAX_EXPANSION, MAX_PIXELS
 from touchfield.sources.terrain.height_map import (
     GAP_HEIGHTS,
     MAX_HEIGHT,
@@ -42,11 +42,15 @@ Bands = Iterable[NDArray[Any]]
 
 
 def bound_samples(path: Path, rows: int, cols: int) -> None:
-    """Raise `SourceError` for more than `MAX_SAMPLES`, or more than the bytes of the file can encode."""
-    if max(rows, cols) > _MAX_SIDE:
-        expected = f"at most {_MAX_SIDE} along a side"
-        raise SourceError(str(path), f"a map of {rows} x {cols} samples", expected, "Give a part of the map.")
-    bound_pixels(path, cols, rows, max_pixels=MAX_SAMPLES)
+    """Raise `SourceError` for a map that is empty, too large, or more than its bytes can encode."""
+    found, size = f"a map of {rows} x {cols} samples", path.stat().st_size
+    if min(rows, cols) < 1:
+        raise SourceError(str(path), found, "at least one sample")
+    if rows * cols > MAX_SAMPLES or max(rows, cols) > _MAX_SIDE:
+        expected = f"at most {MAX_SAMPLES}, and {_MAX_SIDE} along a side"
+        raise SourceError(str(path), found, expected, "Give a part of the map.")
+    if rows * cols > MAX_EXPANSION * size:
+        raise SourceError(str(path), f"{found} in {size} bytes", "a whole map", "Copy the file again.")
 
 
 def is_large(shape: tuple[int, ...]) -> bool:
