@@ -26,10 +26,10 @@ def test_heights_of_xarray(tmp_path: Path) -> None:
     assert summary["nmse_db"] < -20
     prepared, sender = open_sender(heights, spec)
     expected = prepare(heights, spec).medium[0]
-    assert prepared.medium[0] == expected
+    np.testing.assert_array_equal(prepared.medium[0].to_dense(), expected.to_dense())
     assert sender is not None
     assert len(plan(heights, "1Mbit/s", spec, PlanGrid(nw=(4,))).summary()) > 0
-    assert len(filter_report(heights, spec)["stages"]) == 1
+    assert len(filter_report(heights, spec).summary()["stages"]) == 1
     with pytest.raises(InvalidArgument, match=r"^source: found a scene that lies elsewhere"):
         compare(10 * data_array(units="m")[:8], tmp_path / "a.touch")
 

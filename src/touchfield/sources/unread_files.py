@@ -12,7 +12,7 @@ from touchfield.errors import SourceError
 
 READABLE: Final = (
     "a mesh (.obj .ply .stl .off .gltf .glb), bodies (.xml .toml), heights (.tif .asc .hgt .nc .npz .png), "
-    "depth pictures (a folder, .png .npz .mcap .mkv), a field (.npz .vti .zarr) or a .touch file"
+    "depth pictures (a folder, .png .npz .mcap .bag .mkv), a field (.npz .vti .zarr) or a .touch file"
 )
 """What can be a source, in a user's words."""
 
@@ -56,7 +56,6 @@ _CONVERSIONS: Final[dict[str, tuple[str, str, str]]] = {
     ".e57": ("a point cloud", ".ply", _POISSON),
     ".pcd": ("a point cloud", ".ply", _POISSON),
     ".pts": ("a point cloud", ".ply", _POISSON),
-    ".bag": ("a recording of ROS 1", ".mcap", "pip install rosbags; rosbags-convert --src {name} --dst {to}"),
     ".zip": ("an archive", "", "unzip {name} -d {to}"),
     ".tar": ("an archive", "", "mkdir {to} && tar xf {name} -C {to}"),
     ".tgz": ("an archive", "", "mkdir {to} && tar xf {name} -C {to}"),
