@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
-from touchfield.errors import SourceError, import_extra
+from touchfield.errors import SourceError, TouchfieldError, import_extra
 from touchfield.sources.depth.recorders import ros_messages as messages
 
 MAGIC: Final = b"#ROSBAG V"
@@ -91,7 +91,7 @@ def _reader(path: Path) -> Iterator[Any]:
     try:
         with rosbag1.Reader(path) as reader:
             yield reader
-    except (SourceError, GeneratorExit):
+    except (TouchfieldError, GeneratorExit):
         raise
     except Exception as error:
         found = f"no sound bag of ROS 1 ({error or type(error).__name__})"
