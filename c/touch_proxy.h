@@ -8,55 +8,52 @@
 
        touch_contact_force             all of it
            touch_carried_point             the proxy of the tick before, moved with its body       touch_query.h
+           touch_motion_of                 how far hand and surface moved since                    touch_proxy_jump.h
            touch_move_proxy                towards the hand along the surface, no friction         touch_proxy_search.h
            touch_store_proxy               for the next tick
            touch_proxy_force               the stored force, and along the spring what this lacks:
                touch_ramp_depth                how far the proxy lies below the surface of what was coded, x
                touch_added_force               how much of what the stored force lacks is added
-           touch_ease_jump                 what the field and the motion of the hand do not explain comes slowly
+           touch_ease_jump                 where the proxy jumps, its force comes slowly           touch_proxy_jump.h
 
-   The spring pulls by K' (|proxy - hand| + x). K' is the stiffness K of the walls in series with the virtual coupling. The
-   low-pass of a field makes a ramp of each wall, and x extrapolates that ramp. In a wall that fills its neighbourhood the
-   stored force at the hand is what the spring approximates, and it is rendered: it changes with time as smoothly as the field
-   does, and not as a surface that is searched for. Where a wall is thin or has an edge, the stored force is smaller or turned,
-   and what it lacks along the spring is added. The hand gets that force less what a jump still owes (eased_n). Friction acts
-   at the proxy (touch_friction.h). */
+   The force has two parts. The stored force is that of the field at the hand (touch_force_at). The spring pulls the hand to the
+   proxy by K' (|proxy - hand| + x); K' is the stiffness K of the walls in series with the virtual coupling. Fields are
+   low-passed before they are coded, which rounds the foot of each wall's ramp |F| = K d: x is how far the proxy lies below the
+   point where the straight ramp begins.
+
+   In a wall that fills its neighbourhood the stored force is what the spring approximates, and it is rendered: it changes with
+   time as smoothly as the field does, and not as a surface that is searched for. Where a wall is thin or has an edge, the
+   stored force is smaller or turned, and what it lacks along the spring is added. The hand gets the sum less what a jump still
+   owes (eased_n). A hand that no surface stops gets the stored force. Friction is added by touch_field_force. */
 #ifndef TOUCH_PROXY_H
 #define TOUCH_PROXY_H
 
+#include "touch_proxy_jump.h"
 #include "touch_proxy_search.h"
 
-typedef struct { /* in a tick, beside the body that carries the proxy */
-    touch_vector hand_m; /* of the hand */
-    double total_m;      /* how far hand and surface moved */
-} touch_contact_motion;
-
-static inline touch_contact_motion touch_motion_of(const touch_isosurface *s, touch_vector hand_m, touch_field_point carried);
 static inline void touch_store_proxy(touch_proxy *proxy, const touch_instant *t, touch_vector position_m, int is_in_contact);
 static inline touch_vector touch_proxy_force(const touch_isosurface *s, double softness, touch_vector hand_m,
                                              touch_vector stored_n);
 static inline double touch_ramp_depth(const touch_isosurface *s, touch_vector position_m, touch_vector inwards,
                                       double depth_m);
 static inline double touch_added_force(double spring_n, double along_n);
-static inline void touch_ease_jump(const touch_isosurface *s, const touch_contact_motion *motion, touch_vector force_n,
-                                   touch_vector stored_n, double dt_s);
 
 /* -- a tick of the proxy ---------------------------------------------------------------------------------------------- */
 
 #define TOUCH_PROXY_AWAY 1.2                  /* of the motion of hand and surface: how far the proxy may go from the hand */
 
-/* The force on the hand, N, without friction. One tick of the proxy. Friction acts at the proxy, state.proxy.position_m. */
+/* The force on the hand, N, without friction. One tick of the proxy. */
 static inline touch_vector touch_contact_force(touch_receiver *receiver, const touch_instant *t, touch_vector hand_m,
                                                double dt_s) {
-    const touch_settings *settings = &receiver->settings;
     touch_proxy *proxy = &receiver->state.proxy;
-    touch_isosurface s = {receiver, t, settings->wall_n_per_m, settings->wall_level_n, settings->wall_force_n, 0.0,
-                          settings->wall_spacing_m};
-    s.max_step_m = 0.5 * touch_fmin(touch_fmin(s.spacing_m.x, s.spacing_m.y), s.spacing_m.z);
-
-    int is_new = !proxy->is_active;
-    touch_vector carried_m = touch_carried_point(t, proxy->body, proxy->body_position_m, proxy->position_m);
-    touch_field_point carried = touch_probe(&s, is_new ? hand_m : carried_m), found = carried;
+    touch_isosurface s = touch_isosurface_of(receiver, t);
+    int is_new = !proxy->is_active; /* then it starts at the hand */
+    touch_vector start_m = hand_m;
+    if (is_new)
+        proxy->is_in_contact = 0;
+    else
+        start_m = touch_carried_point(t, proxy->body, proxy->body_position_m, proxy->position_m);
+    touch_field_point carried = touch_probe(&s, start_m), found = carried;
     touch_contact_motion motion = touch_motion_of(&s, hand_m, carried);
     int is_in_contact = touch_move_proxy(&s, hand_m, TOUCH_PROXY_AWAY * motion.total_m, &found);
     touch_store_proxy(proxy, t, found.position_m, is_in_contact);
@@ -97,11 +94,11 @@ static inline void touch_store_proxy(touch_proxy *proxy, const touch_instant *t,
 static inline touch_vector touch_proxy_force(const touch_isosurface *s, double softness, touch_vector hand_m,
                                              touch_vector stored_n) {
     touch_vector proxy_m = s->receiver->state.proxy.position_m, pull = touch_subtract(proxy_m, hand_m);
-    double depth = touch_magnitude(pull), stored = touch_magnitude(stored_n);
-    if (!(depth > 0.0)) return stored_n;
-    touch_vector outwards = touch_scale(1.0 / depth, pull);
-    double ramp_depth = touch_ramp_depth(s, proxy_m, touch_scale(-1.0, outwards), depth);
-    double spring_n = softness * s->stiffness_n_per_m * (depth + ramp_depth);
+    double depth_m = touch_magnitude(pull), stored = touch_magnitude(stored_n);
+    if (!(depth_m > 0.0)) return stored_n;
+    touch_vector outwards = touch_scale(1.0 / depth_m, pull);
+    double ramp_depth_m = touch_ramp_depth(s, proxy_m, touch_scale(-1.0, outwards), depth_m);
+    double spring_n = softness * s->stiffness_n_per_m * (depth_m + ramp_depth_m);
     double along_n = touch_dot(stored_n, outwards), sideways = 0.0;
     if (stored > 0.0) sideways = touch_smooth_step((along_n / stored - TOUCH_PROXY_EDGE_COSINE) / TOUCH_PROXY_EDGE_WIDTH);
     touch_vector force = touch_scale(sideways, touch_add_scaled(stored_n, -along_n, outwards));
@@ -109,9 +106,10 @@ static inline touch_vector touch_proxy_force(const touch_isosurface *s, double s
     return touch_add_scaled(force, along_n + touch_added_force(spring_n, along_n), outwards);
 }
 
-/* Depth of a proxy below the surface that the ramp of forces behind it extrapolates to, metres; negative above. Two samples
-   behind the surface the low-pass of the field is over. Where the force has its maximum before that, or the wall ends, the
-   force half as far behind is taken, with a margin. At most half the depth of the hand, so that x grows from zero. */
+/* x, metres: how far a proxy lies below the point where the ramp of the wall behind it begins; negative above, at most a
+   sample. Two samples behind the surface the low-pass of the field is over. Where the force is largest before that, or the wall
+   ends, the force half as far behind tells more, less a margin. At most half the depth of the hand, so that x grows from
+   zero. */
 static inline double touch_ramp_depth(const touch_isosurface *s, touch_vector position_m, touch_vector inwards,
                                       double depth_m) {
     double sample = touch_sample_length(s, inwards), k = s->stiffness_n_per_m;
@@ -130,43 +128,6 @@ static inline double touch_added_force(double spring_n, double along_n) {
     double lack_n = spring_n - along_n;
     if (!(lack_n > TOUCH_PROXY_SMALL_LACK * spring_n)) return 0.0;
     return lack_n * (lack_n / spring_n - TOUCH_PROXY_SMALL_LACK) / (1.0 - TOUCH_PROXY_SMALL_LACK);
-}
-
-/* -- jumps of the proxy ----------------------------------------------------------------------------------------------- */
-
-#define TOUCH_PROXY_EASE_S 1.0                /* in which a jump by a large force of the field comes to a hand at rest, */
-#define TOUCH_PROXY_EASE_SMALL_S 0.5          /* and time constant for a small one */
-
-/* How far hand and surface moved since the tick before. */
-static inline touch_contact_motion touch_motion_of(const touch_isosurface *s, touch_vector hand_m, touch_field_point carried) {
-    const touch_proxy *proxy = &s->receiver->state.proxy;
-    touch_vector carry_m = touch_subtract(carried.position_m, proxy->position_m);
-    touch_contact_motion motion;
-    motion.hand_m = touch_subtract(touch_subtract(hand_m, proxy->hand_m), carry_m);
-    motion.total_m = touch_magnitude(motion.hand_m) + fabs(carried.force_n - proxy->surface_n) / s->stiffness_n_per_m;
-    return motion;
-}
-
-/* A vector, shortened by a length. */
-static inline touch_vector touch_shortened(touch_vector v, double length) {
-    double size = touch_magnitude(v);
-    return size > length ? touch_scale(1.0 - length / size, v) : touch_zero();
-}
-
-/* The force changes at once by as much as the field itself changes at the hand. The rest of a change is owed, as where the
-   proxy jumps to another surface, or on or off one. It comes with time, and with the motion of the hand by K per metre: by
-   twice as much where it works against the motion, and not where it works along it, so that it drives no hand. */
-static inline void touch_ease_jump(const touch_isosurface *s, const touch_contact_motion *motion, touch_vector force_n,
-                                   touch_vector stored_n, double dt_s) {
-    touch_proxy *proxy = &s->receiver->state.proxy;
-    double field_n = touch_magnitude(touch_subtract(stored_n, proxy->stored_n));
-    touch_vector change_n = touch_subtract(force_n, proxy->force_n);
-    touch_vector owed_n = touch_add(proxy->eased_n, touch_shortened(change_n, field_n));
-    double size_n = touch_magnitude(owed_n), against_m = touch_magnitude(motion->hand_m);
-    if (size_n > 0.0) against_m -= touch_dot(motion->hand_m, owed_n) / size_n;
-    owed_n = touch_shortened(owed_n, s->stiffness_n_per_m * against_m);
-    double given_n_per_s = touch_fmin(touch_magnitude(owed_n) / TOUCH_PROXY_EASE_SMALL_S, s->large_n / TOUCH_PROXY_EASE_S);
-    proxy->eased_n = touch_shortened(owed_n, given_n_per_s * dt_s);
 }
 
 #endif

@@ -7,8 +7,8 @@
            touch_find_surface              a step that ends within a surface is brought back onto it
            touch_add_constraint            its tangent plane constrains the next step
 
-   Steps get shorter where those of the tick before went to and fro. The proxy goes from the hand only as far as hand and surface
-   moved, so that it comes to rest where they do. */
+   Steps get shorter where those of the tick before went to and fro. The proxy goes from the hand only about as far as hand and
+   surface moved, so that it comes to rest where they do. */
 #ifndef TOUCH_PROXY_SEARCH_H
 #define TOUCH_PROXY_SEARCH_H
 
@@ -38,6 +38,14 @@ typedef struct { /* the field at this time, and what defines its surface */
     double max_step_m;        /* of the proxy: half a sample */
     touch_vector spacing_m;   /* of the samples */
 } touch_isosurface;
+
+static inline touch_isosurface touch_isosurface_of(touch_receiver *receiver, const touch_instant *t) {
+    const touch_settings *settings = &receiver->settings;
+    touch_isosurface s = {receiver, t, settings->wall_n_per_m, settings->wall_level_n, settings->wall_force_n, 0.0,
+                          settings->wall_spacing_m};
+    s.max_step_m = 0.5 * touch_fmin(touch_fmin(s.spacing_m.x, s.spacing_m.y), s.spacing_m.z);
+    return s;
+}
 
 typedef struct { /* a point, and the force there by size and direction */
     touch_vector position_m;
@@ -225,8 +233,8 @@ static inline int touch_find_surface(const touch_isosurface *s, touch_field_poin
     return !(next->force_n > TOUCH_PROXY_OFF_LEVELS * s->level_n || farther > s->max_step_m);
 }
 
-/* Move the proxy from where it is, `*proxy_at`, towards the hand, without friction; it may end by `away_m` farther from it. 1: a
-   surface stops it; 0: the hand is free. */
+/* Move the proxy from where it is, `*proxy_at`, towards the hand, without friction; it may end by `away_m` farther from it.
+   1: a surface stops it; 0: the hand is free. */
 static inline int touch_move_proxy(const touch_isosurface *s, touch_vector hand_m, double away_m, touch_field_point *proxy_at) {
     touch_proxy *proxy = &s->receiver->state.proxy;
     touch_constraint_planes planes = {{{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}}, 0};

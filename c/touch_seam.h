@@ -26,7 +26,8 @@
 #include "touch_shared.h"
 #include "touch_tool.h"
 
-static inline touch_vector touch_desired_force(touch_receiver *receiver, const touch_instant *t, double dt_s); /* touch_render.h */
+/* The force of the field, without a seam: touch_render.h. */
+static inline touch_vector touch_desired_force(touch_receiver *receiver, const touch_instant *t, double dt_s);
 
 #define TOUCH_SEAM_RATIO 2.0      /* of the changes of two pairs of frames: a larger one is a jump */
 #define TOUCH_SEAM_MIN_M 1e-6     /* of a body's surface: a smaller change is none */

@@ -13,7 +13,7 @@ from mcap_ros2 import _dynamic as dynamic, writer
 from PIL import Image
 
 import room_makers as room
-from touchfield.sources.depth.recorders import ros_messages as ros
+from touchfield.sources.depth.recorders import ros1_bag, ros_messages as ros
 
 POSES = room.poses()
 FX, FY, CX, CY = room.CAMERA
@@ -47,16 +47,61 @@ def image(time_ns: int, values: np.ndarray, big: bool = False, padding: int = 0)
             "data": rows.tobytes()}  # fmt: skip
 
 
-def compressed(time_ns: int, depth_m: np.ndarray, encoding: str) -> dict[str, Any]:
-    stream, (a, b) = BytesIO(), (20000.0, 1.0)
-    stored = np.rint(1000 * depth_m) if encoding == "16UC1" else np.rint(a / depth_m + b)
-    Image.fromarray(stored.astype(np.uint16)).save(stream, "PNG")
-    data = struct.pack("<iff", 0, a, b) + stream.getvalue()
+DEPTH_QUANTISATION, DEPTH_MAX_M = 100.0, 10.0  # defaults of compressed_depth_image_transport
+RVL_WORD = struct.Struct("<I")
+
+
+def compressed(time_ns: int, depth_m: np.ndarray, encoding: str, form: str = "png") -> dict[str, Any]:
+    """An image as `encodeCompressedDepthImage` of ROS's image_transport_plugins defines it."""
+    z0 = np.float32(DEPTH_QUANTISATION)
+    a = z0 * (z0 + np.float32(1))
+    b = np.float32(1) - a / np.float32(DEPTH_MAX_M)
+    if encoding == "16UC1":
+        stored, a, b = np.rint(1000 * depth_m).astype(np.uint16), np.float32(0), np.float32(0)
+    else:
+        is_near = depth_m < DEPTH_MAX_M
+        stored = np.where(is_near, a / depth_m.astype(np.float32) + b, 0).astype(np.uint16)
+    data = struct.pack("<iff", 0, a, b) + (png(stored) if form == "png" else rvl(stored))
     return {
         "header": header(time_ns, "depth_optical"),
-        "format": f"{encoding}; compressedDepth png",
+        "format": f"{encoding}; compressedDepth {form}",
         "data": data,
     }
+
+
+def png(stored: np.ndarray) -> bytes:
+    stream = BytesIO()
+    Image.fromarray(stored).save(stream, "PNG")
+    return stream.getvalue()
+
+
+def rvl(stored: np.ndarray) -> bytes:
+    """RVL: width and height, then nibbles of variable-length numbers, eight in a word of 32 bits."""
+    nibbles: list[int] = []
+
+    def add(number: int) -> None:
+        while number >= 8:
+            nibbles.append(number & 7 | 8)
+            number >>= 3
+        nibbles.append(number)
+
+    samples, at, previous = stored.ravel().tolist(), 0, 0
+    while at < len(samples):
+        start = at
+        while at < len(samples) and samples[at] == 0:
+            at += 1
+        add(at - start)
+        start = at
+        while at < len(samples) and samples[at] != 0:
+            at += 1
+        add(at - start)
+        for sample in samples[start:at]:
+            difference = sample - previous
+            add(2 * difference if difference >= 0 else -2 * difference - 1)
+            previous = sample
+    nibbles += [0] * (-len(nibbles) % 8)
+    words = [int("".join(f"{n:x}" for n in nibbles[i : i + 8]), 16) for i in range(0, len(nibbles), 8)]
+    return struct.pack("<II", *stored.shape[::-1]) + b"".join(map(RVL_WORD.pack, words))
 
 
 def camera_info(d: tuple[float, ...] = (0, 0, 0, 0, 0), model: str = "plumb_bob") -> dict[str, Any]:
@@ -92,6 +137,11 @@ def entries(topic: str = "/camera/depth/image_raw", kind: str = "16UC1", **info:
             "32FC1": lambda t=time_ns, v=depth: (ros.IMAGE, image(t, v.astype(np.float32))),
             "compressed": lambda t=time_ns, v=depth: (ros.COMPRESSED_IMAGE, compressed(t, v, "16UC1")),
             "quantised": lambda t=time_ns, v=depth: (ros.COMPRESSED_IMAGE, compressed(t, v, "32FC1")),
+            "rvl": lambda t=time_ns, v=depth: (ros.COMPRESSED_IMAGE, compressed(t, v, "16UC1", "rvl")),
+            "quantised rvl": lambda t=time_ns, v=depth: (
+                ros.COMPRESSED_IMAGE,
+                compressed(t, v, "32FC1", "rvl"),
+            ),
         }[kind]()
         written.append((topic, message[0], time_ns, message[1]))
         colour = {"header": header(time_ns, "colour"), "height": 1, "width": 1, "encoding": "rgb8",
@@ -130,3 +180,21 @@ def write_db3(folder: Path, written: list[Entry]) -> Path:
     database.commit()
     database.close()
     return folder
+
+
+def write_ros1(path: Path, written: list[Entry]) -> Path:
+    """Write a bag of ROS 1 by rosbags; its writer makes the bytes of ROS 1 from those of ROS 2."""
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    types, to_ros1 = ros1_bag.types_of_ros1(), get_typestore(Stores.ROS2_HUMBLE)
+    bag = Writer(path)
+    bag.set_compression(Writer.CompressionFormat.LZ4)
+    with bag:
+        topics: dict[str, Any] = {}
+        for topic, kind, time_ns, message in written:
+            if topic not in topics:
+                topics[topic] = bag.add_connection(topic, kind, typestore=types)
+            data = bytes(dynamic.serialize_dynamic(kind, ros.DEFINITIONS[kind])[kind](message))
+            bag.write(topics[topic], time_ns, to_ros1.cdr_to_ros1(data, kind))
+    return path

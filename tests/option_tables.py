@@ -58,6 +58,7 @@ def _scene(*, without: tuple[str, ...] = ()) -> dict[str, Case]:
         "intrinsics": ("60,61,32,24", "source.intrinsics", "60,61,32,24"),
         "poses": ("poses.txt", "source.poses", "poses.txt"),
         "pose-form": ("wxyz,mm", "source.pose_form", "wxyz,mm"),
+        "topic": ("/depth", "source.topic", "/depth"),
         "depth-encoding": ("rotated", "source.depth_encoding", "rotated"),
         "frame": ("camera", "source.frame", "camera"),
         "world": ("causal", "source.world", "causal"),

@@ -117,6 +117,7 @@ CORPUS = [
     Input("realsense viewer", "depth: RealSense viewer", recordings.write_realsense, SEEN),
     Input("mcap", "depth: ROS 2 bag", lambda folder: _bag(folder, "mcap"), SEEN, needs=("mcap_ros2",)),
     Input("ros 2 bag", "depth: ROS 2 bag", lambda folder: _bag(folder, "db3"), SEEN, needs=("mcap_ros2",)),
+    Input("ros 1 bag", "depth: ROS 1 bag", lambda folder: _bag(folder, "bag"), SEEN, needs=("rosbags",)),
     Input("plain folder", "depth: plain folder", layouts.write_kitti, SEEN, MM),
     Input(
         "camera_info",
@@ -425,6 +426,8 @@ def _bag(folder: Path, store: str) -> Path:
 
     if store == "db3":
         return bags.write_db3(folder, bags.entries())
+    if store == "bag":
+        return bags.write_ros1(scenes.made(folder) / "room.bag", bags.entries())
     return bags.write_mcap(scenes.made(folder) / "room.mcap", bags.entries())
 
 

@@ -110,6 +110,7 @@ NUMBERS = [
 OTHER = {
     "intrinsics": "1,2,3,4",
     "poses": "a.txt",
+    "topic": "/depth",
     "pose_form": "inverted",
     "depth_encoding": "rotated",
     "frame": "camera",

@@ -31,9 +31,9 @@ GOLDEN = ROOT / "conformance" / "v1"
 PAGE_GZ, WASM_GZ = 204_000, 89_500  # the module has decoder, encoder and receiver
 
 HEADERS = (
-    "cells", "effects", "encode", "friction", "log", "media_clock", "model", "play", "proxy", "proxy_search",
-    "query", "receiver", "render", "seam", "segment_blend", "settings", "shared", "slopes", "timing", "tool",
-    "vector", "write",
+    "cells", "effects", "encode", "friction", "log", "media_clock", "model", "play", "proxy", "proxy_jump",
+    "proxy_search", "query", "receiver", "render", "seam", "segment_blend", "settings", "shared", "slopes",
+    "timing", "tool", "vector", "write",
 )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from touchfield.codec.objects.error_bound import BoundCheck, compare_scenes
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
@@ -36,7 +37,6 @@ from touchfield.pipeline.source import FixedLatticeScene, Source, as_source, ope
 from touchfield.pipeline.spec import DEFAULT_F0_N, NO_FLOOR_N, EncodeSpec
 from touchfield.pipeline.stream import OpenStream
 from touchfield.render.segment_blend import with_blends
-from touchfield.sources.scene import Scene
 from touchfield.viewer.picture import draw_comparison
 
 _SLIDE_FRAMES: Final = 4
@@ -116,7 +116,7 @@ class Comparison:
 
 
 def compare(
-    source: Source,
+    source: Source | ArrayLike,
     stream: str | Path,
     *,
     k: float | None = None,
@@ -128,10 +128,11 @@ def compare(
 ) -> Comparison:
     """Measure a stream against its source, which is filtered again by the stream's provenance.
 
-    `source` is the encoded path, scene, medium or field, or its field as the command `field` writes it. The
-    mask max(F_0, k |F|) is by default that of the stream, with its spatial masking; `frame`, which
-    `Comparison.draw` shows, is by default the middle one. `allow_outside` lets the source refer to files
-    outside its own folder; `slides` replaces the default slides of the hand.
+    `source` is the encoded path, scene, medium, field or DataArray of heights, an array of newtons on the
+    lattice of the stream, or its field as the command `field` writes it. The mask max(F_0, k |F|) is by
+    default that of the stream, with its spatial masking; `frame`, which `Comparison.draw` shows, by default
+    the middle one. `allow_outside` lets the source refer to files outside its own folder; `slides` replaces
+    the default slides of the hand.
     """
     with open_file(stream) as opened:
         original = source_medium(source, opened, allow_outside)
@@ -193,7 +194,7 @@ def _compare(
     return Comparison(meter, bits, summary, drawn, notes, hand.motion(), voxels, composed)
 
 
-def source_medium(source: Source, opened: OpenStream, allow_outside: bool = False) -> Prepared:
+def source_medium(source: Source | ArrayLike, opened: OpenStream, allow_outside: bool = False) -> Prepared:
     """Filter the source of a stream again by the stream's provenance; the result is on its lattice.
 
     InvalidArgument if the source is elsewhere in the workspace, or has another number of frames.
@@ -212,7 +213,7 @@ def source_medium(source: Source, opened: OpenStream, allow_outside: bool = Fals
     return original
 
 
-def _written_field(source: Source, opened: OpenStream, spec: EncodeSpec) -> Prepared | None:
+def _written_field(source: Source | ArrayLike, opened: OpenStream, spec: EncodeSpec) -> Prepared | None:
     """The field of the source as the command `field` writes it; None for any other source."""
     if not isinstance(source, (str, Path)):
         return None
@@ -228,9 +229,10 @@ def _written_field(source: Source, opened: OpenStream, spec: EncodeSpec) -> Prep
     return Prepared(stored, opened.declared_device, opened.placement, spec, field.notes)
 
 
-def _filtered_again(source: Source, opened: OpenStream, spec: EncodeSpec) -> Prepared:
+def _filtered_again(source: Source | ArrayLike, opened: OpenStream, spec: EncodeSpec) -> Prepared:
     """The source through the filters of `spec`; InvalidArgument if it is elsewhere in the workspace."""
-    scene = open_scene(as_source(source, spec.device), spec.source)
+    is_forces = getattr(source, "ndim", 0) >= 4  # an array [..., nx, ny, nz, 3], on the stream's lattice
+    scene = open_scene(as_source(source, spec.device, opened.grid if is_forces else None), spec.source)
     if isinstance(scene, FixedLatticeScene):
         scene.notes = ()  # on options without effect: none is given here
     original = prepare(scene, spec)
@@ -238,7 +240,8 @@ def _filtered_again(source: Source, opened: OpenStream, spec: EncodeSpec) -> Pre
     stream_layout = _layout(opened.grid, opened.placement)
     if not np.allclose(source_layout, stream_layout, rtol=1e-6, atol=1e-9):
         found = "a scene that lies elsewhere in the workspace than the stream's"
-        raise InvalidArgument(str(source), found, hint="Name its own source.")
+        name = str(source) if isinstance(source, str | Path) else "source"
+        raise InvalidArgument(name, found, hint="Name its own source.")
     if original.objects:
         note = "compared with the objects before coding, not with the voxel representation"
         original = replace(original, notes=(*original.notes, note))
@@ -300,7 +303,7 @@ class HandMeter:
         return HandMotion(self._slides.slides(), hold, vibration_threshold())
 
 
-def filter_report(source: str | Path | Scene, spec: EncodeSpec, report: Progress = silent) -> Result:
+def filter_report(source: Source, spec: EncodeSpec, report: Progress = silent) -> Result:
     """Measure a medium before and after each filter of ``spec.filters``, frame by frame.
 
     ``spec.paper.k`` is the Weber fraction of the mask; Q of the entropies is weber:0.1, up to the device's
@@ -321,7 +324,7 @@ def filter_report(source: str | Path | Scene, spec: EncodeSpec, report: Progress
     return Result({"quantiser": quantise.text, "stages": [meter.row() for meter in meters]})
 
 
-def draw_filtered(source: str | Path | Scene, spec: EncodeSpec, path: str | Path) -> None:
+def draw_filtered(source: Source, spec: EncodeSpec, path: str | Path) -> None:
     """Write the picture of the middle frame before and after the filters of ``spec.filters``, PNG.
 
     The error is in units of the mask of ``spec.paper.k``. MissingExtra if matplotlib is not installed.

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,8 +24,23 @@ from touchfield.sources.registry import open_source
 from touchfield.sources.scene import Scene
 from touchfield.sources.stored import StoredScene
 
-Source = str | Path | Scene | HapticMedium | ForceField
-"""Source of an encoding: a path, "sample:NAME", a scene, a medium, or a field (a medium of one frame)."""
+
+class DataArray(Protocol):
+    """An xarray DataArray of heights (`touchfield.sources.terrain.height_files.scene_of_xarray`)."""
+
+    @property
+    def dims(self) -> Any:
+        """Names of the dimensions."""
+
+    @property
+    def coords(self) -> Any:
+        """Coordinates by name."""
+
+
+Openable = str | Path | Scene | DataArray
+Source = str | Path | Scene | HapticMedium | ForceField | DataArray
+"""Source of an encoding: a path, "sample:NAME", a scene, a medium, a field (a medium of one frame), or a
+DataArray of heights."""
 
 
 def scene_of(source: Source | ArrayLike, spec: EncodeSpec, grid: Grid | None = None) -> Scene:
@@ -33,10 +48,6 @@ def scene_of(source: Source | ArrayLike, spec: EncodeSpec, grid: Grid | None = N
 
     An xarray DataArray without a grid has heights.
     """
-    if grid is None and is_data_array(source):
-        from touchfield.sources.terrain.height_files import scene_of_xarray
-
-        source = scene_of_xarray(source, spec.source)
     scene = open_scene(as_source(source, spec.device, grid), spec.source)
     if spec.frames is not None:
         start, stop = spec.frames
@@ -44,10 +55,11 @@ def scene_of(source: Source | ArrayLike, spec: EncodeSpec, grid: Grid | None = N
     return scene
 
 
-def as_source(source: object, device_name: str, grid: Grid | None = None) -> str | Path | Scene:
-    """A path or a scene unchanged; a medium, field or array of newtons as a `FixedLatticeScene`.
+def as_source(source: object, device_name: str, grid: Grid | None = None) -> Openable:
+    """What `open_scene` opens unchanged; a medium, field or array of newtons as a `FixedLatticeScene`.
 
-    An array [nx, ny, nz, 3] or [frame, nx, ny, nz, 3] needs its `grid`. InvalidArgument for anything else.
+    An array [nx, ny, nz, 3] or [frame, nx, ny, nz, 3] needs its `grid`; an xarray DataArray without one has
+    heights. InvalidArgument for anything else.
     """
     if grid is not None and not isinstance(source, str | Path | Scene | HapticMedium | ForceField):
         source = HapticMedium.from_array(np.asarray(source), grid)
@@ -58,29 +70,39 @@ def as_source(source: object, device_name: str, grid: Grid | None = None) -> str
         target = replace(device(device_name), workspace_mm=(x, y, z), lattice=source.grid.shape)
         notes = ("The medium keeps its own lattice and its forces; options of the scene do nothing.",)
         return FixedLatticeScene(source, target, notes)
-    if isinstance(source, str | Path | Scene):
+    if isinstance(source, str | Path | Scene) or is_data_array(source):
         return source
     if isinstance(source, np.ndarray):
         found = f"an array {source.shape} without its grid"
     else:
         found = type(source).__name__
-    expected = "a path, a scene, a HapticMedium, a ForceField, or an array of newtons and grid="
+    expected = (
+        "a path, a scene, a HapticMedium, a ForceField, an xarray DataArray of heights, or an array of "
+        "newtons and grid="
+    )
     raise InvalidArgument("source", found, expected)
 
 
-def open_scene(source: str | Path | Scene, options: SourceOptions) -> Scene:
-    """Open a path or ``sample:NAME`` as a scene; a note names the options without effect for it."""
+def open_scene(source: Openable, options: SourceOptions) -> Scene:
+    """Open a path, ``sample:NAME`` or an xarray DataArray of heights as a scene.
+
+    A note names the options without effect for it.
+    """
     if isinstance(source, Scene):
         return source
-    if not isinstance(source, str | Path):
-        raise InvalidArgument("source", f"a {type(source).__name__}", "a path, sample:NAME or a scene")
-    if is_stream(source):
-        return StreamScene(source)
     watched: Any = WatchedOptions(options)
-    if str(source).startswith("sample:"):
+    if is_data_array(source):
+        from touchfield.sources.terrain.height_files import scene_of_xarray
+
+        scene: Scene = scene_of_xarray(source, watched)
+    elif not isinstance(source, str | Path):
+        raise InvalidArgument("source", f"a {type(source).__name__}", "a path, sample:NAME or a scene")
+    elif is_stream(source):
+        return StreamScene(source)
+    elif str(source).startswith("sample:"):
         from touchfield.sources.samples import sample
 
-        scene: Scene = sample(str(source).removeprefix("sample:"), watched)
+        scene = sample(str(source).removeprefix("sample:"), watched)
     else:
         scene = open_source(source, watched)
     unused = [*watched.unread(), *["device_compute"] * (needs_gpu() and not scene.has_gpu)]
@@ -90,7 +112,7 @@ def open_scene(source: str | Path | Scene, options: SourceOptions) -> Scene:
     return scene
 
 
-def is_data_array(source: object) -> bool:
+def is_data_array(source: object) -> TypeGuard[DataArray]:
     """True for an xarray DataArray; xarray is not imported."""
     return type(source).__name__ == "DataArray" and type(source).__module__.partition(".")[0] == "xarray"
 

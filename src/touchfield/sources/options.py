@@ -25,6 +25,7 @@ class SourceOptions:
         the pictures; words of `touchfield.sources.depth.pose_form.FORMS`, separated by commas.
     depth_encoding : str or None; Bits of stored depth: "plain", or "rotated" by 3 (SUN3D, APC); None for that
         of the layout.
+    topic : str or None; Bags: the topic of the depth images; None for the one with the most.
     frame : str; Depth sequences: "world" uses the camera poses, if there are any, so that the scene of a
         moving camera is static; with "camera" the workspace moves with the camera.
     world : str; Depth sequences in world coordinates: "fused" (one world from all frames), "causal" (one
@@ -72,6 +73,7 @@ class SourceOptions:
     depth_encoding: str | None = option(
         None, "Bits of stored depth: plain, or rotated (by 3, as in SUN3D and APC)."
     )
+    topic: str | None = option(None, "Bags: topic of the depth images.")
     frame: str = option("world", "Depth sequences: world (poses are used) or camera.")
     world: str = option(
         "fused", "Depth sequences: fused (one of all frames), causal (of those so far), frames."

@@ -13,7 +13,7 @@ from touchfield.errors import SourceError
 READABLE: Final = (
     "a mesh (.obj .ply .stl .off .gltf .glb .dae .3mf), points (.ply .pcd .las .laz .e57 .xyz .pts), "
     "bodies (.xml .urdf .toml), heights (.tif .asc .hgt .nc .npz .png), "
-    "depth pictures (a folder, .png .npz .mcap .mkv), a field (.npz .vti .zarr) or a .touch file"
+    "depth pictures (a folder, .png .npz .mcap .bag .mkv), a field (.npz .vti .zarr) or a .touch file"
 )
 """What can be a source, in a user's words."""
 
@@ -46,7 +46,6 @@ _CONVERSIONS: Final[dict[str, tuple[str, str, str]]] = {
         'blender -b {name} --python-expr "import bpy; bpy.ops.export_scene.gltf(filepath={to!r})"',
     ),
     ".xacro": ("a template of a robot (xacro)", ".urdf", _XACRO),
-    ".bag": ("a recording of ROS 1", ".mcap", "pip install rosbags; rosbags-convert --src {name} --dst {to}"),
     ".zip": ("an archive", "", "unzip {name} -d {to}"),
     ".tar": ("an archive", "", "mkdir {to} && tar xf {name} -C {to}"),
     ".tgz": ("an archive", "", "mkdir {to} && tar xf {name} -C {to}"),

@@ -18,6 +18,8 @@ from itertools import chain
 from queue import SimpleQueue
 from typing import Any, Final
 
+from numpy.typing import ArrayLike
+
 from touchfield.codec.registry import field_encoder
 from touchfield.codec.segment import MaxError, bound_keys
 from touchfield.codec.touch.encoder import TouchEncoder
@@ -26,13 +28,13 @@ from touchfield.codec.vibration import encode_vibration
 from touchfield.errors import InvalidArgument, require_between, require_kinds, require_one_of, warn_unbounded
 from touchfield.filters.resample import pyramid, rebuild_level
 from touchfield.measure.fidelity import FidelityMeter
-from touchfield.medium import ForceField
+from touchfield.medium import ForceField, Grid
 from touchfield.medium.medium import VibrationFrame
 from touchfield.network.live import ENDLESS, LiveSegment, LiveSender
 from touchfield.pipeline.preparation import Prepared, prepare
 from touchfield.pipeline.provenance import file_provenance
 from touchfield.pipeline.segments import file_head
-from touchfield.pipeline.source import Source, as_source
+from touchfield.pipeline.source import Source
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.depth.capture import CaptureEnd, open_capture
 from touchfield.tasks.editing import detail_level
@@ -105,27 +107,31 @@ class Sent:
         return {**keys, "promise_kept": True if has_bound else None}
 
 
-def open_sender(source: Source, spec: EncodeSpec) -> tuple[Prepared, LiveSender]:
+def open_sender(
+    source: Source | ArrayLike, spec: EncodeSpec, grid: Grid | None = None
+) -> tuple[Prepared, LiveSender]:
     """Prepare a source as voxels, and open its sender.
 
-    Raises InvalidArgument for a coder other than `touch`.
+    Sources are those of `touchfield.encode`, an array of newtons on `grid` as well, and those of
+    `open_capture`. Raises InvalidArgument for a coder other than `touch`.
     """
     require_one_of("coder of a live stream", spec.coder, ("touch",))
+    captured = open_capture(source, spec.source)
     # a live stream has no time for a search
     spec = replace(spec, representation="voxel", touch=replace(spec.touch, effort="fast"))
-    prepared = prepare(open_capture(source, spec.source) or as_source(source, spec.device), spec)
+    prepared = prepare(source if captured is None else captured, spec, grid)
     rule = CODER.bound_rule(prepared.coding)
     warn_unbounded(None if rule.text else f"no error bound is proved: {rule.reason}")
     return prepared, _sender(source, prepared)
 
 
-def _sender(source: Source, prepared: Prepared, **extra_provenance: str) -> LiveSender:
+def _sender(source: Source | ArrayLike, prepared: Prepared, **extra_provenance: str) -> LiveSender:
     sender, encoder = LiveSender(), field_encoder(prepared.medium.grid, prepared.coding)
     sender.open(file_head(prepared, encoder), {**file_provenance(source, prepared), **extra_provenance})
     return sender
 
 
-def coarse_layer(source: Source, prepared: Prepared) -> tuple[Prepared, LiveSender]:
+def coarse_layer(source: Source | ArrayLike, prepared: Prepared) -> tuple[Prepared, LiveSender]:
     """Prepare the coarse layer of a prepared source, and open its sender.
 
     Its provenance states the error of the layer alone on the first frame. Raises InvalidArgument if the

@@ -30,7 +30,7 @@ from touchfield.filters.resample import interpolate
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField
 from touchfield.pipeline.preparation import prepare
-from touchfield.pipeline.source import open_scene
+from touchfield.pipeline.source import Openable, open_scene
 from touchfield.pipeline.spec import NO_FLOOR_N, EncodeSpec
 from touchfield.sources.scene import Scene
 from touchfield.viewer.page import titled_figure, write_png
@@ -370,7 +370,7 @@ class Plan:
 
 
 def plan(
-    source: str | Path | Scene,
+    source: Openable,
     budget: float | str | Budget,
     spec: EncodeSpec | None = None,
     search: PlanGrid | None = None,

@@ -56,6 +56,7 @@ LIBRARIES: Final = (
     ("mcap", "mcap", "mcap", "recordings of robots"),
     ("raptorq", "raptorq", "broadcast", "live by UDP"),
     ("mcap-ros2-support", "mcap_ros2", "mcap", "ROS 2 bags"),
+    ("rosbags", "rosbags", "ros1", "ROS 1 bags, also of RealSense"),
     ("opencv-python-headless", "cv2", "camera", "cameras, and lens distortion"),
     ("openexr", "OpenEXR", "exr", "depth in EXR"),
     ("websockets", "websockets", "devices", "haply and bhaptics"),

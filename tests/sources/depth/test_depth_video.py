@@ -293,3 +293,28 @@ def test_frames_at_unequal_times_are_noted_with_a_command() -> None:
     (note,) = movies.uneven_note(Path("my film.mkv"), np.array([0.04, 0.04, 0.4]), 6.25)
     assert "0.04 to 0.4 s apart, and are read at 6.25 a second" in note
     assert "ffmpeg -i 'my film.mkv' -vf fps=25 -c:v ffv1 even.mkv, then encode even.mkv" in note
+
+
+@pytest.mark.parametrize("order", [("COLOR", "DEPTH", "IR"), ("IR", "DEPTH"), ("DEPTH", "IR")])
+def test_the_track_of_depth_of_an_azure_kinect_is_read(tmp_path: Path, order: tuple[str, ...]) -> None:
+    av = pytest.importorskip("av")
+    frames, path = depths_mm(4), tmp_path / "recording.mkv"
+    tracks = {"COLOR": (frames % 200).astype(np.uint8), "DEPTH": frames, "IR": frames // 2}
+    with av.open(str(path), "w") as container:
+        streams = {}
+        for name in order:
+            streams[name] = stream = container.add_stream("ffv1", rate=30)
+            stream.height, stream.width = frames.shape[1:]
+            stream.pix_fmt = "gray" if name == "COLOR" else "gray16le"
+            stream.metadata["title"] = name
+        for index in range(len(frames)):
+            for name, stream in streams.items():
+                picture = av.VideoFrame.from_ndarray(tracks[name][index], format=stream.pix_fmt)
+                container.mux(stream.encode(picture))
+        for stream in streams.values():
+            container.mux(stream.encode())
+    scene = open_source(path, OPTIONS)
+    assert scene.frame_count == len(frames)
+    np.testing.assert_array_equal(movies.GreyVideo(path).values(3), frames[3])
+    others = ", ".join(name for name in order if name != "DEPTH")
+    assert f"Of {len(order)} video tracks DEPTH is read; not {others}." in scene.notes

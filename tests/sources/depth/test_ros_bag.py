@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import room_makers as room
-from touchfield.errors import SourceError
+from touchfield.errors import MissingExtra, SourceError
 from touchfield.sources.camera import Intrinsics
 from touchfield.sources.depth.recorders import ros_messages as ros
 from touchfield.sources.depth.recorders.ros_bag import read_bag
@@ -25,18 +27,28 @@ from bag_makers import (
     camera_info,
     entries,
     image,
+    png,
     write_db3,
     write_mcap,
+    write_ros1,
 )
 
+IMAGES = ("16UC1", "big", "32FC1")
+COMPRESSED = ("compressed", "quantised", "rvl", "quantised rvl")
 
-@pytest.mark.parametrize("kind", ["16UC1", "big", "32FC1", "compressed", "quantised"])
-@pytest.mark.parametrize("store", ["mcap", "db3"])
+
+@pytest.mark.parametrize("kind", [*IMAGES, *COMPRESSED])
+@pytest.mark.parametrize("store", ["mcap", "db3", "bag"])
 def test_the_room_of_a_bag_is_where_tf_says(tmp_path: Path, kind: str, store: str) -> None:
-    is_compressed = kind in ("compressed", "quantised")
-    topic = "/camera/depth/image_raw" + "/compressedDepth" * is_compressed
+    topic = "/camera/depth/image_raw" + "/compressedDepth" * (kind in COMPRESSED)
     written = entries(topic, kind)
-    path = write_mcap(tmp_path / "a.mcap", written) if store == "mcap" else write_db3(tmp_path / "a", written)
+    if store == "bag":
+        pytest.importorskip("rosbags")
+        path = write_ros1(tmp_path / "a.bag", written)
+    elif store == "mcap":
+        path = write_mcap(tmp_path / "a.mcap", written)
+    else:
+        path = write_db3(tmp_path / "a", written)
     assert next(each for each in kinds() if each.recognise(path)).name == "ros-bag"
     sequence = read_bag(path, SourceOptions())
     room.assert_room(sequence)
@@ -79,10 +91,60 @@ def test_a_bag_without_tf_has_a_static_camera(tmp_path: Path) -> None:
     )
 
 
-def test_other_depth_topics_are_named(tmp_path: Path) -> None:
-    extra = ("/a/depth/raw", ros.IMAGE, START_NS, image(START_NS, room.depths_mm()[0]))
-    sequence = read_bag(write_mcap(tmp_path / "a.mcap", [*entries(), extra]), SourceOptions())
-    assert any("not read: /a/depth/raw" in note for note in sequence.notes) and sequence.frame_count == 4
+def test_other_depth_topics_are_named_and_can_be_chosen(tmp_path: Path) -> None:
+    extra = [
+        ("/a/depth/raw", ros.IMAGE, START_NS + i, image(START_NS + i, room.depths_mm()[0])) for i in (0, 9)
+    ]
+    path = write_mcap(tmp_path / "a.mcap", [*entries(), *extra])
+    sequence = read_bag(path, SourceOptions())
+    assert sequence.frame_count == 4
+    assert any("not read: /a/depth/raw (2 images) (--topic)" in note for note in sequence.notes)
+    chosen = read_bag(path, SourceOptions(topic="/a/depth/raw", intrinsics=",".join(map(str, room.CAMERA))))
+    assert chosen.frame_count == 2
+    assert any("not read: /camera/depth/image_raw (4 images)" in note for note in chosen.notes)
+    with pytest.raises(
+        SourceError, match=r"a\.mcap, --topic: found no topic /b; expected one of /camera/depth/image_raw \(4"
+    ):
+        read_bag(path, SourceOptions(topic="/b"))
+    with pytest.raises(SourceError, match="found no depth in the topic /camera/color/image_raw"):
+        read_bag(path, SourceOptions(topic="/camera/color/image_raw"))
+
+
+def test_a_bag_of_realsense_states_its_unit(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    sensor = "/device_0/sensor_0"
+    topics = {
+        "/camera/depth/image_raw": f"{sensor}/Depth_0/image/data",
+        "/camera/depth/camera_info": f"{sensor}/Depth_0/info/camera_info",
+    }
+    written = [(topics[topic], *rest) for topic, *rest in entries() if topic in topics]
+    for _, kind, _, message in written:
+        if kind == ros.IMAGE:  # units of a quarter of a millimetre
+            message["data"] = (4 * np.frombuffer(message["data"], "<u2")).astype("<u2").tobytes()
+            message["encoding"] = "mono16"
+    unit = (f"{sensor}/option/Depth_Units/value", ros.FLOAT, 1, {"data": 0.00025})
+    path = write_ros1(tmp_path / "a.bag", [unit, *written])
+    sequence = read_bag(path, SourceOptions())
+    np.testing.assert_allclose(sequence.depth_m(0), room.depth_m(POSES[0]), atol=6e-4)
+    assert any("The camera is that of" in note for note in sequence.notes)
+
+
+def test_quantised_depth_is_that_of_the_definition() -> None:
+    """As codec.cpp of image_transport_plugins: a = 100 * 101, b = 1 - a / 10, value = int(a / depth + b)."""
+    head = struct.pack("<iff", 0, 10100.0, -1009.0)
+    stored = np.array([[0, 1, 4041, 9091]], np.uint16)
+    message = SimpleNamespace(format="32FC1; compressedDepth png", data=head + png(stored))
+    depth = ros.depth_values(ros.COMPRESSED_IMAGE, message, "w")
+    np.testing.assert_allclose(depth, [[0, 10, 2, 1]], rtol=1e-6)
+
+
+def test_rvl_is_that_of_the_definition() -> None:
+    """Two zeros, three samples 5, 6, 4, one zero: nibbles 2 3 | 10 = 2+8, 1 | 2 | 3 | 1 0."""
+    data = struct.pack("<IIII", 3, 2, 0x23A12310, 0)
+    np.testing.assert_array_equal(ros.decode_rvl(data, "w"), [[0, 0, 5], [6, 4, 0]])
+    for bad in (b"", data[:8], struct.pack("<III", 3, 2, 0x2FA12310), struct.pack("<III", 9, 9, 0x23A12310)):
+        with pytest.raises(SourceError, match="w: found"):
+            ros.decode_rvl(bad, "w")
 
 
 def test_faults_of_bags_are_one_line(tmp_path: Path) -> None:
@@ -99,7 +161,9 @@ def test_faults_of_bags_are_one_line(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match=r"x\.db3.*no sound bag"):
         open_source(tmp_path / "x.db3")
     (tmp_path / "r1.bag").write_bytes(b"#ROSBAG V2.0\n")
-    with pytest.raises(SourceError, match=r"r1\.bag.*ROS 1.*rosbags-convert --src"):
+    with pytest.raises(
+        (SourceError, MissingExtra), match=r"r1\.bag.*(no sound bag of ROS 1|touchfield\[ros1\])"
+    ):
         open_source(tmp_path / "r1.bag")
     with pytest.raises(SourceError, match=r"cannot be decoded"):
         ros.decode(ros.CAMERA_INFO, b"\0\1\0\0\1", "w")

@@ -57,7 +57,8 @@ _NEUTRAL: Final = 12  # 8-bit levels by which red, green and blue of a grey may 
 class VideoHeader:
     """Header of a video stream.
 
-    It has the size in pixels, FFmpeg's names of pixel format and codec, and the average rate.
+    It has the size in pixels, FFmpeg's names of pixel format and codec, the average rate, and a note on other
+    tracks.
     """
 
     width: int
@@ -65,6 +66,7 @@ class VideoHeader:
     pixels: str
     codec: str
     rate_hz: float | None
+    track_note: str = ""
 
     @property
     def is_deep_grey(self) -> bool:
@@ -73,7 +75,7 @@ class VideoHeader:
 
 
 def video_header(path: Path) -> VideoHeader:
-    """Read the header of the first video stream."""
+    """Read the header of the video stream that is read: the track DEPTH of a recorder, else the first."""
     with _opened(path) as (_, _, header):
         return header
 
@@ -123,7 +125,8 @@ class GreyVideo(InOrder):
             gaps_s = np.diff(np.sort(self._stamps)) * float(stream.time_base or 0)
         super().__init__(str(path), len(self._stamps))
         self.size, self.rate_hz = (self.header.width, self.header.height), self.header.rate_hz
-        self.notes = (*unfinished_note(path), *uneven_note(path, gaps_s, self.rate_hz))
+        tracks = (self.header.track_note,) if self.header.track_note else ()
+        self.notes = (*tracks, *unfinished_note(path), *uneven_note(path, gaps_s, self.rate_hz))
 
     def _decode_start(self, frame: int) -> int:
         return self._keys[bisect_right(self._keys, frame) - 1]
@@ -205,9 +208,22 @@ def _scan(path: Path, container: Any, stream: Any, rate_hz: float | None) -> tup
     return stamps, sorted({0, *keys}) if ascends else [0]
 
 
+def _depth_track(streams: Any) -> tuple[Any, str]:
+    """Return the track of depth of an Azure Kinect or Femto, else the first, and a note on the others.
+
+    Source: Azure Kinect DK, record file format: the tracks COLOR, DEPTH and IR, in any order.
+    """
+    if len(streams) == 1:
+        return streams[0], ""
+    names = [stream.metadata.get("title", "") or f"number {n + 1}" for n, stream in enumerate(streams)]
+    index = names.index("DEPTH") if "DEPTH" in names else 0
+    others = ", ".join(name[:40] for n, name in enumerate(names[:8]) if n != index)
+    return streams[index], f"Of {len(streams)} video tracks {names[index][:40]} is read; not {others}."
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[Any, Any, VideoHeader]]:
-    """Open the container, its first video stream and the header.
+    """Open the container, the video stream that is read (`video_header`) and its header.
 
     FFmpeg's errors become `SourceError`.
     """
@@ -224,7 +240,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any, VideoHeader]]:
         ) as container:
             if not container.streams.video:
                 raise SourceError(str(path), "no video in the file", "a video stream")
-            stream = container.streams.video[0]
+            stream, track_note = _depth_track(container.streams.video)
             context, rate = stream.codec_context, stream.average_rate
             if context is None:  # the codec's name is damaged
                 raise SourceError(
@@ -232,7 +248,8 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any, VideoHeader]]:
                 )
             bound_pixels(path, context.width, context.height)
             pixels, rate_hz = context.pix_fmt or "unknown pixels", float(rate) if rate and rate > 0 else None
-            yield container, stream, VideoHeader(context.width, context.height, pixels, context.name, rate_hz)
+            header = VideoHeader(context.width, context.height, pixels, context.name, rate_hz, track_note)
+            yield container, stream, header
     except TouchfieldError:
         raise
     except (

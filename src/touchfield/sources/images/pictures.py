@@ -33,7 +33,7 @@ from touchfield.sources.images.exr import EXR_MAGIC, exr_size, read_exr
 MAX_PIXELS: Final = 1 << 26  # pixels of the largest picture that is decoded (8192 x 8192)
 PICTURE_SUFFIXES: Final = (".png", ".tif", ".tiff", ".npy", ".exr")
 PHOTO_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
-_MAX_EXPANSION: Final = 1400  # largest compression ratio: deflate reaches 1032, LZW of TIFF about 1366
+MAX_EXPANSION: Final = 1400  # largest compression ratio: deflate reaches 1032, LZW of TIFF about 1366
 _PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 _PNG_CHANNELS: Final = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}  # palette indices are not grey levels
 _PIL_SAMPLES: Final = {
@@ -155,7 +155,7 @@ def bound_pixels(path: Path, width: int, height: int, bytes_per_pixel: int = 1) 
         expected = f"at most {MAX_PIXELS} pixels"
         raise SourceError(str(path), f"{width} x {height} pixels", expected, "Give a smaller picture.")
     size = path.stat().st_size
-    if width * height * bytes_per_pixel > _MAX_EXPANSION * size:
+    if width * height * bytes_per_pixel > MAX_EXPANSION * size:
         found = f"{width} x {height} pixels in {size} bytes"
         raise SourceError(str(path), found, "a whole picture", "Copy the file again.")
 

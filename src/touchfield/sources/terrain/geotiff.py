@@ -2,8 +2,10 @@
 
 Used: every integer and floating type, tiles, planar bands, BigTIFF; pixel scale or transformation matrix,
 the units of positions and heights, GDAL's tags of gaps, scale, offset and unit, masks and alpha bands, and a
-world file beside the picture. What changes the geometry and is not used is named in the notes: further pages
-and bands, tie points without a scale, a tilt, and GDAL's ``.aux.xml``.
+world file beside the picture. A page of more than `MAX_PIXELS` samples is decoded a row of tiles at a time
+and reduced (`large_maps`); an overview is read in its place, where one is fine enough. What changes the
+geometry and is not used is named in the notes: further pages and bands, tie points without a scale, a tilt,
+and GDAL's ``.aux.xml``.
 """
 
 from __future__ import annotations
@@ -14,15 +16,17 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.errors import SourceError, TouchfieldError, import_extra, reason
 from touchfield.files import require_plain
-from touchfield.sources.images.pictures import bound_pixels, opened
+from touchfield.sources.images.pictures import opened
 from touchfield.sources.terrain.height_map import UPRIGHT, Affine, GeoReference, unit_of
+from touchfield.sources.terrain.large_maps import bound_samples, is_large, reduce_map
+from touchfield.sources.terrain.tiff_bands import map_bands, missing_codec
 
 _PIXEL_SCALE, _TIEPOINT, _MATRIX = 33550, 33922, 34264
 _GEO_KEYS, _GEO_DOUBLES, _GDAL_METADATA, _GDAL_NODATA = 34735, 34736, 42112, 42113
@@ -42,6 +46,8 @@ _REDUCED, _MASK = 1, 4  # bits of NewSubfileType
 _COLOURS: Final = {2: "RGB", 3: "palette", 5: "CMYK", 6: "YCbCr"}
 _ALPHA: Final = (1, 2)
 _MAX_PAGES: Final = 64
+_FINE_SAMPLES: Final = 1 << 22  # of an overview: 2048 x 2048, twice the finest lattice of a workspace
+_MAX_STRETCH: Final = 0.01  # between the factors of rows and columns of an overview
 _ITEM: Final = re.compile(r"<Item\s+([^<>]*)>([^<]*)</Item>")
 _ATTRIBUTE: Final = re.compile(r'(\w+)="([^"]*)"')
 _AUXILIARY: Final = re.compile(rb"<(Scale|Offset|NoDataValue|UnitType|GeoTransform|GCPList)[ >]")
@@ -58,16 +64,26 @@ def read_tiff(path: Path) -> tuple[NDArray[Any], GeoReference]:
     with _pages(path) as tiff:
         page = tiff.pages[0]
         _require_numbers(path, page)
-        values, notes = _first_band(path, page)
-        mask, page_count = _further_pages(tiff, page)
+        further = _further_pages(tiff, page)
+        notes = _band_notes(page)
+        if further.page_count:
+            notes += ("The file has several pages of this size: the first is read.",)
         tags = {code: page.tags[code].value for code in _GEO_TAGS if code in page.tags}
-    if mask is not None:
-        values = np.where(mask, values.astype(np.float64), np.nan)
-    if page_count:
-        notes += ("The file has several pages of this size: the first is read.",)
-    reference = reference_of(path, tags)
-    is_elevation = reference.is_elevation or values.dtype.kind == "f"
-    return values, reference._replace(is_elevation=is_elevation, notes=notes + reference.notes)
+        reference = reference_of(path, tags)
+        is_elevation = reference.is_elevation or page.dtype.kind == "f"
+        reference = reference._replace(is_elevation=is_elevation, notes=notes + reference.notes)
+        shape = page.imagelength, page.imagewidth
+        if not is_large(shape):
+            values, mask = _first_band(path, page), further.mask_of(page)
+            if mask is not None:
+                values = np.where(_decoded(path, mask) != 0, values.astype(np.float64), np.nan)
+            return values, reference
+        chosen = further.overview(page)
+        bands = map_bands(path, chosen, _alpha_band(chosen), further.mask_of(chosen))
+        return reduce_map(
+            path, bands, (chosen.imagelength, chosen.imagewidth), reference,
+            overview_of=None if chosen is page else shape,
+        )  # fmt: skip
 
 
 def tiff_is_grey(path: Path) -> bool:
@@ -101,25 +117,35 @@ def _require_numbers(path: Path, page: Any) -> None:
         found = f"a picture in {colour} colours" if colour else f"samples {page.dtype} of axes {page.axes}"
         expected = "one number a pixel, whole or floating"
         raise SourceError(str(path), found, expected, "Save the heights themselves, not a picture of them.")
-    bound_pixels(path, page.imagewidth, page.imagelength, 1)
+    bound_samples(path, page.imagelength, page.imagewidth)
 
 
-def _first_band(path: Path, page: Any) -> tuple[NDArray[Any], tuple[str, ...]]:
-    """Return the first band of a page, NaN where an alpha band is 0, and notes on the others."""
+def _alpha_bands(page: Any) -> list[int]:
+    count = page.shape[page.axes.index("S")] if "S" in page.axes else 1
+    kinds = [int(kind) for kind in page.extrasamples]
+    return [count - len(kinds) + n for n, kind in enumerate(kinds) if kind in _ALPHA]
+
+
+def _alpha_band(page: Any) -> int | None:
+    """Return the number of the band that hides samples, if there is one besides the first."""
+    alpha = _alpha_bands(page)
+    return alpha[0] if alpha and alpha[0] > 0 else None
+
+
+def _band_notes(page: Any) -> tuple[str, ...]:
+    """Return a note on bands of numbers that are not read."""
+    count, alpha = page.shape[page.axes.index("S")] if "S" in page.axes else 1, _alpha_bands(page)
+    others = [n for n in range(1, count) if n not in alpha]
+    return (f"The file has {len(others) + 1} bands of numbers: the first is read.",) if others else ()
+
+
+def _first_band(path: Path, page: Any) -> NDArray[Any]:
+    """Return the first band of a page, NaN where an alpha band is 0."""
     values = _decoded(path, page)
     if page.axes == "YX":
-        return values, ()
-    bands = np.moveaxis(values, page.axes.index("S"), 0)
-    alpha = (
-        len(bands)
-        - len(page.extrasamples)
-        + np.flatnonzero(np.isin([int(kind) for kind in page.extrasamples], _ALPHA))
-    )
-    others = [n + 1 for n in range(1, len(bands)) if n not in alpha]
-    notes = (f"The file has {len(others) + 1} bands of numbers: the first is read.",) if others else ()
-    if not alpha.size or alpha[0] == 0:
-        return bands[0], notes
-    return np.where(bands[alpha[0]] != 0, bands[0].astype(np.float64), np.nan), notes
+        return values
+    bands, alpha = np.moveaxis(values, page.axes.index("S"), 0), _alpha_band(page)
+    return bands[0] if alpha is None else np.where(bands[alpha] != 0, bands[0].astype(np.float64), np.nan)
 
 
 def _decoded(path: Path, page: Any) -> NDArray[Any]:
@@ -133,25 +159,51 @@ def _decoded(path: Path, page: Any) -> NDArray[Any]:
             values = np.array(picture)
             if values.shape == page.shape and values.dtype.kind == page.dtype.kind:
                 return values.astype(page.dtype)
-        name = getattr(page.compression, "name", page.compression)
-        mend = 'Install a codec with: pip install "touchfield[geotiff]"'
-        raise SourceError(str(path), f"a TIFF compressed by {name}", "a codec for it", mend) from error
+        raise missing_codec(path, page) from error
 
 
-def _further_pages(tiff: Any, first: Any) -> tuple[NDArray[np.bool_] | None, int]:
-    """Return the mask of the first page, if any, and the number of further pages of its size."""
-    mask, count = None, 0
+class _FurtherPages(NamedTuple):
+    """Pages after the first: masks and overviews, and the number of others that are as large."""
+
+    masks: tuple[Any, ...]
+    overviews: tuple[Any, ...]
+    page_count: int
+
+    def mask_of(self, page: Any) -> Any:
+        """Return the page that hides samples of a page; None if there is none."""
+        return next((mask for mask in self.masks if mask.shape[:2] == page.shape[:2]), None)
+
+    def overview(self, page: Any) -> Any:
+        """Return the smallest overview that is fine enough for a workspace, else the page itself."""
+        fine = [p for p in self.overviews if p.imagelength * p.imagewidth >= _FINE_SAMPLES]
+        return min(fine, key=lambda p: p.imagelength * p.imagewidth, default=page)
+
+
+def _further_pages(tiff: Any, first: Any) -> _FurtherPages:
+    masks, overviews, count = [], [], 0
+    for page in _pages_after_first(tiff):
+        kind = int(page.subfiletype)
+        if kind & _MASK:
+            masks.append(page)
+        elif kind & _REDUCED:
+            is_alike = page.axes == first.axes and page.dtype == first.dtype
+            if is_alike and _is_smaller_copy(page, first):
+                overviews.append(page)
+        elif page.shape[:2] == first.shape[:2]:
+            count += 1
+    return _FurtherPages(tuple(masks), tuple(overviews), count)
+
+
+def _pages_after_first(tiff: Any) -> Iterator[Any]:
     with suppress(IndexError):
         for index in range(1, _MAX_PAGES):
-            page = tiff.pages[index]
-            kind = int(page.subfiletype)
-            if page.shape[:2] != first.shape[:2] or kind & _REDUCED:
-                continue
-            if kind & _MASK:
-                mask = np.asarray(page.asarray()) != 0
-            else:
-                count += 1
-    return mask, count
+            yield tiff.pages[index]
+
+
+def _is_smaller_copy(page: Any, first: Any) -> bool:
+    """Return True if a page has the proportions of the first, to the rounding of its size."""
+    by_row, by_col = first.imagelength / page.imagelength, first.imagewidth / page.imagewidth
+    return bool(min(by_row, by_col) > 1 and abs(by_row / by_col - 1) < _MAX_STRETCH)
 
 
 # -- georeference ------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from touchfield.errors import SourceError, import_extra
 from touchfield.medium.stores.npz import map_npy, read_npy_header
-from touchfield.sources.images.pictures import bound_pixels, opened
+from touchfield.sources.images.pictures import MAX_PIXELS, bound_pixels, opened
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import Scene
@@ -27,12 +27,18 @@ from touchfield.sources.terrain.height_grids import (
 )
 from touchfield.sources.terrain.height_map import GeoReference, scene_of
 from touchfield.sources.terrain.height_scene import HeightScene
+from touchfield.sources.terrain.large_maps import bands_of, bound_samples, is_large, reduce_map
 
 _GREY_MODES: Final = ("L", "LA", "I", "F", "I;16", "I;16L", "I;16B", "I;16N")
 
 
 def _read_npy(path: Path) -> tuple[NDArray[Any], GeoReference]:
-    return map_npy(path), GeoReference()
+    values = map_npy(path)
+    if values.ndim != 2 or not is_large(values.shape):
+        return values, GeoReference()
+    bound_samples(path, *values.shape)
+    bands = bands_of(lambda start, stop: values[start:stop], *values.shape)
+    return reduce_map(path, bands, values.shape, GeoReference())
 
 
 def _read_png(path: Path) -> tuple[NDArray[Any], GeoReference]:
@@ -41,6 +47,10 @@ def _read_png(path: Path) -> tuple[NDArray[Any], GeoReference]:
         if picture.mode not in _GREY_MODES:
             found = f"a picture of mode {picture.mode}"
             raise SourceError(str(path), found, "one grey channel", "Convert it to grey first.")
+        if picture.width * picture.height > MAX_PIXELS:  # Pillow decodes a PNG only as a whole
+            mend = f"A GeoTIFF may be larger: gdal_translate -co COMPRESS=DEFLATE {path.name} heights.tif"
+            found = f"a PNG of {picture.width} x {picture.height} pixels"
+            raise SourceError(str(path), found, f"at most {MAX_PIXELS} pixels", mend)
         bound_pixels(path, picture.width, picture.height)
         values = np.array(picture.getchannel(0) if picture.mode == "LA" else picture)
         size = (picture.height, picture.width)

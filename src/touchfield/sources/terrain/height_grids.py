@@ -9,19 +9,28 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import IO, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Float64s
 from touchfield.errors import SourceError, TouchfieldError, import_extra
-from touchfield.files import read_bytes
-from touchfield.medium.stores.npz import NpzArchive
+from touchfield.files import read_bytes, readable, require_plain
+from touchfield.medium.stores.npz import NpzArchive, read_exactly
 from touchfield.sources.images.pictures import MAX_PIXELS
 from touchfield.sources.terrain.height_map import Affine, GeoReference, affine_of_axes, unit_of
+from touchfield.sources.terrain.large_maps import (
+    MAX_SAMPLES,
+    bands_of,
+    bound_samples,
+    is_large,
+    reduce_map,
+)
 
 HEIGHT_KEYS: Final = ("elevation", "height", "heights", "heights_m", "z", "dem", "dtm", "dsm")
 X_KEYS: Final = ("x", "xs", "x_m", "lon", "longitude", "lons", "easting", "eastings")
@@ -43,12 +52,11 @@ def read_npz_map(path: Path) -> tuple[NDArray[Any], GeoReference]:
     used, rows, cols = {name}, *headers[name].shape
     scalars: dict[str, float] = {n: archive.numbers(n, 1)[0] for n in _SCALARS if n in headers}
     used |= set(scalars)
-    values, affine, notes = archive.read(name), None, tuple[str, ...]()
+    affine, notes = None, tuple[str, ...]()
     axes = _npz_axes(archive, headers, rows, cols)
     transform = next((n for n in _TRANSFORMS if n in headers and math.prod(headers[n].shape) in (6, 9)), None)
     if axes:
         used |= {axes.x_name, axes.y_name}
-        values = values.T if axes.is_transposed else values
         affine = affine_of_axes(path, axes.x, axes.y)
     elif transform:
         used.add(transform)
@@ -61,9 +69,36 @@ def read_npz_map(path: Path) -> tuple[NDArray[Any], GeoReference]:
         notes += (f"Arrays of the file that are not used: {', '.join(unused)[:200]}.",)
     nodata = tuple(scalars[n] for n in ("nodata", "_FillValue") if n in scalars)
     scale = scalars.get("scale", 1.0) or 1.0
-    return values, GeoReference(
+    reference = GeoReference(
         affine, nodata=nodata, scale=scale, offset=scalars.get("offset", 0.0), notes=notes
     )
+    return _npz_values(archive, name, axes is not None and axes.is_transposed, reference)
+
+
+def _npz_values(
+    archive: NpzArchive, name: str, is_transposed: bool, reference: GeoReference
+) -> tuple[NDArray[Any], GeoReference]:
+    """Read the heights of an archive, [rows, cols]; those of a large map in bands, reduced."""
+    rows, cols = archive.header(name).shape
+    if not is_large((rows, cols)):
+        values = archive.read(name)
+        return (values.T if is_transposed else values), reference
+    bound_samples(archive.path, rows, cols)
+    with archive.open(name) as (header, stream):
+        lines, length = (cols, rows) if header.is_fortran else (rows, cols)
+        kind = header.dtype
+
+        def read_lines(start: int, stop: int) -> NDArray[Any]:
+            count = (stop - start) * length
+            data = read_exactly(stream, count * kind.itemsize, f"{archive.path}, array {name}")
+            return np.frombuffer(data, kind).reshape(-1, length)
+
+        values, reference = reduce_map(
+            archive.path, bands_of(read_lines, lines, length), (lines, length), reference
+        )
+    if header.is_fortran != is_transposed:
+        values, reference = values.T, reference.transposed()
+    return values, reference
 
 
 def npz_is_height_map(path: Path) -> bool:
@@ -136,7 +171,8 @@ def _affine_of_steps(scalars: Mapping[str, float], rows: int, cols: int) -> Affi
 
 # -- Esri's ASCII grid -------------------------------------------------------------------------------------
 _ASC_HEAD: Final = re.compile(rb"\s*([A-Za-z_]+)[ \t]+(\S+)[ \t]*\r?\n")
-_ASC_BYTES: Final = 1 << 30
+_ASC_HEAD_BYTES: Final = 4096
+_ASC_BLOCK_BYTES: Final = 1 << 24
 
 
 def asc_is_height_map(path: Path) -> bool:
@@ -147,32 +183,62 @@ def asc_is_height_map(path: Path) -> bool:
 
 def read_asc(path: Path) -> tuple[NDArray[Any], GeoReference]:
     """Read an ASCII grid, [rows, cols]; row 0 is north."""
-    data, at, head = read_bytes(path, _ASC_BYTES, "an ASCII grid"), 0, dict[str, float]()
-    while match := _ASC_HEAD.match(data, at):
+    require_plain(path, "an ASCII grid")
+    with readable(path), path.open("rb") as stream:
+        data, at, head = stream.read(_ASC_HEAD_BYTES), 0, dict[str, float]()
+        while match := _ASC_HEAD.match(data, at):
+            try:
+                head[match[1].decode().lower()] = float(match[2])
+            except ValueError as error:
+                found = f"{match[2].decode('latin-1')[:40]!r}"
+                raise SourceError(f"{path}, {match[1].decode()}", found, "a number") from error
+            at = match.end()
+        cell = head.get("cellsize", 0.0)
+        dx, dy = head.get("dx", cell), head.get("dy", cell)
+        rows, cols = (int(head.get(key, 0)) for key in ("nrows", "ncols"))
+        if not (rows > 0 and cols > 0 and rows * cols <= MAX_SAMPLES and dx > 0 and dy > 0):
+            found = ", ".join(f"{key} {value:g}" for key, value in head.items()) or "no header"
+            expected = f"ncols, nrows (at most {MAX_SAMPLES} in all) and cellsize"
+            raise SourceError(str(path), found[:200], expected)
+        left = head.get("xllcorner", head.get("xllcenter", math.nan) - dx / 2)
+        bottom = head.get("yllcorner", head.get("yllcenter", math.nan) - dy / 2)
+        affine = dx, 0.0, left, 0.0, -dy, bottom + dy * rows
+        nodata = (head.get("nodata_value", -9999.0),)  # Esri's default
+        reference, shape = GeoReference(affine, nodata=nodata), (rows, cols)
+        stream.seek(at)
+        bands = _asc_bands(path, stream, rows, cols)
+        if is_large(shape):
+            bound_samples(path, rows, cols)
+            return reduce_map(path, bands, shape, reference)
+        return np.concatenate(list(bands)), reference
+
+
+def _asc_bands(path: Path, stream: IO[bytes], rows: int, cols: int) -> Iterator[Float64s]:
+    """Yield the rows of an ASCII grid, [n, cols] at a time; heights may be in lines of any length."""
+    count, rest, left = 0, b"", np.empty(0)
+    while True:
+        data = stream.read(_ASC_BLOCK_BYTES)
+        text = rest + data
+        cut = max(text.rfind(b" "), text.rfind(b"\n"), text.rfind(b"\t")) + 1 if data else len(text)
+        rest = text[cut:]
+        if len(rest) > _ASC_BLOCK_BYTES:
+            raise SourceError(str(path), f"{len(rest)} characters without a space", "numbers")
         try:
-            head[match[1].decode().lower()] = float(match[2])
+            heights = np.array(text[:cut].split(), np.float64)
         except ValueError as error:
-            found = f"{match[2].decode('latin-1')[:40]!r}"
-            raise SourceError(f"{path}, {match[1].decode()}", found, "a number") from error
-        at = match.end()
-    cell = head.get("cellsize", 0.0)
-    dx, dy = head.get("dx", cell), head.get("dy", cell)
-    rows, cols = (int(head.get(key, 0)) for key in ("nrows", "ncols"))
-    if not (rows > 0 and cols > 0 and rows * cols <= MAX_PIXELS and dx > 0 and dy > 0):
-        found = ", ".join(f"{key} {value:g}" for key, value in head.items()) or "no header"
-        raise SourceError(str(path), found[:200], f"ncols, nrows (at most {MAX_PIXELS} in all) and cellsize")
-    try:
-        values = np.array(data[at:].split(), np.float64)
-    except ValueError as error:
-        raise SourceError(str(path), f"a height that is no number ({error})", "numbers") from error
-    if len(values) != rows * cols:
-        expected = f"{rows * cols} of {rows} rows of {cols}"
-        raise SourceError(str(path), f"{len(values)} heights", expected, "Copy the file again.")
-    left = head.get("xllcorner", head.get("xllcenter", math.nan) - dx / 2)
-    bottom = head.get("yllcorner", head.get("yllcenter", math.nan) - dy / 2)
-    affine = dx, 0.0, left, 0.0, -dy, bottom + dy * rows
-    nodata = (head.get("nodata_value", -9999.0),)  # Esri's default
-    return values.reshape(rows, cols), GeoReference(affine, nodata=nodata)
+            raise SourceError(str(path), f"a height that is no number ({error})", "numbers") from error
+        count += len(heights)
+        if count > rows * cols or (not data and count < rows * cols):
+            found = f"{count} heights" if not data else f"more than {rows * cols} heights"
+            expected = f"{rows * cols} of {rows} rows of {cols}"
+            raise SourceError(str(path), found, expected, "Copy the file again.")
+        heights = np.concatenate([left, heights])
+        whole = len(heights) // cols * cols
+        left = heights[whole:]
+        if whole:
+            yield heights[:whole].reshape(-1, cols)
+        if not data:
+            return
 
 
 # -- .hgt --------------------------------------------------------------------------------------------------
@@ -205,7 +271,10 @@ def read_hgt(path: Path) -> tuple[NDArray[Any], GeoReference]:
 
 # -- netCDF and xarray -------------------------------------------------------------------------------------
 class Labelled(NamedTuple):
-    """A variable with the names of its dimensions and its attributes, as netCDF and xarray have them."""
+    """A variable with the names of its dimensions and its attributes, as netCDF and xarray have them.
+
+    `values` are an array, or a variable of a file or a DataArray that reads what is indexed.
+    """
 
     dims: tuple[str, ...]
     values: Any
@@ -217,7 +286,6 @@ _STANDARD_NAMES: Final = (
     "ground_level_altitude", "sea_floor_depth_below_geoid", "sea_floor_depth",
 )  # fmt: skip
 _DEGREES: Final = re.compile(r"deg", re.IGNORECASE)
-_NETCDF_BYTES: Final = 1 << 30
 
 
 def read_netcdf(path: Path) -> tuple[NDArray[Any], GeoReference]:
@@ -225,36 +293,41 @@ def read_netcdf(path: Path) -> tuple[NDArray[Any], GeoReference]:
 
     Version 3 needs nothing more; version 4, which is HDF5, needs h5netcdf (`MissingExtra`).
     """
-    with path.open("rb") as stream:
+    require_plain(path, "a netCDF file")
+    with readable(path), path.open("rb") as stream:
         start = stream.read(4)
+    opened = _netcdf_3 if start.startswith(b"CDF") else _netcdf_4
     try:
-        variables = _netcdf_3(path) if start.startswith(b"CDF") else _netcdf_4(path)
+        with opened(path) as variables:
+            return map_of_variables(str(path), variables, None)
     except TouchfieldError:
         raise
     except Exception as error:  # both libraries raise errors of any type for damaged files
         found = f"a netCDF file that cannot be read ({str(error)[:100]})"
         raise SourceError(str(path), found, "a whole netCDF file", "Copy the file again.") from error
-    return map_of_variables(str(path), variables, None)
 
 
-def _netcdf_3(path: Path) -> dict[str, Labelled]:
+@contextmanager
+def _netcdf_3(path: Path) -> Iterator[dict[str, Labelled]]:
     from scipy.io import netcdf_file
 
-    read_bytes(path, _NETCDF_BYTES, "a netCDF file")
-    with netcdf_file(str(path), "r", mmap=False, maskandscale=False) as file:
-        return {
-            name: Labelled(tuple(v.dimensions), v.data, _text_attributes(v._attributes))
-            for name, v in file.variables.items()
-        }
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # maps of the file are closed with the last array
+        with netcdf_file(str(path), "r", mmap=True, maskandscale=False) as file:
+            yield {
+                name: Labelled(tuple(v.dimensions), v.data, _text_attributes(v._attributes))
+                for name, v in file.variables.items()
+            }
 
 
-def _netcdf_4(path: Path) -> dict[str, Labelled]:
+@contextmanager
+def _netcdf_4(path: Path) -> Iterator[dict[str, Labelled]]:
     h5netcdf = import_extra("h5netcdf", f"{path}, netCDF 4 (HDF5)", "h5netcdf", "netcdf")
     with h5netcdf.File(path, "r") as file:
-        return {
-            name: Labelled(tuple(v.dimensions), v[...], _text_attributes(v.attrs))
+        yield {
+            name: Labelled(tuple(v.dimensions), v, _text_attributes(v.attrs))
             for name, v in file.variables.items()
-            if v.dtype.kind in "fiu" and math.prod(v.shape) <= MAX_PIXELS
+            if v.dtype.kind in "fiu"
         }
 
 
@@ -272,7 +345,7 @@ def map_of_xarray(array: Any) -> tuple[NDArray[Any], GeoReference]:
         str(key): Labelled(tuple(map(str, c.dims)), np.asarray(c.values), dict(c.attrs))
         for key, c in array.coords.items()
     }
-    variables[name] = Labelled(tuple(map(str, array.dims)), np.asarray(array.values), dict(array.attrs))
+    variables[name] = Labelled(tuple(map(str, array.dims)), array, dict(array.attrs))
     return map_of_variables(f"DataArray {name!r}", variables, name)
 
 
@@ -282,7 +355,7 @@ def map_of_variables(
     """Return the heights among variables, x last and y before it, and what their attributes state."""
     name = name or _height_variable(where, variables)
     heights, path = variables[name], Path(where)
-    dims, values = list(heights.dims), np.asarray(heights.values)
+    dims = list(heights.dims)
     roles = [_role(dim, variables.get(dim)) for dim in dims]
     if not (roles.count("x") == 1 and roles.count("y") == 1):
         if len(dims) < 2 or "x" in roles or "y" in roles:
@@ -290,23 +363,31 @@ def map_of_variables(
             expected = "one of x (x, lon, easting) and one of y (y, lat, northing)"
             raise SourceError(f"{where}, {name}", found, expected, "Rename the dimensions.")
         roles[-2:] = ["y", "x"]
-    values, notes = _ordered(values, dims, roles)
+    ordered, notes = _ordered(heights.values, dims, roles)
     axes = [variables.get(dims[roles.index(role)]) for role in "xy"]
     affine, is_degrees, unit_m = None, None, 1.0
-    if axes[0] is not None and axes[1] is not None and min(values.shape[-2:]) > 1:
-        affine = affine_of_axes(path, *(np.asarray(axis.values, np.float64) for axis in axes if axis))
+    if axes[0] is not None and axes[1] is not None and min(ordered.shape[-2:]) > 1:
+        x, y = (_line(f"{where}, {dims[roles.index(r)]}", a) for r, a in zip("xy", axes, strict=True) if a)
+        affine = affine_of_axes(path, x, y)
         unit = str(axes[0].attributes.get("units", ""))
         is_degrees = True if _DEGREES.match(unit) else False if unit else None
         if unit and not is_degrees:
             unit_m, unit_notes = unit_of(unit, "positions")
             notes += unit_notes
-    return values, _cf_reference(heights.attributes, affine, is_degrees, unit_m, notes)
+    return _read_ordered(path, ordered, _cf_reference(heights.attributes, affine, is_degrees, unit_m, notes))
+
+
+def _line(where: str, axis: Labelled) -> Float64s:
+    """Return the positions along an axis, float64 [count]."""
+    if len(axis.dims) != 1 or is_large(axis.values.shape):
+        raise SourceError(where, f"an array of shape {axis.values.shape}", "one number for each sample")
+    return np.asarray(axis.values[:], np.float64)
 
 
 def _height_variable(where: str, variables: Mapping[str, Labelled]) -> str:
     maps = {
         name: v for name, v in variables.items()
-        if len(v.dims) >= 2 and np.asarray(v.values).dtype.kind in "fiu"
+        if len(v.dims) >= 2 and v.values.dtype.kind in "fiu"
         and name.lower() not in (*X_KEYS, *Y_KEYS)
     }  # fmt: skip
     named = [n for n in maps if n.lower() in HEIGHT_KEYS]
@@ -333,8 +414,30 @@ def _role(dim: str, coordinate: Labelled | None) -> str:
     return "time" if lower in ("time", "t", "frame", "frames") else ""
 
 
-def _ordered(values: NDArray[Any], dims: list[str], roles: list[str]) -> tuple[NDArray[Any], tuple[str, ...]]:
-    """Return values as [rows, cols], or [frames, rows, cols] along time, at the first index of others."""
+class _Ordered(NamedTuple):
+    """How a variable is read as [rows, cols] or [frames, rows, cols], which is its `shape`.
+
+    `selection` has an index of each dimension of the variable; `order` permutes those that are left.
+    """
+
+    values: Any
+    selection: tuple[Any, ...]
+    order: tuple[int, ...]
+    row_dim: int
+    frame_dim: int | None
+    shape: tuple[int, ...]
+
+    def read(self, frame: int | None = None, rows: slice = slice(None)) -> NDArray[Any]:
+        """Read all values, or those of a frame, or of some rows of it."""
+        index = list(self.selection)
+        index[self.row_dim] = rows
+        if self.frame_dim is not None and frame is not None:
+            index[self.frame_dim] = slice(frame, frame + 1)
+        return np.array(self.values[tuple(index)]).transpose(self.order)
+
+
+def _ordered(values: Any, dims: list[str], roles: list[str]) -> tuple[_Ordered, tuple[str, ...]]:
+    """Return how values are read along time, y and x, at the first index of others, and notes on those."""
     notes: tuple[str, ...] = ()
     selection: list[Any] = [slice(None)] * len(dims)
     for index, (dim, role) in enumerate(zip(dims, roles, strict=True)):
@@ -343,8 +446,39 @@ def _ordered(values: NDArray[Any], dims: list[str], roles: list[str]) -> tuple[N
             if values.shape[index] > 1:
                 notes += (f"The first of {values.shape[index]} along {dim} is read.",)
     left = [role for role in roles if role]
-    values = values[tuple(selection)].transpose([left.index(r) for r in ("time", "y", "x") if r in left])
-    return values[0] if values.ndim == 3 and len(values) == 1 else values, notes
+    named = [role for role in ("time", "y", "x") if role in left]
+    order, shape = tuple(map(left.index, named)), tuple(values.shape[roles.index(role)] for role in named)
+    frame_dim = roles.index("time") if "time" in roles else None
+    return _Ordered(values, tuple(selection), order, roles.index("y"), frame_dim, shape), notes
+
+
+def _read_ordered(
+    path: Path, ordered: _Ordered, reference: GeoReference
+) -> tuple[NDArray[Any], GeoReference]:
+    """Read [rows, cols] or [frames, rows, cols]; each frame of a large series in bands, reduced."""
+    if not is_large(ordered.shape):
+        values = ordered.read()
+        return (values[0] if values.ndim == 3 and len(values) == 1 else values), reference
+    *count, rows, cols = ordered.shape
+    frame_count = math.prod(count)
+    if path.is_file():
+        bound_samples(path, rows, cols)
+    pieces = getattr(ordered.values, "chunks", None)  # h5netcdf: shape; dask: sizes along each dimension
+    unit = pieces[ordered.row_dim] if pieces and isinstance(pieces[0], int) else 1
+    if pieces and isinstance(pieces[0], int) and is_large(pieces):
+        mend = "Store it in smaller chunks: nccopy -c time/1,y/256,x/256 IN.nc OUT.nc"
+        raise SourceError(str(path), f"chunks of {pieces}", f"at most {MAX_PIXELS} samples", mend)
+    frames, result = [], reference
+    for frame in range(frame_count):
+
+        def read_rows(start: int, stop: int, frame: int = frame) -> NDArray[Any]:
+            return ordered.read(frame, slice(start, stop)).reshape(stop - start, cols)
+
+        bands = bands_of(read_rows, rows, cols, unit)
+        heights, reduced = reduce_map(path, bands, (rows, cols), reference, frame_count=frame_count)
+        frames.append(heights)
+        result = reduced._replace(notes=tuple(dict.fromkeys((*result.notes, *reduced.notes))))
+    return (frames[0] if frame_count == 1 else np.stack(frames)), result
 
 
 def _cf_reference(

@@ -10,6 +10,7 @@ projection.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -46,6 +47,21 @@ c and f are NaN if only the directions and lengths of cells are known."""
 Heights = NDArray[np.floating[Any]]
 
 
+class Reduction(NamedTuple):
+    """How a map was reduced while it was read (`large_maps`).
+
+    `shape` is that of the map in the file, rows and columns; `factor` the number of its samples along a side
+    of one that is read, by rows and by columns; `mean_side` the side of the means that were taken; `left_out`
+    the last rows and columns that fill no whole cell.
+    """
+
+    shape: tuple[int, int]
+    factor: Pair
+    mean_side: int
+    is_of_overview: bool
+    left_out: tuple[int, int]
+
+
 class GeoReference(NamedTuple):
     """Positions and units of samples as stated in a file; None where the file does not state them.
 
@@ -53,6 +69,7 @@ class GeoReference(NamedTuple):
     dx), row 0 is north and column 0 west, and `middle` is y and x of the centre. Units of the map are
     `unit_m` metres unless they are degrees. A height is (value * scale + offset) units of `vertical_unit_m`
     metres; `nodata` are values that mark gaps. `is_elevation` is False for a picture without any of these.
+    `affine` and `cell` are those of the file also where a `reduction` left fewer samples, with gaps as NaN.
     """
 
     affine: Affine | None = None
@@ -66,6 +83,22 @@ class GeoReference(NamedTuple):
     nodata: tuple[float, ...] = ()
     is_elevation: bool = True
     notes: tuple[str, ...] = ()
+    reduction: Reduction | None = None
+
+    @property
+    def factor(self) -> Pair:
+        """Samples of the file along a side of one that is read, by rows and by columns."""
+        return self.reduction.factor if self.reduction else (1.0, 1.0)
+
+    def transposed(self) -> GeoReference:
+        """Return the reference of the transposed samples; what it states of x and y remains."""
+        found = self.reduction
+        if found is None:
+            return self
+        swapped = Reduction(
+            found.shape[::-1], found.factor[::-1], found.mean_side, found.is_of_overview, found.left_out[::-1]
+        )
+        return self._replace(reduction=swapped)
 
 
 def scene_of(
@@ -77,15 +110,15 @@ def scene_of(
     """
     heights = as_heights(values)
     for value in reference.nodata:
-        with np.errstate(over="ignore"):  # a text states more digits than the nearest float32 has
-            heights[(heights == value) | (heights == np.float64(np.float32(value)))] = np.nan
-    gap_notes = leave_out_stand_ins(heights) if reference.is_elevation else ()
+        heights[is_marked_gap(heights, value)] = np.nan
+    has_stand_ins = reference.is_elevation and reference.reduction is None
+    gap_notes = leave_out_stand_ins(heights) if has_stand_ins else ()
     if not np.isfinite(heights).any():
         raise SourceError(str(path), "no known height", "at least one")
     turned = upright(path, heights, reference)
     cell_m, cell_notes = _cell_m(path, turned, options)
     heights, height_notes = _in_metres(turned, cell_m, options)
-    notes = (*turned.notes, *gap_notes, *cell_notes, *height_notes)
+    notes = (*turned.notes, *gap_notes, *cell_notes, *height_notes, *_reduction_notes(turned, cell_m))
     rate_hz, factor = options.rate_hz or 30.0, options.exaggeration
     with as_source_error(f"{path}, "):
         return HeightScene(heights, cell_m, exaggeration=factor, rate_hz=rate_hz, notes=notes, name=str(path))
@@ -96,6 +129,34 @@ def as_heights(values: NDArray[Any]) -> Heights:
     heights: Heights = values.astype(np.float64 if values.dtype.itemsize > 2 else np.float32)
     heights[~np.isfinite(heights)] = np.nan
     return heights
+
+
+def is_marked_gap(heights: Heights, nodata: float) -> NDArray[np.bool_]:
+    """Return where heights are the value that marks a gap."""
+    with np.errstate(over="ignore"):  # a text states more digits than the nearest float32 has
+        return np.asarray((heights == nodata) | (heights == np.float64(np.float32(nodata))))
+
+
+def _reduction_notes(upright_map: UprightMap, cell_m: Pair) -> tuple[str, ...]:
+    """Return a note on how a large map was reduced."""
+    reduction = upright_map.reference.reduction
+    if reduction is None:
+        return ()
+    factor = reduction.factor[::-1] if upright_map.is_quarter_turned else reduction.factor
+    rows, cols = upright_map.heights.shape[-2:]
+    stored = reduction.shape[::-1] if upright_map.is_quarter_turned else reduction.shape
+    (dy, dx), (y, x) = cell_m, (cell / side for cell, side in zip(cell_m, factor, strict=True))
+    side = reduction.mean_side
+    how = "an overview in the file" if reduction.is_of_overview else ""
+    means = f"means of the known heights among {side} x {side} samples" if side > 1 else ""
+    notes: tuple[str, ...] = (
+        f"The map of {stored[0]} x {stored[1]} samples, {y:.4g} x {x:.4g} m apart, is read as {rows} x "
+        f"{cols}, {dy:.4g} x {dx:.4g} m apart: {', '.join(filter(None, (how, means)))}.",
+    )
+    if any(reduction.left_out):
+        a, b = reduction.left_out
+        notes += (f"The last {a} rows and {b} columns of the file, which fill no whole cell, are left out.",)
+    return notes
 
 
 # -- gaps that no tag marks --------------------------------------------------------------------------------
@@ -109,34 +170,58 @@ def leave_out_stand_ins(heights: Heights) -> tuple[str, ...]:
     with np.errstate(invalid="ignore"):
         is_beyond = np.abs(heights) > MAX_HEIGHT
     if is_beyond.any():
-        notes += (_gap_note(heights, is_beyond),)
+        notes += (_gap_note(float(heights[is_beyond][0]), int(is_beyond.sum()), heights.size),)
         heights[is_beyond] = np.nan
     known = heights[np.isfinite(heights)]
-    while known.size:
-        extremes = {float(known.min()), float(known.max())} & set(GAP_HEIGHTS)
-        others = {value: known[known != value] for value in extremes}
-        gaps = [value for value, rest in others.items() if rest.size and _is_isolated(value, rest)]
-        if not gaps:
-            taken = [value for value in extremes if value < 0]
-            return notes + tuple(
-                f"{v:g} is taken for a height: where it marks what is not known, write NaN there."
-                for v in taken
+    counts = {}
+    for value in GAP_HEIGHTS:
+        if count := int(np.count_nonzero(known == value)):
+            counts[value], known = count, known[known != value]
+    low, high = (float(known.min()), float(known.max())) if known.size else (math.inf, -math.inf)
+    gaps, further = split_stand_ins(low, high, counts, heights.size)
+    for value in gaps:
+        heights[heights == value] = np.nan
+    return notes + further
+
+
+def split_stand_ins(
+    low: float, high: float, counts: Mapping[float, int], total: int
+) -> tuple[list[float], tuple[str, ...]]:
+    """Return which values mark gaps, and notes.
+
+    `counts` has the number of each value that is beyond `MAX_HEIGHT` or one of `GAP_HEIGHTS`, among `total`
+    samples; all other heights are between `low` and `high`.
+    """
+    gaps = [value for value in counts if abs(value) > MAX_HEIGHT]
+    left = {value for value in counts if value not in gaps}
+    while left:
+        known = left | ({low, high} if low <= high else set())
+        extremes = [value for value in (min(known), max(known)) if value in left]
+        isolated = [value for value in extremes if _is_isolated(value, known - {value})]
+        if not isolated:
+            notes = tuple(
+                f"{value:g} is taken for a height: where it marks what is not known, write NaN there."
+                for value in dict.fromkeys(extremes)
+                if value < 0
             )
-        notes += (_gap_note(heights, heights == gaps[0]),)
-        heights[heights == gaps[0]] = np.nan
-        known = others[gaps[0]]
-    return notes
+            break
+        gaps.append(isolated[0])
+        left.discard(isolated[0])
+    else:
+        notes = ()
+    return gaps, (*(_gap_note(value, counts[value], total) for value in gaps), *notes)
 
 
-def _is_isolated(value: float, others: Heights) -> bool:
-    low, high = float(others.min()), float(others.max())
+def _is_isolated(value: float, others: Collection[float]) -> bool:
+    if not others:
+        return False
+    low, high = min(others), max(others)
     return min(abs(value - low), abs(value - high)) > ISOLATION * (high - low)
 
 
-def _gap_note(heights: Heights, is_gap: NDArray[np.bool_]) -> str:
-    value, count = float(heights[is_gap][0]), int(is_gap.sum())
+def _gap_note(value: float, count: int, total: int) -> str:
     return (
-        f"{value:g} in {count} of {is_gap.size} samples is taken for a gap, although the file does not mark "
+        f"{value:g} in {count} of {total} samples is taken for a gap, although the file does not mark "
         "it as one; no other height is near. Where it is a height, change it slightly."
     )
 
@@ -150,6 +235,7 @@ class UprightMap(NamedTuple):
     middle: Pair | None
     reference: GeoReference
     notes: tuple[str, ...]
+    is_quarter_turned: bool = False
 
 
 def upright(path: Path, heights: Heights, reference: GeoReference) -> UprightMap:
@@ -157,9 +243,12 @@ def upright(path: Path, heights: Heights, reference: GeoReference) -> UprightMap
 
     A smaller turn that remains is reported. Raises `SourceError` for sheared cells.
     """
+    (by_row, by_col), cell = reference.factor, reference.cell
     if reference.affine is None:
-        return UprightMap(heights, reference.cell, reference.middle, reference, reference.notes)
+        cell = cell and (cell[0] * by_row, cell[1] * by_col)
+        return UprightMap(heights, cell, reference.middle, reference, reference.notes)
     a, b, c, d, e, f = reference.affine
+    a, b, d, e = a * by_col, b * by_row, d * by_col, e * by_row
     dx, dy = math.hypot(a, d), math.hypot(b, e)
     if not (0 < dx < math.inf and 0 < dy < math.inf):
         note = f"The positions in the file are not used: its cells are {dx:g} x {dy:g}."
@@ -185,7 +274,8 @@ def upright(path: Path, heights: Heights, reference: GeoReference) -> UprightMap
             f"The map is turned by {rest_deg:.4g} degrees from east towards north: x and y follow its rows "
             f"and columns; {UPRIGHT}.",
         )
-    return UprightMap(heights, (dx, dy) if quarters % 2 else (dy, dx), middle, reference, notes)
+    is_turned = bool(quarters % 2)
+    return UprightMap(heights, (dx, dy) if is_turned else (dy, dx), middle, reference, notes, is_turned)
 
 
 # -- metres ------------------------------------------------------------------------------------------------
@@ -195,18 +285,19 @@ def _cell_m(path: Path, upright_map: UprightMap, options: SourceOptions) -> tupl
     latitude, longitude = upright_map.middle or (0.0, 0.0)
     is_degrees = reference.is_degrees
     if is_degrees is None and cell is not None and upright_map.middle is not None:
-        is_degrees = abs(latitude) <= 90 and abs(longitude) <= 180 and max(cell) < 0.1
+        is_degrees = abs(latitude) <= 90 and abs(longitude) <= 180 and max(cell) < 0.1 * max(reference.factor)
     if is_degrees and abs(latitude) > LATITUDE_LIMIT_DEG:
         raise SourceError(
             str(path), f"the latitude {latitude:.4g}", f"at most {LATITUDE_LIMIT_DEG} either way"
         )
+    factor = reference.factor[::-1] if upright_map.is_quarter_turned else reference.factor
     if options.cell_size_m is not None:
-        return (options.cell_size_m, options.cell_size_m), ()
+        return (options.cell_size_m * factor[0], options.cell_size_m * factor[1]), ()
     if cell is None:
         note = (
             "The distance of samples is not given: one metre is assumed (--cell-size-m; in .npz dx and dy)."
         )
-        return (1.0, 1.0), (note,)
+        return factor, (note,)
     dy, dx = cell
     if not is_degrees:
         return (dy * reference.unit_m, dx * reference.unit_m), ()

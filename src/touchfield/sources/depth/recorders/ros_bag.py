@@ -1,20 +1,22 @@
-"""ROS 2 bags and MCAP files with a depth camera (extra: mcap).
+"""ROS bags and MCAP files with a depth camera (extra: mcap; of ROS 1: ros1).
 
-A bag is a folder with ``metadata.yaml`` and ``*.mcap`` or ``*.db3`` (SQLite), or one such file. Read are:
+A bag is a folder with ``metadata.yaml`` and ``*.mcap`` or ``*.db3`` (SQLite), one such file, or a ``.bag`` of
+ROS 1. Read are:
 
-depth         the topic of depth images with the most messages, one named *depth* first; a note names others
-camera_info   that beside it, else the one of the same frame: K and D; P of a topic named *rect*
+depth         the topic of ``--topic``, else that with the most images, one named *depth* first; a note names
+              the others
+camera_info   that beside it (RealSense: ``.../info/camera_info`` beside ``.../image/data``), else the one of
+              the same frame: K and D; P of a topic named *rect*
 /tf           from the camera's frame up to the root of the tree; interpolated to the time of each image. The
 /tf_static    camera's frame is an optical one (REP 103): x right, y down, z forward
-
-Bags of ROS 1 (also a RealSense's .bag) are not read: ``rosbags-convert --src X.bag --dst X`` converts them.
+Depth_Units   RealSense: the metres of a stored unit
 """
 
 from __future__ import annotations
 
 import sqlite3
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -30,6 +32,7 @@ from touchfield.sources.depth.intrinsics_file import CameraFile, camera_of, scal
 from touchfield.sources.depth.layouts import depth_kind, source_rate
 from touchfield.sources.depth.lens import distortion_of, rectified
 from touchfield.sources.depth.recorders import ros_messages as messages
+from touchfield.sources.depth.recorders.ros1_bag import is_ros1_bag, read_ros1, topics_of_ros1
 from touchfield.sources.images.pictures import list_files, require_size
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.poses import interpolate_poses, poses_of_quaternions
@@ -38,8 +41,10 @@ _FILES: Final = r".+\.(mcap|db3)"
 _IMAGES: Final = (messages.IMAGE, messages.COMPRESSED_IMAGE)
 _MAX_MESSAGES: Final = 1 << 22
 _TF_TOLERANCE_S: Final = 0.1  # between an image and the first or last transform
-_EXPECTED: Final = "a ROS 2 bag with depth images, 16UC1 or 32FC1"
-_ROS1_MAGIC: Final = b"#ROSBAG V"
+_EXPECTED: Final = "a ROS bag with depth images, 16UC1 or 32FC1"
+_REALSENSE_IMAGES: Final = "/image/data"
+_UNITS: Final = "/option/Depth_Units/value"  # of a RealSense's sensor
+_LISTED: Final = 6  # topics in a message
 
 
 class Message(NamedTuple):
@@ -76,6 +81,9 @@ def topics_of(path: Path) -> dict[str, str]:
     topics: dict[str, str] = {}
     for file in _files(path):
         with _faults(file):
+            if is_ros1_bag(file):
+                topics |= topics_of_ros1(file)
+                continue
             if file.suffix.lower() == ".db3":
                 with closing(_connect(file)) as database:
                     topics |= dict(database.execute("SELECT name, type FROM topics"))
@@ -101,6 +109,10 @@ def _read(path: Path, topics: list[str]) -> Iterator[Message]:
     """Yield the messages of these topics, by time within a file."""
     for file in _files(path):
         with _faults(file):
+            if is_ros1_bag(file):
+                for topic, kind, time_ns, data in read_ros1(file, topics):
+                    yield Message(topic, kind, (file, time_ns), data)
+                continue
             if file.suffix.lower() == ".db3":
                 with closing(_connect(file)) as database:
                     marks = ",".join("?" * len(topics))
@@ -124,7 +136,10 @@ def _read_one(place: tuple[Path, int], topic: str) -> bytes:
     """Read one message again."""
     file, key = place
     with _faults(file):
-        if file.suffix.lower() == ".db3":
+        if is_ros1_bag(file):
+            for _, _, _, data in read_ros1(file, [topic], key):
+                return data
+        elif file.suffix.lower() == ".db3":
             with closing(_connect(file)) as database:
                 row = database.execute("SELECT data FROM messages WHERE id = ?", (key,)).fetchone()
             if row is not None:
@@ -172,17 +187,20 @@ class _Recording(NamedTuple):
     times_s: Float64s
     camera_infos: dict[str, Any]
     transforms: dict[str, Any]
+    units_m: dict[str, float]
     notes: tuple[str, ...]
 
 
-def _read_recording(path: Path) -> _Recording:
+def _read_recording(path: Path, requested: str | None) -> _Recording:
     topics = topics_of(path)
     images = [name for name, kind in topics.items() if kind in _IMAGES]
     others = [name for name, kind in topics.items() if kind in (messages.CAMERA_INFO, messages.TRANSFORMS)]
+    others += [name for name, kind in topics.items() if kind == messages.FLOAT and name.endswith(_UNITS)]
     depth: dict[str, list[Any]] = {}
     is_depth: dict[str, bool] = {}
     infos: dict[str, Any] = {}
     transforms: dict[str, Any] = {}
+    units_m: dict[str, float] = {}
     count = 0
     for topic, kind, place, data in _read(path, [*images, *others]):
         count += 1
@@ -195,6 +213,8 @@ def _read_recording(path: Path) -> _Recording:
         message = messages.decode(kind, data, f"{place[0]}, {topic}")
         if kind == messages.CAMERA_INFO:
             infos[topic] = message
+        elif kind == messages.FLOAT:
+            units_m[topic.removesuffix(_UNITS)] = float(message.data)
         elif kind == messages.TRANSFORMS:
             _add_transforms(transforms, message, topic.endswith("_static"))
         else:
@@ -204,27 +224,52 @@ def _read_recording(path: Path) -> _Recording:
                 entry = (messages.stamp_s(message.header), place, encoding, message.header.frame_id)
                 depth.setdefault(topic, []).append(entry)
     if not depth:
-        listed = ", ".join(f"{name} ({kind.rpartition('/')[2]})" for name, kind in list(topics.items())[:6])
-        raise SourceError(str(path), f"no depth image in {listed or 'no topic'}", _EXPECTED)
-    ranks = {
-        name: ("depth" not in name, topics[name] != messages.IMAGE, -len(depth[name]), name) for name in depth
-    }
-    topic, *left = sorted(depth, key=lambda name: ranks[name])
-    notes: tuple[str, ...] = (f"Depth of the topic {topic}, {len(depth[topic])} images.",)
-    if left:
-        notes += (f"Depth of other topics is not read: {', '.join(left[:4])}.",)
+        kinds = [f"{name} ({kind.rpartition('/')[2]})" for name, kind in topics.items()]
+        found = f"no depth image in {_listed(kinds)}"
+        raise SourceError(str(path), found, _EXPECTED)
+    topic, notes = _choose(path, {name: len(entries) for name, entries in depth.items()}, topics, requested)
     entries = sorted(depth[topic], key=lambda entry: entry[0])
     times_s = np.array([entry[0] for entry in entries])
     places = [entry[1] for entry in entries]
     return _Recording(
-        topic, topics[topic], entries[0][2], entries[0][3], places, times_s, infos, transforms, notes
+        topic, topics[topic], entries[0][2], entries[0][3], places, times_s, infos, transforms, units_m, notes
     )
+
+
+def _choose(
+    path: Path, counts: dict[str, int], topics: dict[str, str], requested: str | None
+) -> tuple[str, tuple[str, ...]]:
+    """Return the topic of depth that is read, and notes on it and on the others.
+
+    `counts` has the images of each topic with depth. Raises `SourceError` if the requested one is none.
+    """
+    ranked = sorted(
+        counts,
+        key=lambda name: ("depth" not in name.lower(), topics[name] != messages.IMAGE, -counts[name], name),
+    )
+    listed = [f"{name} ({counts[name]} images)" for name in ranked]
+    if requested is not None and requested not in counts:
+        found = f"{'no depth in the' if requested in topics else 'no'} topic {requested}"
+        raise SourceError(f"{path}, --topic", found, f"one of {_listed(listed)}")
+    topic = requested or ranked[0]
+    others = [text for name, text in zip(ranked, listed, strict=True) if name != topic]
+    notes: tuple[str, ...] = (f"Depth of the topic {topic}, {counts[topic]} images.",)
+    if others:
+        notes += (f"Depth of other topics is not read: {_listed(others)} (--topic).",)
+    return topic, notes
+
+
+def _listed(names: Sequence[str]) -> str:
+    left = len(names) - _LISTED
+    return (", ".join(names[:_LISTED]) or "no topic") + f" and {left} more" * (left > 0)
 
 
 def _camera(path: Path, recording: _Recording, size: tuple[int, int], options: SourceOptions) -> CameraFile:
     """Return the camera of the options, or that of the camera_info of the depth images."""
     infos, topic = recording.camera_infos, recording.topic
     base = topic.removesuffix("/compressedDepth").rpartition("/")[0]
+    if topic.endswith(_REALSENSE_IMAGES):
+        base = f"{topic.removesuffix(_REALSENSE_IMAGES)}/info"
     of_frame = [name for name, info in infos.items() if info.header.frame_id == recording.frame_id]
     name = f"{base}/camera_info" if f"{base}/camera_info" in infos else next(iter(sorted(of_frame)), None)
     if options.intrinsics is not None or name is None:
@@ -295,24 +340,29 @@ def _link(rows: Float64s, is_static: bool, times_s: Float64s, where: str) -> tup
     return poses, np.full(len(times_s), True) if is_static else (times_s >= low) & (times_s <= high)
 
 
+def _depth_scale(recording: _Recording) -> float:
+    """Return the stored units in a metre: those of a RealSense's sensor, else millimetres or metres."""
+    if messages.DEPTH_ENCODINGS[recording.encoding] == "f4":
+        return 1.0
+    sensors = [name for name in recording.units_m if recording.topic.startswith(f"{name}/")]
+    unit_m = recording.units_m[sensors[0]] if sensors else 0.0
+    return 1 / unit_m if 0 < unit_m < 1 else 1000.0
+
+
 # -- the kind ----------------------------------------------------------------------------------------------
 def read_bag(path: Path, options: SourceOptions) -> DepthSequence:
     """Read the depth images of a bag, with their camera and poses.
 
     Raises `SourceError` if there is no depth, or the bag is damaged; `MissingExtra` without the libraries.
     """
-    if path.is_file() and path.suffix.lower() == ".bag":
-        mend = f"Convert it: pip install rosbags; rosbags-convert --src {path} --dst {path.with_suffix('')}"
-        raise SourceError(str(path), "a bag of ROS 1", _EXPECTED, mend)
-    recording = _read_recording(path)
+    recording = _read_recording(path, options.topic)
     frames = BagFrames(recording.topic, recording.kind, recording.places)
     if options.frame == "world" and options.poses is None:
         posed = _poses(path, recording)
     else:
         posed = find_poses(str(path), frames.frame_count, options, (), recording.times_s)
     camera = _camera(path, recording, frames.size, options)
-    is_metres = messages.DEPTH_ENCODINGS[recording.encoding] == "f4"
-    scale = options.depth_scale or (1.0 if is_metres else 1000.0)
+    scale = options.depth_scale or _depth_scale(recording)
     gaps = np.diff(recording.times_s)
     gaps = gaps[gaps > 1e-6]
     rate_hz = float(1 / np.median(gaps)) if len(gaps) else source_rate(options)
@@ -330,9 +380,8 @@ def _recognise(path: Path) -> bool:
     suffix = path.suffix.lower()
     if path.is_dir():
         return (path / "metadata.yaml").is_file() and bool(_files(path))
-    if suffix == ".bag" and path.is_file():
-        with path.open("rb") as stream:
-            return stream.read(len(_ROS1_MAGIC)) == _ROS1_MAGIC
+    if is_ros1_bag(path):
+        return True
     if suffix == ".db3":
         return path.is_file()
     if suffix != ".mcap" or not path.is_file():
@@ -345,7 +394,8 @@ def _recognise(path: Path) -> bool:
 
 KIND: Final = depth_kind(
     "ros-bag",
-    "ROS 2 bag with depth, camera_info and tf: a folder with metadata.yaml, .mcap or .db3 (extra: mcap)",
+    "ROS bag with depth, camera_info and tf: a folder with metadata.yaml, .mcap or .db3 (extra: mcap), or a "
+    ".bag of ROS 1 or RealSense (extra: ros1)",
     _recognise,
     read_bag,
 )

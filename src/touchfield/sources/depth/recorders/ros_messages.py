@@ -1,8 +1,9 @@
 """ROS 2 messages of a depth camera, decoded by mcap-ros2-support from their definitions (extra: mcap).
 
 sensor_msgs/Image             16UC1, mono16 (millimetres, REP 118), 32FC1 (metres); any step and byte order
-sensor_msgs/CompressedImage   compressed_depth_image_transport: a head of 12 bytes, then a PNG of 16 bits.
-                              Floats are quantised: depth = a / (value - b), with a and b in the head
+sensor_msgs/CompressedImage   compressed_depth_image_transport: a head of 12 bytes (ConfigHeader: int32,
+                              a and b float32), then 16-bit samples as a PNG or RVL (`decode_rvl`).
+                              Floats are quantised: depth = a / (value - b); 0 is unknown
 sensor_msgs/CameraInfo        K, D and distortion_model of the picture as taken, P of the rectified one
 tf2_msgs/TFMessage            transforms from child_frame_id to header.frame_id
 """
@@ -23,6 +24,10 @@ from touchfield.sources.images.pictures import MAX_PIXELS
 
 IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO, TRANSFORMS = "sensor_msgs/msg/CameraInfo", "tf2_msgs/msg/TFMessage"
+FLOAT = "std_msgs/msg/Float32"
+_CONFIG: Final = struct.Struct("<iff")
+_RVL_SIZE: Final = struct.Struct("<II")
+_TRANSPORTS: Final = ("", "compressedDepth", "compressedDepth png", "compressedDepth rvl")
 DEPTH_ENCODINGS: Final = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 
 _LINE: Final = "\n" + 80 * "=" + "\n"
@@ -55,6 +60,7 @@ DEFINITIONS: Final = {
     TRANSFORMS: _LINE.join((
         "geometry_msgs/TransformStamped[] transforms\n", *_TRANSFORM, _HEADER, _TIME,
     )),
+    FLOAT: "float32 data\n",
 }  # fmt: skip
 """Definitions by the name of the message, as an MCAP file stores them."""
 
@@ -92,7 +98,8 @@ def encoding_of(kind: str, message: Any) -> str:
     if kind == IMAGE:
         return str(message.encoding) if message.encoding in DEPTH_ENCODINGS else ""
     encoding, _, transport = str(message.format).partition(";")
-    return encoding.strip() if "compressedDepth" in transport and encoding.strip() in DEPTH_ENCODINGS else ""
+    is_depth = encoding.strip() in DEPTH_ENCODINGS and (not transport or "compressedDepth" in transport)
+    return encoding.strip() if is_depth else ""
 
 
 def depth_values(kind: str, message: Any, where: str) -> NDArray[Any]:
@@ -112,13 +119,27 @@ def depth_values(kind: str, message: Any, where: str) -> NDArray[Any]:
 
 
 def _decompressed(encoding: str, form: str, data: bytes, where: str) -> NDArray[Any]:
+    """Return the samples of a compressed image; `form` is its format: "16UC1; compressedDepth png"."""
+    transport = form.partition(";")[2].strip()
+    if len(data) <= _CONFIG.size or transport not in _TRANSPORTS:
+        mend = "Republish it: ros2 run image_transport republish compressedDepth raw."
+        expected = f"a head of {_CONFIG.size} bytes and compressedDepth png or rvl"
+        raise SourceError(where, f"{len(data)} bytes of {form!r}", expected, mend)
+    _, a, b = _CONFIG.unpack_from(data)
+    body = data[_CONFIG.size :]
+    stored = decode_rvl(body, where) if transport.endswith("rvl") else _png_samples(body, where)
+    if DEPTH_ENCODINGS[encoding] == "u2":
+        return stored
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = np.float32(a) / (stored.astype(np.float32) - np.float32(b))
+    return np.where(stored == 0, np.float32(0), depth)
+
+
+def _png_samples(data: bytes, where: str) -> NDArray[np.uint16]:
     from PIL import Image
 
-    if "rvl" in form.lower() or len(data) < 12:
-        mend = "Republish it: ros2 run image_transport republish compressedDepth raw."
-        raise SourceError(where, f"{len(data)} bytes of {form!r}", "compressedDepth with PNG", mend)
     try:
-        with Image.open(BytesIO(data[12:]), formats=("PNG",)) as image:
+        with Image.open(BytesIO(data), formats=("PNG",)) as image:
             if image.width * image.height > MAX_PIXELS:
                 raise SourceError(where, f"{image.width} x {image.height} pixels", f"at most {MAX_PIXELS}")
             stored = np.array(image).astype(np.uint16)
@@ -126,9 +147,27 @@ def _decompressed(encoding: str, form: str, data: bytes, where: str) -> NDArray[
         raise SourceError(where, f"no PNG after the head ({error})", "compressedDepth with PNG") from error
     if stored.ndim != 2:
         raise SourceError(where, f"samples of shape {stored.shape}", "a grey picture of 16 bits")
-    if DEPTH_ENCODINGS[encoding] == "u2":
-        return stored
-    a, b = struct.unpack("<2f", data[4:12])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        depth = np.float32(a) / (stored.astype(np.float32) - np.float32(b))
-    return np.where(stored == 0, np.float32(0), depth)
+    return stored
+
+
+def decode_rvl(data: bytes, where: str) -> NDArray[np.uint16]:
+    """Decode an RVL image, uint16 [height, width] (Wilson, Fast lossless depth image compression, 2017).
+
+    Width and height are uint32; then follow 32-bit words of eight nibbles, the highest first. A nibble has
+    three bits of a number, the lowest first, and a bit that says that more follow. The numbers are the count
+    of zeros, the count of other samples, and the differences of these from one to the next, with the sign in
+    the lowest bit; and so on. Raises `SourceError`, which names `where`, for damaged bytes.
+    """
+    words = np.frombuffer(data[_RVL_SIZE.size :], "<u4", max(len(data) - _RVL_SIZE.size, 0) // 4)
+    width, height = _RVL_SIZE.unpack_from(data) if len(words) else (0, 0)
+    if not 0 < width * height <= MAX_PIXELS:
+        found = f"{width} x {height} pixels in {len(data)} bytes"
+        raise SourceError(where, found, "an RVL image", "Copy the bag again.")
+    shifts = np.arange(28, -4, -4, dtype=np.uint32)
+    nibbles = ((words[:, None] >> shifts) & 15).astype(np.uint8).ravel()
+    samples = np.zeros(width * height, np.uint16)
+    from touchfield.sources.depth.kernels.rvl import decode_nibbles
+
+    if decode_nibbles(nibbles, samples) != len(samples):
+        raise SourceError(where, "an RVL image that is cut short or damaged", f"{width} x {height} pixels")
+    return samples.reshape(height, width)

@@ -1,0 +1,49 @@
+/* touch_proxy_jump.h: jumps of the proxy of touch_proxy.h, to another surface, or on or off one, reach the hand slowly.
+
+   The force changes at once by as much as the field itself changes at the hand. The rest of a change is owed. It comes with
+   time, and with the motion of the hand by K per metre: by twice as much where it works against the motion, and not where it
+   works along it, so that it drives no hand. */
+#ifndef TOUCH_PROXY_JUMP_H
+#define TOUCH_PROXY_JUMP_H
+
+#include "touch_proxy_search.h"
+
+#define TOUCH_PROXY_EASE_S 1.0                /* in which a jump by a large force of the field comes to a hand at rest, */
+#define TOUCH_PROXY_EASE_SMALL_S 0.5          /* and time constant for a small one */
+
+typedef struct { /* in a tick, relative to the body that carries the proxy */
+    touch_vector hand_m; /* of the hand */
+    double total_m;      /* how far hand and surface moved */
+} touch_contact_motion;
+
+/* How far hand and surface moved since the tick before. */
+static inline touch_contact_motion touch_motion_of(const touch_isosurface *s, touch_vector hand_m, touch_field_point carried) {
+    const touch_proxy *proxy = &s->receiver->state.proxy;
+    touch_vector carry_m = touch_subtract(carried.position_m, proxy->position_m);
+    touch_contact_motion motion;
+    motion.hand_m = touch_subtract(touch_subtract(hand_m, proxy->hand_m), carry_m);
+    motion.total_m = touch_magnitude(motion.hand_m) + fabs(carried.force_n - proxy->surface_n) / s->stiffness_n_per_m;
+    return motion;
+}
+
+/* A vector, shortened by a length. */
+static inline touch_vector touch_shortened(touch_vector v, double length) {
+    double size = touch_magnitude(v);
+    return size > length ? touch_scale(1.0 - length / size, v) : touch_zero();
+}
+
+/* Pass on what the field explains of a change of the proxy's force, and give back some of what is owed. */
+static inline void touch_ease_jump(const touch_isosurface *s, const touch_contact_motion *motion, touch_vector force_n,
+                                   touch_vector stored_n, double dt_s) {
+    touch_proxy *proxy = &s->receiver->state.proxy;
+    double explained_n = touch_magnitude(touch_subtract(stored_n, proxy->stored_n));
+    touch_vector change_n = touch_subtract(force_n, proxy->force_n);
+    touch_vector owed_n = touch_add(proxy->eased_n, touch_shortened(change_n, explained_n));
+    double size_n = touch_magnitude(owed_n), against_m = touch_magnitude(motion->hand_m);
+    if (size_n > 0.0) against_m -= touch_dot(motion->hand_m, owed_n) / size_n;
+    owed_n = touch_shortened(owed_n, s->stiffness_n_per_m * against_m);
+    double given_n_per_s = touch_fmin(touch_magnitude(owed_n) / TOUCH_PROXY_EASE_SMALL_S, s->large_n / TOUCH_PROXY_EASE_S);
+    proxy->eased_n = touch_shortened(owed_n, given_n_per_s * dt_s);
+}
+
+#endif
