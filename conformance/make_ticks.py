@@ -264,12 +264,26 @@ def tool() -> Ticks:
     return Ticks(receiver, [frame, frame], pressing(), orientation=q)
 
 
+def plate(stiffness_n_per_m: float, thickness_m: float) -> Callable[[Any], Any]:
+    """Between two heights the force points to the nearer one, and outside nowhere."""
+
+    def law(p: Any) -> Any:
+        below = -p[..., 2]
+        force_n = stiffness_n_per_m * np.where(below < thickness_m / 2, below, below - thickness_m)
+        force_n[(below < 0) | (below > thickness_m)] = 0.0
+        return np.stack([0.1 * force_n, 0.05 * force_n, force_n], axis=-1)
+
+    return law
+
+
 def proxy() -> Ticks:
+    """A hand that is pressed deeper than a plate is thick: the stored force lacks most of the spring's."""
     receiver = Receiver(friction=0.4)
     receiver.settings["wall_n_per_m"], receiver.settings["wall_level_n"] = 300.0, 0.05
-    receiver.settings["wall_spacing_m"] = GRID.spacing_m
-    frame = receiver.voxels(field_of(wall(300)))
-    return Ticks(receiver, [frame, frame], pressing())
+    grid = Grid((4, 4, 12), (0.008, 0.008, 0.002), (-0.012, -0.012, -0.017))
+    receiver.settings["wall_spacing_m"] = grid.spacing_m
+    frame = receiver.voxels(field_of(plate(300, 0.008), grid))
+    return Ticks(receiver, [frame, frame], pressing(0.009))
 
 
 def friction() -> Ticks:
