@@ -74,12 +74,13 @@ class Access:
         if self.token is None:
             return True
         token = request.query.get("token") or request.headers.get("Authorization", "").removeprefix("Bearer ")
-        return hmac.compare_digest(token.encode(), self.token.encode())
+        return hmac.compare_digest(_bytes(token), _bytes(self.token))
 
     def cors(self, request: web.Request) -> dict[str, str]:
         """Return the CORS headers for a page of an allowed origin."""
         origin = request.headers.get("Origin", "")
-        if not origin or not ({origin, "*"} & set(self.origins)):
+        is_sendable = origin.isascii() and origin.isprintable()  # it becomes a header of the answer
+        if not origin or not is_sendable or not ({origin, "*"} & set(self.origins)):
             return {}
         return {
             "Access-Control-Allow-Origin": origin,
@@ -94,7 +95,11 @@ class Access:
         The check is needed because CORS does not cover WebSockets.
         """
         origin = request.headers.get("Origin", "")
-        return bool(origin) and urlsplit(origin).netloc != request.host and not self.cors(request)
+        try:
+            netloc = urlsplit(origin).netloc
+        except ValueError:  # no address of a page
+            return True
+        return bool(origin) and netloc != request.host and not self.cors(request)
 
 
 def guarded(access: Access) -> web.Application:
@@ -108,7 +113,10 @@ def guarded(access: Access) -> web.Application:
         nonlocal busy
         if busy >= _MAX_BUSY:
             return web.Response(status=503, text="busy", headers={"Retry-After": "1"})
-        if _is_loopback(access.host) and not _is_loopback(request.url.host or ""):
+        host = _named_host(request)
+        if host is None:
+            return web.Response(status=400, text="a Host that is no address")
+        if _is_loopback(access.host) and not _is_loopback(host):
             return web.Response(status=403, text="this name is not that of this machine")  # DNS rebinding
         if "Upgrade" in request.headers and access.is_stranger(request):
             return web.Response(status=403, text="a page elsewhere, which may not read")
@@ -295,6 +303,28 @@ def _max_connections() -> int:
             resource.setrlimit(resource.RLIMIT_NOFILE, (max_files, hard))
             soft = max_files
     return max(8, soft * 7 // 8)
+
+
+def _named_host(request: web.Request) -> str | None:
+    """Return the host that a request names, without its port; None if its Host header is invalid."""
+    try:
+        return request.url.host or ""
+    except ValueError:
+        return None
+
+
+def is_utf8(name: str) -> bool:
+    """Return True if an address can have this name: it is no name of other bytes (single surrogates)."""
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def _bytes(word: str) -> bytes:
+    """Return a word as bytes; bytes of a header that are no UTF-8 are single surrogates in it."""
+    return word.encode("utf-8", "surrogatepass")
 
 
 def _is_loopback(host: str) -> bool:
