@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 import hmac
 import ipaddress
+import logging
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -17,6 +18,7 @@ from urllib.parse import urlsplit
 from weakref import WeakSet
 
 from aiohttp import web as web
+from aiohttp.http import HttpProcessingError
 
 from touchfield.errors import InvalidArgument, reason
 
@@ -25,11 +27,22 @@ _PAGE_HEADERS: Final = {
     "Cache-Control": "no-cache",
     "X-Frame-Options": "SAMEORIGIN",
 }
+_HANDSHAKE: Final = ("upgrade", "connection", "sec-websocket-")
 _PATIENCE_S: Final = 10.0
 _ENDING_S: Final = 2.0  # half of the time that running answers may take when a server ends
 _CONNECTION_LIMIT: Final = 1 << 15
 _MAX_BUSY: Final = 4096
 """Maximum number of concurrent answers and live receivers; further requests get status 503."""
+
+
+def _is_fault(record: logging.LogRecord) -> bool:
+    """Return False for what a client did: a malformed request, or a connection that it ended."""
+    error = record.exc_info[1] if record.exc_info else None
+    return not isinstance(error, HttpProcessingError | ConnectionError)
+
+
+_LOGGER: Final = logging.getLogger(__name__)
+_LOGGER.addFilter(_is_fault)
 
 
 @dataclass(frozen=True)
@@ -133,6 +146,44 @@ def guarded(access: Access) -> web.Application:
     return web.Application(middlewares=[guard], client_max_size=1 << 10)
 
 
+def add_get(
+    application: web.Application, path: str, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
+) -> None:
+    """Add a handler of GET and HEAD requests; one that expects anything unknown gets status 417."""
+    application.router.add_get(path, handler, expect_handler=_refuse_expectation)
+
+
+async def _refuse_expectation(request: web.Request) -> web.StreamResponse | None:
+    """Check the header Expect (RFC 9110, section 10.1.1).
+
+    The final response comes at once: no handler reads content. The default handler of aiohttp repeats the
+    header in its answer, which fails if the header is no UTF-8.
+    """
+    is_known = request.headers.get("Expect", "").strip().lower() == "100-continue"
+    return None if is_known else web.Response(status=417, text="an unknown expectation")
+
+
+async def _refuse(request: web.Request) -> web.StreamResponse:
+    """Answer a request that no other handler takes."""
+    if request.method not in ("GET", "HEAD"):
+        raise web.HTTPMethodNotAllowed(request.method, ("GET", "HEAD", "OPTIONS"))
+    raise web.HTTPNotFound(text="nothing here")
+
+
+async def open_socket(request: web.Request, heartbeat_s: float | None = None) -> web.WebSocketResponse:
+    """Accept the WebSocket of a request; return it.
+
+    Raises HTTPBadRequest if the request is no valid handshake. Headers that are no UTF-8 are refused here, as
+    aiohttp repeats them in its answers, which fails.
+    """
+    handshake = [v for k, v in request.headers.items() if k.lower().startswith(_HANDSHAKE)]
+    if not all(map(is_utf8, handshake)):
+        raise web.HTTPBadRequest(text="a header of the handshake that is no UTF-8")
+    socket = web.WebSocketResponse(heartbeat=heartbeat_s, max_msg_size=1 << 10, compress=False)
+    await socket.prepare(request)
+    return socket
+
+
 @asynccontextmanager
 async def dropped_unless_read(request: web.BaseRequest, seconds: float) -> AsyncIterator[None]:
     """Disconnect a client that takes longer than `seconds` to read what the block sends.
@@ -171,7 +222,7 @@ def add_pages(application: web.Application, pattern: str, pages: Pages | None) -
         async def answer(request: web.Request) -> web.Response:
             return web.Response(text=text, content_type="text/html", headers=_PAGE_HEADERS)
 
-        application.router.add_get(path, answer)
+        add_get(application, path, answer)
 
     add("/view-page.html", pages.inner)
     add(f"/view{pattern}", pages.outer)
@@ -197,7 +248,10 @@ async def run(
         return await handler(request)
 
     application.middlewares.insert(0, hear)
-    runner = web.AppRunner(application, access_log=None, keepalive_timeout=15.0, shutdown_timeout=_ENDING_S)
+    application.router.add_route("*", "/{name:(?s:.*)}", _refuse, expect_handler=_refuse_expectation)
+    runner = web.AppRunner(
+        application, access_log=None, keepalive_timeout=15.0, shutdown_timeout=_ENDING_S, logger=_LOGGER
+    )
     await runner.setup()
     assert runner.server is not None
     answering, max_connections, newcomers = runner.server, _max_connections(), deque[web.RequestHandler]()
@@ -270,12 +324,21 @@ class Background(ABC):
         except Exception as error:
             self._error = error
         finally:
+            self._loop.run_until_complete(_cancel_others())
             self._loop.close()
             self._ready.set()
 
     def _at(self, address: str) -> None:
         self.address = address
         self._ready.set()
+
+
+async def _cancel_others() -> None:
+    """Cancel the tasks of the running loop that are left, such as those that wait for a client's content."""
+    others = asyncio.all_tasks() - {asyncio.current_task()}
+    for task in others:
+        task.cancel()
+    await asyncio.gather(*others, return_exceptions=True)
 
 
 class _Refusal(asyncio.Protocol):

@@ -13,10 +13,12 @@ from touchfield.network.access import (
     Access,
     Background,
     Pages,
+    add_get,
     add_pages,
     dropped_unless_read,
     guarded,
     is_utf8,
+    open_socket,
     web,
 )
 from touchfield.network.file_response import send_file
@@ -57,9 +59,9 @@ class Bridge(Background):
 
     def _application(self) -> web.Application:
         served = guarded(self._access)
-        served.router.add_get("/hand", self._send_positions)
-        add_pages(served, "/{name:.*}", self._pages)
-        served.router.add_get("/{name:.*}", self._file)
+        add_get(served, "/hand", self._send_positions)
+        add_pages(served, "/{name:(?s:.*)}", self._pages)
+        add_get(served, "/{name:(?s:.*)}", self._file)
         return served
 
     async def _file(self, request: web.Request) -> web.StreamResponse:
@@ -74,8 +76,7 @@ class Bridge(Background):
 
     async def _send_positions(self, request: web.Request) -> web.StreamResponse:
         """Send the hand's position in the field, metres, and the medium's time, seconds, when they change."""
-        socket = web.WebSocketResponse(max_msg_size=1 << 10, compress=False)
-        await socket.prepare(request)
+        socket = await open_socket(request)
         before: tuple[float, ...] = ()
         with suppress(ConnectionError):
             while not (socket.closed or self._is_over.is_set()):

@@ -52,16 +52,15 @@ async def send_file(request: web.Request, path: Path, headers: Mapping[str, str]
         response.etag, response.last_modified = version.etag, modified_s
         status = _failed_condition(request, version)
         if status is not None:
-            response.set_status(status)
-            await response.prepare(request)
-            return response
+            return web.Response(status=status, headers=response.headers)
         first, count = _select(request, version, response)
         response.content_length = count
-        async with dropped_unless_read(request, _PATIENCE_S + count / _SLOWEST):
-            await response.prepare(request)
-            if request.method != "HEAD" and count:
-                await _write(request, response, file, first, count)
-            await response.write_eof()
+        with suppress(ConnectionError):  # the client has left, or was dropped
+            async with dropped_unless_read(request, _PATIENCE_S + count / _SLOWEST):
+                await response.prepare(request)
+                if request.method != "HEAD" and count:
+                    await _write(request, response, file, first, count)
+                await response.write_eof()
     return response
 
 

@@ -15,7 +15,7 @@ from urllib.parse import quote
 
 from touchfield.atomic import is_temporary
 from touchfield.errors import InvalidArgument
-from touchfield.network.access import Access, Pages, add_pages, guarded, is_utf8, run, web
+from touchfield.network.access import Access, Pages, add_get, add_pages, guarded, is_utf8, run, web
 from touchfield.network.file_response import send_file
 from touchfield.network.live import MEDIA_TYPE
 
@@ -47,8 +47,8 @@ def application(folder: Path, access: Access, pages: Pages | None = None) -> web
         return await send_file(request, path, {**headers, "Content-Type": _TYPES[path.suffix.lower()]})
 
     served = guarded(access)
-    add_pages(served, "/{name:.*}", pages)
-    served.router.add_get("/{name:(?s:.*)}", file)
+    add_pages(served, "/{name:(?s:.*)}", pages)
+    add_get(served, "/{name:(?s:.*)}", file)
     return served
 
 
