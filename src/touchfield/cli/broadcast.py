@@ -19,7 +19,9 @@ from touchfield.cli.output import Answer, progress
 if TYPE_CHECKING:
     from touchfield.network.access import Access
     from touchfield.network.live import LiveSegment, LiveSender
-    from touchfield.network.udp import Layer
+    from touchfield.network.udp import Layer, UdpSender
+
+    Add = Callable[[LiveSegment], bytes]
 
 _LIVE: Final = (
     "As of `encode`; or camera:N (a depth camera, by OpenCV), watch:FOLDER (pictures that are put there), "
@@ -62,7 +64,9 @@ def live(
     ] = None,
     segment_s: Annotated[float, "Seconds of a segment, which is the delay."] = 0.25,
     loop: Annotated[bool, "Begin again at the end."] = False,
-    udp: Annotated[str | None, "HOST:PORT that gets datagrams with parity, too."] = None,
+    udp: Annotated[
+        str | None, "HOST:PORT that gets datagrams with parity, too; with --token, authenticated ones."
+    ] = None,
     coarse: Annotated[
         bool, "Also send a coarse layer, at /coarse/live and at the next port of --udp."
     ] = False,
@@ -108,13 +112,20 @@ def live(
                 f"ws://{server.address}/live{query}  http://{server.address}/live.json{query}", err=True
             )
             typer.echo(f"in a browser: http://{server.address}/view{query}", err=True)
+            if udp is not None:
+                typer.echo(f"datagrams: udp://{udp.removeprefix('udp://')}{query}", err=True)
             if layer:
                 typer.echo(f"coarse layer: ws://{server.address}/coarse/live{query}", err=True)
 
-        send = _sending(server.add, sender, udp, "fine" if layer else "alone", stack)
+        def sending(add: Add, sender: LiveSender, kind: Layer) -> Add:
+            if udp is None:
+                return add
+            return _sending(add, stack.enter_context(_udp_sender(sender, udp, kind, options["token"])))
+
+        send = sending(server.add, sender, "fine" if layer else "alone")
         also = None
         if layer:
-            also = layer[0], _sending(partial(server.add, is_coarse=True), layer[1], udp, "coarse", stack)
+            also = layer[0], sending(partial(server.add, is_coarse=True), layer[1], "coarse")
         try:
             sent = broadcast(prepared, send, spec, print_note, coarse=also, on_start=print_addresses)
         finally:
@@ -133,19 +144,14 @@ def _counts(summary: dict[str, Any]) -> str:
     return ", ".join(f"{value:,} {name}" for name, value in summary.items() if isinstance(value, int))
 
 
-def _sending(
-    add: Callable[[LiveSegment], bytes],
-    sender: LiveSender,
-    address: str | None,
-    layer: Layer,
-    stack: ExitStack,
-) -> Callable[[LiveSegment], bytes]:
-    """Return a function that sends a segment, also by datagrams if an address is given."""
-    if address is None:
-        return add
+def _udp_sender(sender: LiveSender, address: str, layer: Layer, token: str | None) -> UdpSender:
     from touchfield.network.udp import UdpSender
 
-    link = stack.enter_context(UdpSender(sender, address, layer))
+    return UdpSender(sender, address, layer, token)
+
+
+def _sending(add: Add, link: UdpSender) -> Add:
+    """Return a function that adds a segment, and sends it by datagrams."""
 
     def send(segment: LiveSegment) -> bytes:
         message = add(segment)
