@@ -14,7 +14,7 @@ import typer
 
 from touchfield.cli.main import Options, Stream, command
 from touchfield.cli.options import SCENE, address_rows, encode_spec, with_options
-from touchfield.cli.output import Answer, progress
+from touchfield.cli.output import Answer, echo, progress
 
 if TYPE_CHECKING:
     from touchfield.network.access import Access
@@ -40,7 +40,7 @@ def serve(
     from touchfield.network.server import serve as run
     from touchfield.viewer.browser import empty_page, served_page
 
-    run(folder, _access(options), typer.echo, Pages(served_page(), empty_page()))
+    run(folder, _access(options), echo, Pages(served_page(), empty_page()))
 
 
 def _access(options: dict[str, Any]) -> Access:
@@ -81,7 +81,7 @@ def live(
     from touchfield.viewer.browser import empty_page, served_page
 
     def print_note(note: str) -> None:
-        typer.echo(f"note: {note}", err=True)
+        echo(f"note: {note}", to_stderr=True)
 
     if out not in (None, "-"):
         raise InvalidArgument("OUT", repr(out), "- or nothing", "Receivers come by ws://, http:// or --udp.")
@@ -108,14 +108,14 @@ def live(
         query = "?token=..." if options["token"] else ""
 
         def print_addresses() -> None:
-            typer.echo(
-                f"ws://{server.address}/live{query}  http://{server.address}/live.json{query}", err=True
+            echo(
+                f"ws://{server.address}/live{query}  http://{server.address}/live.json{query}", to_stderr=True
             )
-            typer.echo(f"in a browser: http://{server.address}/view{query}", err=True)
+            echo(f"in a browser: http://{server.address}/view{query}", to_stderr=True)
             if udp is not None:
-                typer.echo(f"datagrams: udp://{udp.removeprefix('udp://')}{query}", err=True)
+                echo(f"datagrams: udp://{udp.removeprefix('udp://')}{query}", to_stderr=True)
             if layer:
-                typer.echo(f"coarse layer: ws://{server.address}/coarse/live{query}", err=True)
+                echo(f"coarse layer: ws://{server.address}/coarse/live{query}", to_stderr=True)
 
         def sending(add: Add, sender: LiveSender, kind: Layer) -> Add:
             if udp is None:
