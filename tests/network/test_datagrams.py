@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
+import hmac
 import re
 import socket
 import struct
@@ -16,6 +18,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from touchfield.cli.main import _exit_code
+from touchfield.container.records import MAGIC
 from touchfield.errors import InvalidArgument
 from touchfield.network.live import Ended, LiveReceiver, LiveSegment, LiveSender, Lost, Opened
 
@@ -370,6 +374,31 @@ def test_invalid_queries_of_an_address_are_refused(query: str) -> None:
         udp.token_of(f"udp://127.0.0.1:9000{query}")
     assert udp.token_of("udp://127.0.0.1:9000") is None
     assert udp.token_of("udp://127.0.0.1:9000?token=a%20Long+w%FFrd") == "a Long w\udcffrd"
+
+
+def test_the_code_of_a_datagram_is_that_of_its_documentation() -> None:
+    """docs/format/live.md, with the standard library alone."""
+    datagram = Datagrams(0x0102030405060708, token="a long word").add(b"x" * 300)[0]
+    key = hashlib.pbkdf2_hmac("sha256", b"a long word", b"touchfield datagrams", 600_000)
+    assert datagram[:20] == b"TK" + struct.pack("<QIIH", 0x0102030405060708, 0, 300, 128)
+    unsigned = datagram[:20] + bytes(16) + datagram[36:]
+    assert (
+        datagram[20:36] == hmac.new(key, unsigned, "sha256").digest()[:16] and len(datagram) == 36 + 4 + 128
+    )
+
+
+def test_live_with_a_token_sends_datagrams_with_codes(capfd: pytest.CaptureFixture[str]) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        link.bind(("127.0.0.1", 0))
+        link.settimeout(20)
+        udp_to = f"127.0.0.1:{link.getsockname()[1]}"
+        options = "--nw 3 --rate-hz 20 --on-air-s 0.3 --port 0 --token a-long-word --udp"
+        assert _exit_code(["live", "sample:falling-4", *options.split(), udp_to]) == 0
+        gathering, out = Gathering(token="a-long-word"), list[bytes]()
+        while not out:
+            out += gathering.receive(link.recv(2048))
+    assert out[0].startswith(MAGIC) and gathering.refused == 0
+    assert f"udp://{udp_to}?token=..." in capfd.readouterr().err
 
 
 def test_a_stream_with_a_token_is_received_with_it() -> None:
