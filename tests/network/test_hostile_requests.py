@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import os
 import socket
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -24,6 +23,8 @@ PAGES = Pages("<p>outer</p>", "<p>inner</p>")
 TOKEN = "a long word"
 ORIGINS = ("https://a.example", "*")
 FILE = bytes(range(200))
+
+needs_pipes = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
 
 UPGRADE = (
     b"Upgrade: websocket", b"Connection: Upgrade", b"Sec-WebSocket-Version: 13",
@@ -321,6 +322,7 @@ HOSTILE_FILES = (
 """Names that are listed and sent."""
 
 
+@needs_pipes
 def test_what_is_listed_is_what_is_sent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Hidden files, FIFOs, links that lead outside and names without an address are neither, and counted."""
     root = tmp_path / "streams"
@@ -371,9 +373,8 @@ def test_what_is_listed_is_what_is_sent(tmp_path: Path, monkeypatch: pytest.Monk
             assert body_of(response_to(address, b"GET /" + name + b".touch"))[0] == 404
 
 
+@needs_pipes
 def test_a_path_that_becomes_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "x.touch")
-    start_s = time.monotonic()
     assert file_response._open_plain(tmp_path / "x.touch") is None
     assert file_response._open_plain(tmp_path / "absent") is None
-    assert time.monotonic() >= start_s
