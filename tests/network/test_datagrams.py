@@ -480,13 +480,14 @@ def lossy(to: int, loss_fraction: float, done: threading.Event) -> int:
     return port
 
 
-def test_a_live_stream_is_received_through_a_lossy_network() -> None:
+@pytest.mark.parametrize("token", [None, "a long word"])
+def test_a_live_stream_is_received_through_a_lossy_network(token: str | None) -> None:
     done, port, notes = threading.Event(), free_port(), list[str]()
     relay = lossy(port, 0.05, done)
     sender, _ = sender_of(0)
 
     def send() -> None:
-        with UdpSender(sender, f"127.0.0.1:{relay}") as link:
+        with UdpSender(sender, f"127.0.0.1:{relay}", token=token) as link:
             for i in range(60):
                 link.add(sender.add(segment(5 * i)))
                 if done.wait(0.05):
@@ -495,7 +496,8 @@ def test_a_live_stream_is_received_through_a_lossy_network() -> None:
     thread = threading.Thread(target=send, daemon=True)
     thread.start()
     time.sleep(0.1)
-    with open_live(f"udp://127.0.0.1:{port}", notes.append) as live:
+    query = "" if token is None else "?token=a+long+word"
+    with open_live(f"udp://127.0.0.1:{port}{query}", notes.append) as live:
         # the sender's number of a frame is known once it is read: play may move on over frames
         received_frames = [(live.medium[i], live.frames.stream_frame(i)) for i in range(60)]
     done.set()
