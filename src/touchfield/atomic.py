@@ -1,17 +1,36 @@
 """Writes a file under a temporary name and renames it when it is complete.
 
 A reader never sees a partial file, and an interrupted run leaves the older file unchanged.
+
+A run that is killed leaves its temporary file, ``.NAME.XXXXXXXX.touch``. The next write to the same target
+removes it. A file that another process writes now is kept: its writer holds a lock, which ends with the
+process. Where there are no locks (Windows, some network file systems), nothing is removed.
 """
 
 from __future__ import annotations
 
 import os
+import re
 import secrets
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Final
 
 from touchfield.errors import InvalidArgument, SourceError
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+_TEMPORARY: Final = re.compile(r"\..+\.[0-9a-f]{8}(\.[^.]*)?", re.DOTALL)
+
+
+def is_temporary(name: str) -> bool:
+    """Return True if a file of this name is the temporary file of a run, or was left by one."""
+    return _TEMPORARY.fullmatch(name) is not None
 
 
 @contextmanager
@@ -29,12 +48,12 @@ def atomic_path(path: Path) -> Iterator[Path]:
         )
     if os.path.exists(target) and not os.path.isfile(target):
         raise InvalidArgument(str(path), "something that is not a plain file", "the name of a file")
-    temporary = target.with_name(f".{target.stem[:100]}.{secrets.token_hex(4)}{target.suffix}")
+    temporary, lock = _temporary_of(target), -1
     try:
         with suppress(FileNotFoundError):
             os.stat(target)  # report an invalid name now, not after the work
-        # exclusive, and with the rights that any new file of this user gets
-        os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
+        _remove_leftovers(target)
+        temporary, lock = _create(target, temporary)
         yield temporary
         handle = os.open(temporary, os.O_RDWR)
         try:
@@ -57,3 +76,51 @@ def atomic_path(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             os.unlink(temporary)
+        if lock >= 0:
+            os.close(lock)
+
+
+def _temporary_of(target: Path) -> Path:
+    return target.with_name(f".{target.stem[:100]}.{secrets.token_hex(4)}{target.suffix}")
+
+
+def _create(target: Path, temporary: Path) -> tuple[Path, int]:
+    """Create an empty temporary file; return its path and the handle that locks it, -1 without locks."""
+    while True:
+        # exclusive, and with the rights that any new file of this user gets
+        handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        if fcntl is None:
+            os.close(handle)
+            return temporary, -1
+        with suppress(OSError):  # a file system without locks, where nothing is removed
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        if os.path.exists(temporary):
+            return temporary, handle
+        os.close(handle)  # another process took it for a leftover before it was locked
+        temporary = _temporary_of(target)
+
+
+def _remove_leftovers(target: Path) -> None:
+    """Remove temporary files of the same target that no process writes any more."""
+    if fcntl is None:
+        return
+    prefix, suffix = f".{target.stem[:100]}.", target.suffix
+    with suppress(OSError), os.scandir(target.parent) as entries:
+        for entry in entries:
+            name = entry.name
+            middle = name[len(prefix) : len(name) - len(suffix)]
+            if name.startswith(prefix) and name.endswith(suffix) and re.fullmatch("[0-9a-f]{8}", middle):
+                with suppress(OSError):
+                    _remove_unless_locked(entry.path)
+
+
+def _remove_unless_locked(path: str) -> None:
+    """Remove a plain file that no process has locked; raises OSError if one has, or there are no locks."""
+    if not stat.S_ISREG(os.lstat(path).st_mode):
+        return
+    handle = os.open(path, os.O_RDWR | os.O_NOFOLLOW)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        os.unlink(path)
+    finally:
+        os.close(handle)

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import copyreg
 import math
+import unicodedata
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
@@ -46,16 +47,36 @@ class TouchfieldError(Exception):
             text += f"; expected {expected}"
         if hint:
             text += f". {hint}"
-        super().__init__(_printable(text))
+        super().__init__(_line(text))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the error by its text and attributes, whatever the signature of its class."""
         return copyreg.__newobj__, (type(self), str(self)), self.__dict__  # type: ignore[attr-defined]
 
 
-def _printable(text: str) -> str:
-    """Return a text on one line; control characters of a name or a reply must not reach the terminal."""
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(text.split()))
+_JOINERS: Final = "\u200c\u200d"  # of letters in Persian and Hindi, and of emoji
+
+
+def printable(text: str) -> str:
+    """Return a text with escapes for the characters that change what a terminal shows around them.
+
+    These are control characters, marks of direction and line separators: a name in a file could otherwise
+    rewrite the screen, or show another name than it is. Line feed and tab remain.
+
+    >>> printable("a\\u202eb")
+    'a\\\\u202eb'
+    """
+    if text.isprintable():
+        return text
+    return "".join(
+        c if c.isprintable() or c in f"\n\t{_JOINERS}" or unicodedata.category(c) == "Zs" else ascii(c)[1:-1]
+        for c in text
+    )
+
+
+def _line(text: str) -> str:
+    """Return a printable text on one line."""
+    return printable(" ".join(text.split()))
 
 
 class InvalidArgument(TouchfieldError, ValueError):
@@ -113,7 +134,7 @@ _Error = TypeVar("_Error", bound=TouchfieldError)
 def with_notes(error: _Error, notes: Iterable[str]) -> _Error:
     """Add the notes on a source to an error (`BaseException.add_note`), each once; returns the error."""
     for note in dict.fromkeys(notes):
-        error.add_note(_printable(note))
+        error.add_note(_line(note))
     return error
 
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
+import hmac
+import re
 import socket
 import struct
 import threading
@@ -15,6 +18,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from touchfield.cli.main import _exit_code
+from touchfield.container.records import MAGIC
 from touchfield.errors import InvalidArgument
 from touchfield.network.live import Ended, LiveReceiver, LiveSegment, LiveSender, Lost, Opened
 
@@ -136,8 +141,11 @@ def test_losses_are_counted_and_later_messages_arrive() -> None:
     ]
     out, gathering = received([datagram for number, datagram in numbered if number not in (5, 6, 30)])
     assert [m[0] for m in out] == [i for i in range(60) if i not in (5, 6, 30)] and gathering.lost == 3
-    silence = [datagram for number, datagram in numbered if number == 0 or number >= 36]
-    out, gathering = received(silence)
+    now = [0.0]
+    gathering = Gathering(clock_s=lambda: now[0])
+    out = [m for number, datagram in numbered if number == 0 for m in gathering.receive(datagram)]
+    now[0] = 2.1
+    out += [m for number, datagram in numbered if number >= 36 for m in gathering.receive(datagram)]
     assert [m[0] for m in out] == [0, *range(36, 60)] and gathering.lost == 35
 
 
@@ -165,11 +173,13 @@ def test_a_forged_block_number_or_symbol_size_is_refused() -> None:
         assert gathering.receive(head.pack(*header, crc) + forged) == [] and gathering.refused == 1
 
 
-def test_datagrams_beyond_the_needed_number_are_ignored() -> None:
-    gathering, first = Gathering(), Datagrams(7).add(bytes(100_000))[0]
-    for _ in range(1000):
-        assert gathering.receive(first) == []
-    assert 600 < gathering.refused < 1000
+def test_a_repeated_datagram_takes_the_place_of_no_other() -> None:
+    """Of a message, as many datagrams are accepted as it may have; repetitions do not count."""
+    first, *others = sent([bytes(100_000)])
+    gathering = Gathering()
+    assert not any(gathering.receive(datagram) for datagram in (first, others[0], *[first] * 1000))
+    assert [m for datagram in others for m in gathering.receive(datagram)] == [bytes(100_000)]
+    assert gathering.refused == 0
 
 
 @pytest.mark.parametrize("repair", [-0.1, 4.1, float("nan")])
@@ -185,18 +195,38 @@ def numbered(number: int, stream: int = 7) -> bytes:
     return datagrams.add(b"%d.%d" % (stream, number))[0]
 
 
+def pair(number: int, stream: int = 7) -> list[bytes]:
+    """Two datagrams of a complete message."""
+    datagrams = Datagrams(stream)
+    datagrams._number = number
+    return [*datagrams.add(b"%d.%d" % (stream, number)), *datagrams.flush()][:2]
+
+
 def test_message_numbers_outside_the_window_are_refused() -> None:
-    """At most eight above the newest, and 24 below; the number after the last is 0."""
-    gathering = Gathering()
-    assert gathering.receive(numbered(0)) == [b"7.0"]
+    """At most eight above the newest, and 24 below; further on only after two seconds of silence."""
+    now = [0.0]
+    gathering = Gathering(clock_s=lambda: now[0])
+    first, second = pair(0)
+    assert gathering.receive(first) == [] and gathering.receive(second) == [b"7.0"]
     assert gathering.receive(numbered(8)) == [] and gathering.refused == 0, "those between are waited for"
     assert gathering.receive(numbered(17)) == [] and gathering.refused == 1
-    assert gathering.receive(numbered(16)) == gathering.receive(numbered(24)) == [] and gathering.lost == 0
-    assert gathering.receive(numbered(0)) == [] and gathering.refused == 1, "late, and no more than that"
-    assert gathering.receive(numbered(25)) == [] and gathering.lost == 1, "24 are waited for, from 2 on"
-    last = Datagrams(7)
-    last._number = (1 << 32) - 1
-    assert len(last.add(b"x")) == 1 and len(last.add(b"y")) == 2 and last._number == 1
+    assert gathering.receive(numbered(16)) == [] and gathering.lost == 0
+    assert gathering.receive(numbered(25)) == gathering.receive(numbered(26)) == [] and gathering.refused == 3
+    now[0] = 2.1
+    assert gathering.receive(numbered(27)) == [] and gathering.refused == 3, "which 25 and 26 confirm"
+    assert gathering.lost == 3, "24 are waited for, from 4 on"
+    assert gathering.receive(numbered(3)) == [] and gathering.refused == 3, "late, and no more than that"
+    now[0] = 9.9
+    old = [*pair(0), numbered(1), numbered(0), numbered(1)]
+    assert not any(gathering.receive(datagram) for datagram in old) and gathering.refused == 8, "too old"
+
+
+@pytest.mark.parametrize(("token", "following"), [(None, 8), ("a long word", 9)])
+def test_another_stream_follows_the_last_number(token: str | None, following: int) -> None:
+    last = Datagrams(7, token=token)
+    last._number = datagrams_module.MAX_NUMBER
+    assert len(last.add(b"x")) == 1 and len(last.add(b"y")) == 2
+    assert (last._number, last._stream) == (1, following)
     assert len(sent([b"x"])) == 4, "of one symbol, and three of repair"
 
 
@@ -219,13 +249,191 @@ def test_two_datagrams_confirm_another_stream_once_the_first_is_silent() -> None
         now[0] = time_s
         return [message for datagram in datagrams for message in gathering.receive(datagram)]
 
-    assert at(0.0, numbered(0)) == [b"7.0"] and at(1.5, numbered(8)) == []
+    assert at(0.0, *pair(0)) == [b"7.0"] and at(1.5, numbered(8)) == []
     assert at(3.5, numbered(5, 8), numbered(6, 8)) == [], "no more than two seconds of silence"
     assert at(3.6, numbered(5, 9)) == [], "of two streams, one each"
     assert at(3.6, numbered(14, 9), numbered(14, 9)) == [], "one too far off, and the same again"
-    assert gathering.refused == 5 and at(3.6, numbered(6, 9)) == [b"9.6"], "it goes on from the lower number"
+    assert gathering.refused == 5 and at(3.6, numbered(6, 9)) == [b"9.5", b"9.6"], "from the lower number on"
     assert at(3.7, numbered(0, 11), numbered(1, 11)) == [], "nor is this one silent"
-    assert at(3.8, *(numbered(number, 9) for number in range(7, 14))) == [b"9.%d" % n for n in range(7, 15)]
+    assert at(3.8, *(numbered(number, 9) for number in range(7, 15))) == [b"9.%d" % n for n in range(7, 15)]
+    assert at(6.0, *pair(0)) == [], "a stream that was left goes on where it was"
+    assert at(6.0, numbered(9), numbered(10)) == [b"7.9", b"7.10"]
+    assert at(9.0, numbered(14, 9), numbered(13, 9)) == [] == at(9.0, *pair(14, 9))
+    assert at(9.0, *pair(15, 9)) == [b"9.15"]
+
+
+def replayed(kind: str, token: str | None, messages: list[bytes]) -> tuple[list[bytes], Gathering]:
+    """What is received if someone repeats datagrams of an earlier second between those of a sender."""
+    now, out, rng = [0.0], list[bytes](), np.random.default_rng(3)
+    gathering, datagrams = Gathering(clock_s=lambda: now[0], token=token), Datagrams(7, token=token)
+    history = list[bytes]()
+    for i, message in enumerate(messages):
+        for datagram in datagrams.add(message):
+            now[0] += 0.004
+            history.append(datagram)
+            again = {
+                "a pair, twice a second": history[-400:-398] if i % 10 == 5 else [],
+                "three of all": [history[k] for k in rng.integers(len(history), size=3)],
+                "three of the last": [
+                    history[-k] for k in rng.integers(1, min(len(history), 99) + 1, size=3)
+                ],
+                "all at once": history[:-1] if (i, datagram) == (120, history[-1]) else [],
+            }[kind]
+            out += [m for received_one in (datagram, *again) for m in gathering.receive(received_one)]
+    out += [m for datagram in datagrams.flush() for m in gathering.receive(datagram)]
+    now[0] += 10
+    assert not any(gathering.receive(datagram) for datagram in history), "nor once the sender is silent"
+    return out, gathering
+
+
+@pytest.mark.parametrize("token", [None, "a long word"])
+@pytest.mark.parametrize(
+    "kind", ["a pair, twice a second", "three of all", "three of the last", "all at once"]
+)
+def test_replayed_datagrams_have_no_effect(kind: str, token: str | None) -> None:
+    rng = np.random.default_rng(2)
+    messages = [rng.bytes(int(n)) for n in rng.integers(300, 6000, 150)]
+    out, gathering = replayed(kind, token, messages)
+    assert out == messages and gathering.lost == 0
+
+
+def test_replays_keep_no_restarted_sender_waiting() -> None:
+    now = [0.0]
+    gathering = Gathering(clock_s=lambda: now[0])
+    old, new, messages = sent(MESSAGES), Datagrams(8), [bytes([i]) * 999 for i in range(60)]
+    out = [m for datagram in old for m in gathering.receive(datagram)]
+    for i, message in enumerate(messages):
+        for datagram in (*old[-5:], *new.add(message)):
+            now[0] = 0.5 * i
+            out += gathering.receive(datagram)
+    out += [m for datagram in new.flush() for m in gathering.receive(datagram)]
+    assert out[:8] == MESSAGES and out[8:] == messages[-len(out[8:]) :] and len(out) > 8 + 50
+
+
+def test_with_a_token_only_its_datagrams_are_received() -> None:
+    """Of a stranger, neither forged nor altered datagrams, nor any without a code, have an effect."""
+    sender, stranger = Datagrams(100, token="a long word"), Datagrams(100, token="another word")
+    plain, gathering, out = Datagrams(100), Gathering(token="a long word"), list[bytes]()
+    rng = np.random.default_rng(5)
+    for message in MESSAGES:
+        genuine, forged = sender.add(message), [*stranger.add(message[::-1]), *plain.add(message[::-1])]
+        for datagram in genuine:
+            altered = bytearray(datagram)
+            altered[int(rng.integers(len(datagram)))] ^= 1 << int(rng.integers(8))
+            forged.append(bytes(altered))
+        for datagram in (*forged, *genuine):
+            out += gathering.receive(datagram)
+    refused = gathering.refused
+    out += [m for datagram in sender.flush() for m in gathering.receive(datagram)]
+    assert out == MESSAGES and gathering.lost == 0 and gathering.refused == refused > 100
+    assert max(map(len, genuine)) <= MAX_DATAGRAM < 1200
+
+
+def test_with_a_token_a_later_stream_replaces_an_earlier_one_at_once() -> None:
+    """Never the other way, nor across layers; a gap needs no silence."""
+    first, second, third = (
+        datagrams_module.stream_of_time(time_ns, is_coarse)
+        for time_ns, is_coarse in ((10**18, False), (10**18 + 2000, True), (10**18 + 4000, False))
+    )
+    assert (first, second, third) == (10**15, 10**15 + 3, 10**15 + 4)
+    now = [0.0]
+    gathering = Gathering(clock_s=lambda: now[0], token="a long word")
+
+    def at(stream: int, number: int) -> list[bytes]:
+        datagrams = Datagrams(stream, token="a long word")
+        datagrams._number = number
+        return gathering.receive(datagrams.add(b"%d.%d" % (stream, number))[0])
+
+    assert at(first, 0) == [b"%d.0" % first] and at(second, 0) == []
+    assert at(first, 99) == [] and gathering.lost == 75
+    assert at(third, 5) == [b"%d.5" % third] and at(first, 100) == []
+    now[0] = 60.0
+    assert at(first, 101) == at(second, 1) == at(third, 5) == [] and at(third, 6) == [b"%d.6" % third]
+    assert len(gathering.notes) == 1 and "earlier stream" in gathering.notes[0]
+
+
+def test_a_missing_or_wrong_token_is_reported_once() -> None:
+    """To a receiver that has no stream yet; a key is not made of a short word."""
+    keyed, other, plain = (
+        Datagrams(7, token=token).add(MESSAGES[0]) for token in ("a long word", "another word", None)
+    )
+    for token, datagrams, note in (
+        (None, keyed, "add [?]token=WORD"), ("a long word", other, "another token|other"),
+        ("a long word", plain, "without a token"),
+    ):  # fmt: skip
+        gathering = Gathering(token=token)
+        assert not any(gathering.receive(datagram) for datagram in (*datagrams, b"TF", bytes(99)))
+        assert len(gathering.notes) == 1 and re.search(note, gathering.notes[0])
+    with pytest.raises(InvalidArgument, match="5 characters; expected 8 or more"):
+        Gathering(token="short")
+
+
+@pytest.mark.parametrize("query", ["?token", "?", "?x=a", "?token=a&token=b", "?token=a&x=b", "?token="])
+def test_invalid_queries_of_an_address_are_refused(query: str) -> None:
+    with pytest.raises(InvalidArgument, match=r"[?]token=WORD"):
+        udp.token_of(f"udp://127.0.0.1:9000{query}")
+    assert udp.token_of("udp://127.0.0.1:9000") is None
+    assert udp.token_of("udp://127.0.0.1:9000?token=a%20Long+w%FFrd") == "a Long w\udcffrd"
+
+
+def test_the_code_of_a_datagram_is_that_of_its_documentation() -> None:
+    """docs/format/live.md, with the standard library alone."""
+    datagram = Datagrams(0x0102030405060708, token="a long word").add(b"x" * 300)[0]
+    key = hashlib.pbkdf2_hmac("sha256", b"a long word", b"touchfield datagrams", 600_000)
+    assert datagram[:20] == b"TK" + struct.pack("<QIIH", 0x0102030405060708, 0, 300, 128)
+    unsigned = datagram[:20] + bytes(16) + datagram[36:]
+    assert (
+        datagram[20:36] == hmac.new(key, unsigned, "sha256").digest()[:16] and len(datagram) == 36 + 4 + 128
+    )
+
+
+def test_live_with_a_token_sends_datagrams_with_codes(capfd: pytest.CaptureFixture[str]) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        link.bind(("127.0.0.1", 0))
+        link.settimeout(20)
+        udp_to = f"127.0.0.1:{link.getsockname()[1]}"
+        options = "--nw 3 --rate-hz 20 --on-air-s 0.3 --port 0 --token a-long-word --udp"
+        assert _exit_code(["live", "sample:falling-4", *options.split(), udp_to]) == 0
+        gathering, out = Gathering(token="a-long-word"), list[bytes]()
+        while not out:
+            out += gathering.receive(link.recv(2048))
+    assert out[0].startswith(MAGIC) and gathering.refused == 0
+    assert f"udp://{udp_to}?token=..." in capfd.readouterr().err
+
+
+def test_a_stream_with_a_token_is_received_with_it() -> None:
+    """Of two senders to one port, only that with the token is heard; a receiver without it gets a note."""
+    port, wrong_port, notes = free_port(), free_port(), list[str]()
+    sender, (opening, *segments) = sender_of(3)
+    messages = list[bytes]()
+
+    def take(message: bytes) -> bool:
+        messages.append(message)
+        return message == segments[-1]
+
+    async def received_all() -> None:
+        heard = asyncio.ensure_future(listen(f"UDP://127.0.0.1:{port}?token=A+long+word", take))
+        deaf = asyncio.ensure_future(
+            listen(f"udp://127.0.0.1:{wrong_port}", lambda m: True, report=notes.append)
+        )
+        await asyncio.sleep(0.1)
+        with (
+            UdpSender(sender_of(0)[0], f"127.0.0.1:{port}") as stranger,
+            UdpSender(sender, f"127.0.0.1:{port}", token="A long word") as link,
+            UdpSender(sender, f"127.0.0.1:{wrong_port}", token="A long word") as unheard,
+        ):
+            for message in segments:
+                for each in (stranger, link, unheard):
+                    each.add(message)
+        await asyncio.wait_for(heard, 20)
+        for _ in range(1000):
+            if notes:
+                break
+            await asyncio.sleep(0.01)
+        deaf.cancel()
+
+    asyncio.run(received_all())
+    assert messages == [opening, *segments] and len(notes) == 1 and "?token=WORD" in notes[0]
 
 
 @pytest.mark.parametrize(
@@ -272,13 +480,14 @@ def lossy(to: int, loss_fraction: float, done: threading.Event) -> int:
     return port
 
 
-def test_a_live_stream_is_received_through_a_lossy_network() -> None:
+@pytest.mark.parametrize("token", [None, "a long word"])
+def test_a_live_stream_is_received_through_a_lossy_network(token: str | None) -> None:
     done, port, notes = threading.Event(), free_port(), list[str]()
     relay = lossy(port, 0.05, done)
     sender, _ = sender_of(0)
 
     def send() -> None:
-        with UdpSender(sender, f"127.0.0.1:{relay}") as link:
+        with UdpSender(sender, f"127.0.0.1:{relay}", token=token) as link:
             for i in range(60):
                 link.add(sender.add(segment(5 * i)))
                 if done.wait(0.05):
@@ -287,7 +496,8 @@ def test_a_live_stream_is_received_through_a_lossy_network() -> None:
     thread = threading.Thread(target=send, daemon=True)
     thread.start()
     time.sleep(0.1)
-    with open_live(f"udp://127.0.0.1:{port}", notes.append) as live:
+    query = "" if token is None else "?token=a+long+word"
+    with open_live(f"udp://127.0.0.1:{port}{query}", notes.append) as live:
         # the sender's number of a frame is known once it is read: play may move on over frames
         received_frames = [(live.medium[i], live.frames.stream_frame(i)) for i in range(60)]
     done.set()

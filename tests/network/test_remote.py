@@ -19,7 +19,7 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import TouchReader, remote
 from touchfield.errors import SourceError, TouchfieldError
 from touchfield.medium import ForceField, Grid, HapticMedium
-from touchfield.network import server
+from touchfield.network import file_response, server
 from touchfield.network.access import Access, Pages
 from touchfield.network.server import application
 from touchfield.pipeline import encode
@@ -425,8 +425,8 @@ def test_a_public_address_needs_a_token(folder: Path) -> None:
 def test_a_client_that_does_not_read_is_dropped(
     folder: Path, client_dropped: threading.Event, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server, "_PATIENCE_S", 0.3)
-    monkeypatch.setattr(server, "_SLOWEST", 1 << 40)
+    monkeypatch.setattr(file_response, "_PATIENCE_S", 0.3)
+    monkeypatch.setattr(file_response, "_SLOWEST", 1 << 40)
     (folder / "large.touch").write_bytes(bytes(1 << 25))
     with served(folder) as address:
         host, port = address.removeprefix("http://").split(":")

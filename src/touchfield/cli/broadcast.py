@@ -14,12 +14,14 @@ import typer
 
 from touchfield.cli.main import Options, Stream, command
 from touchfield.cli.options import SCENE, address_rows, encode_spec, with_options
-from touchfield.cli.output import Answer, progress
+from touchfield.cli.output import Answer, echo, progress
 
 if TYPE_CHECKING:
     from touchfield.network.access import Access
     from touchfield.network.live import LiveSegment, LiveSender
-    from touchfield.network.udp import Layer
+    from touchfield.network.udp import Layer, UdpSender
+
+    Add = Callable[[LiveSegment], bytes]
 
 _LIVE: Final = (
     "As of `encode`; or camera:N (a depth camera, by OpenCV), watch:FOLDER (pictures that are put there), "
@@ -38,7 +40,7 @@ def serve(
     from touchfield.network.server import serve as run
     from touchfield.viewer.browser import empty_page, served_page
 
-    run(folder, _access(options), typer.echo, Pages(served_page(), empty_page()))
+    run(folder, _access(options), echo, Pages(served_page(), empty_page()))
 
 
 def _access(options: dict[str, Any]) -> Access:
@@ -62,7 +64,9 @@ def live(
     ] = None,
     segment_s: Annotated[float, "Seconds of a segment, which is the delay."] = 0.25,
     loop: Annotated[bool, "Begin again at the end."] = False,
-    udp: Annotated[str | None, "HOST:PORT that gets datagrams with parity, too."] = None,
+    udp: Annotated[
+        str | None, "HOST:PORT that gets datagrams with parity, too; with --token, authenticated ones."
+    ] = None,
     coarse: Annotated[
         bool, "Also send a coarse layer, at /coarse/live and at the next port of --udp."
     ] = False,
@@ -77,7 +81,7 @@ def live(
     from touchfield.viewer.browser import empty_page, served_page
 
     def print_note(note: str) -> None:
-        typer.echo(f"note: {note}", err=True)
+        echo(f"note: {note}", to_stderr=True)
 
     if out not in (None, "-"):
         raise InvalidArgument("OUT", repr(out), "- or nothing", "Receivers come by ws://, http:// or --udp.")
@@ -104,17 +108,24 @@ def live(
         query = "?token=..." if options["token"] else ""
 
         def print_addresses() -> None:
-            typer.echo(
-                f"ws://{server.address}/live{query}  http://{server.address}/live.json{query}", err=True
+            echo(
+                f"ws://{server.address}/live{query}  http://{server.address}/live.json{query}", to_stderr=True
             )
-            typer.echo(f"in a browser: http://{server.address}/view{query}", err=True)
+            echo(f"in a browser: http://{server.address}/view{query}", to_stderr=True)
+            if udp is not None:
+                echo(f"datagrams: udp://{udp.removeprefix('udp://')}{query}", to_stderr=True)
             if layer:
-                typer.echo(f"coarse layer: ws://{server.address}/coarse/live{query}", err=True)
+                echo(f"coarse layer: ws://{server.address}/coarse/live{query}", to_stderr=True)
 
-        send = _sending(server.add, sender, udp, "fine" if layer else "alone", stack)
+        def sending(add: Add, sender: LiveSender, kind: Layer) -> Add:
+            if udp is None:
+                return add
+            return _sending(add, stack.enter_context(_udp_sender(sender, udp, kind, options["token"])))
+
+        send = sending(server.add, sender, "fine" if layer else "alone")
         also = None
         if layer:
-            also = layer[0], _sending(partial(server.add, is_coarse=True), layer[1], udp, "coarse", stack)
+            also = layer[0], sending(partial(server.add, is_coarse=True), layer[1], "coarse")
         try:
             sent = broadcast(prepared, send, spec, print_note, coarse=also, on_start=print_addresses)
         finally:
@@ -133,19 +144,14 @@ def _counts(summary: dict[str, Any]) -> str:
     return ", ".join(f"{value:,} {name}" for name, value in summary.items() if isinstance(value, int))
 
 
-def _sending(
-    add: Callable[[LiveSegment], bytes],
-    sender: LiveSender,
-    address: str | None,
-    layer: Layer,
-    stack: ExitStack,
-) -> Callable[[LiveSegment], bytes]:
-    """Return a function that sends a segment, also by datagrams if an address is given."""
-    if address is None:
-        return add
+def _udp_sender(sender: LiveSender, address: str, layer: Layer, token: str | None) -> UdpSender:
     from touchfield.network.udp import UdpSender
 
-    link = stack.enter_context(UdpSender(sender, address, layer))
+    return UdpSender(sender, address, layer, token)
+
+
+def _sending(add: Add, link: UdpSender) -> Add:
+    """Return a function that adds a segment, and sends it by datagrams."""
 
     def send(segment: LiveSegment) -> bytes:
         message = add(segment)

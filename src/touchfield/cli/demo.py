@@ -6,13 +6,12 @@ The scene of a missing library is skipped; without any of them a tray of shapes 
 from __future__ import annotations
 
 import json
-import sys
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
 from touchfield.atomic import atomic_path
-from touchfield.cli.output import Answer, progress
+from touchfield.cli.output import Answer, echo, progress
 from touchfield.errors import InvalidArgument, MissingExtra, TouchfieldError
 from touchfield.pipeline import compare, encode
 from touchfield.pipeline.spec import EncodeSpec
@@ -61,7 +60,7 @@ def run_demo(folder: Path, as_json: bool) -> None:
         Answer(results, "demo", [str(error) for error in missing]).show(True)
         return
     for fault in missing:
-        sys.stdout.write(f"left out: {fault}\n")
+        echo(f"left out: {fault}")
 
 
 def _result_notes(stem: Path, draws: bool) -> list[str]:

@@ -10,7 +10,7 @@ import typer
 
 from touchfield.cli.main import Options, Stream, command
 from touchfield.cli.options import CODER, SCENE, Workers, coder_spec, encode_spec, numbers_of, with_options
-from touchfield.cli.output import Answer, check_results, progress, show_notes
+from touchfield.cli.output import Answer, check_results, echo, progress, show_notes
 from touchfield.compute.executors import executor_of
 from touchfield.errors import InvalidArgument
 
@@ -69,9 +69,9 @@ def search(
     figures = result.summary()
 
     def print_text() -> None:
-        typer.echo(f"like {like}, of {figures['media']} media ({figures['query_ms']:.1f} ms)")
+        echo(f"like {like}, of {figures['media']} media ({figures['query_ms']:.1f} ms)")
         for match in figures["matches"]:
-            typer.echo("{rank:4d}  {distance:.4f}  {name}".format(**match))
+            echo("{rank:4d}  {distance:.4f}  {name}".format(**match))
         show_notes(result.notes)
 
     return Answer(figures, str(like), result.notes, print_text=print_text)

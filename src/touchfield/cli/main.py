@@ -24,7 +24,7 @@ from typing import Annotated, Any, Final
 import typer
 
 from touchfield._version import __version__
-from touchfield.errors import InvalidArgument, TouchfieldError, UnboundedError
+from touchfield.errors import InvalidArgument, TouchfieldError, UnboundedError, printable
 from touchfield.sources.samples import SAMPLES
 
 app = typer.Typer(rich_markup_mode="rich", pretty_exceptions_enable=False)
@@ -98,7 +98,7 @@ def _print_warnings() -> Iterator[list[str]]:
                 usual(message, category, *location, **details)
             elif str(message) not in texts:
                 texts.append(str(message))
-                sys.stderr.write(f"warning: {message}\n")
+                sys.stderr.write(printable(f"warning: {message}\n"))
 
         warnings.showwarning = show
         warnings.simplefilter("always", UnboundedError)
@@ -194,7 +194,7 @@ def _exit_code(arguments: list[str] | None, commands: typer.Typer = app) -> int:
             output = json.dumps({"error": line, "kind": kind, "exit_code": code, **noted})
         else:
             output = "\n".join([f"touchfield: {line}", *(f"note: {note}" for note in notes)])
-        sys.stderr.write(output + "\n")
+        sys.stderr.write(printable(output + "\n"))
         return code
 
     try:

@@ -13,7 +13,9 @@ from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from touchfield.errors import InvalidArgument
+import typer
+
+from touchfield.errors import InvalidArgument, printable
 from touchfield.files import refuse_overwriting
 from touchfield.viewer.page import require_matplotlib
 
@@ -43,11 +45,25 @@ def check_results(
         refuse_overwriting(out, *(read for read in reads if read is not None))
 
 
-def literal_console() -> Console:
-    """A console that prints names as they are: no emoji for ``:name:``, no styles for ``[name]``."""
-    from rich.console import Console
+def echo(text: str, *, to_stderr: bool = False) -> None:
+    """Print a text that may contain names from files, with its `printable` characters only."""
+    typer.echo(printable(text), err=to_stderr)
 
-    return Console(emoji=False, markup=False, highlight=False)
+
+def literal_console() -> Console:
+    """A console that prints names as they are: no emoji for ``:name:``, no styles for ``[name]``.
+
+    Of all texts, cells of tables too, it prints `printable` characters only.
+    """
+    from rich.console import Console
+    from rich.text import Text
+
+    class LiteralConsole(Console):
+        def render_str(self, text: str, **options: Any) -> Text:
+            """Render a text, which may contain names from files."""
+            return super().render_str(printable(text), **options)
+
+    return LiteralConsole(emoji=False, markup=False, highlight=False)
 
 
 @dataclass(frozen=True)

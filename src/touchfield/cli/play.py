@@ -12,7 +12,7 @@ import typer
 
 from touchfield.cli.main import Json, Options, Stream, command
 from touchfield.cli.options import fields_of, numbers_of, rows, rows_of, with_options
-from touchfield.cli.output import Answer, check_results, progress
+from touchfield.cli.output import Answer, check_results, echo, progress
 from touchfield.errors import InvalidArgument
 from touchfield.medium.deformation import read_deformation
 from touchfield.render.material import read_materials
@@ -124,7 +124,7 @@ def _bridge(stream: str, is_enabled: bool) -> Iterator[Callable[[Any], None]]:
 
 def _print_note(note: str) -> None:
     """Print a note to stderr immediately."""
-    typer.echo(f"note: {note}", err=True)
+    echo(f"note: {note}", to_stderr=True)
 
 
 def render_spec(options: dict[str, Any]) -> RenderSpec:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 import hmac
 import ipaddress
+import logging
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -17,6 +18,7 @@ from urllib.parse import urlsplit
 from weakref import WeakSet
 
 from aiohttp import web as web
+from aiohttp.http import HttpProcessingError
 
 from touchfield.errors import InvalidArgument, reason
 
@@ -25,11 +27,22 @@ _PAGE_HEADERS: Final = {
     "Cache-Control": "no-cache",
     "X-Frame-Options": "SAMEORIGIN",
 }
+_HANDSHAKE: Final = ("upgrade", "connection", "sec-websocket-")
 _PATIENCE_S: Final = 10.0
 _ENDING_S: Final = 2.0  # half of the time that running answers may take when a server ends
 _CONNECTION_LIMIT: Final = 1 << 15
 _MAX_BUSY: Final = 4096
 """Maximum number of concurrent answers and live receivers; further requests get status 503."""
+
+
+def _is_fault(record: logging.LogRecord) -> bool:
+    """Return False for what a client did: a malformed request, or a connection that it ended."""
+    error = record.exc_info[1] if record.exc_info else None
+    return not isinstance(error, HttpProcessingError | ConnectionError)
+
+
+_LOGGER: Final = logging.getLogger(__name__)
+_LOGGER.addFilter(_is_fault)
 
 
 @dataclass(frozen=True)
@@ -74,12 +87,13 @@ class Access:
         if self.token is None:
             return True
         token = request.query.get("token") or request.headers.get("Authorization", "").removeprefix("Bearer ")
-        return hmac.compare_digest(token.encode(), self.token.encode())
+        return hmac.compare_digest(_bytes(token), _bytes(self.token))
 
     def cors(self, request: web.Request) -> dict[str, str]:
         """Return the CORS headers for a page of an allowed origin."""
         origin = request.headers.get("Origin", "")
-        if not origin or not ({origin, "*"} & set(self.origins)):
+        is_sendable = origin.isascii() and origin.isprintable()  # it becomes a header of the answer
+        if not origin or not is_sendable or not ({origin, "*"} & set(self.origins)):
             return {}
         return {
             "Access-Control-Allow-Origin": origin,
@@ -94,7 +108,11 @@ class Access:
         The check is needed because CORS does not cover WebSockets.
         """
         origin = request.headers.get("Origin", "")
-        return bool(origin) and urlsplit(origin).netloc != request.host and not self.cors(request)
+        try:
+            netloc = urlsplit(origin).netloc
+        except ValueError:  # no address of a page
+            return True
+        return bool(origin) and netloc != request.host and not self.cors(request)
 
 
 def guarded(access: Access) -> web.Application:
@@ -108,7 +126,10 @@ def guarded(access: Access) -> web.Application:
         nonlocal busy
         if busy >= _MAX_BUSY:
             return web.Response(status=503, text="busy", headers={"Retry-After": "1"})
-        if _is_loopback(access.host) and not _is_loopback(request.url.host or ""):
+        host = _named_host(request)
+        if host is None:
+            return web.Response(status=400, text="a Host that is no address")
+        if _is_loopback(access.host) and not _is_loopback(host):
             return web.Response(status=403, text="this name is not that of this machine")  # DNS rebinding
         if "Upgrade" in request.headers and access.is_stranger(request):
             return web.Response(status=403, text="a page elsewhere, which may not read")
@@ -123,6 +144,44 @@ def guarded(access: Access) -> web.Application:
             busy -= 1
 
     return web.Application(middlewares=[guard], client_max_size=1 << 10)
+
+
+def add_get(
+    application: web.Application, path: str, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
+) -> None:
+    """Add a handler of GET and HEAD requests; one that expects anything unknown gets status 417."""
+    application.router.add_get(path, handler, expect_handler=_refuse_expectation)
+
+
+async def _refuse_expectation(request: web.Request) -> web.StreamResponse | None:
+    """Check the header Expect (RFC 9110, section 10.1.1).
+
+    The final response comes at once: no handler reads content. The default handler of aiohttp repeats the
+    header in its answer, which fails if the header is no UTF-8.
+    """
+    is_known = request.headers.get("Expect", "").strip().lower() == "100-continue"
+    return None if is_known else web.Response(status=417, text="an unknown expectation")
+
+
+async def _refuse(request: web.Request) -> web.StreamResponse:
+    """Answer a request that no other handler takes."""
+    if request.method not in ("GET", "HEAD"):
+        raise web.HTTPMethodNotAllowed(request.method, ("GET", "HEAD", "OPTIONS"))
+    raise web.HTTPNotFound(text="nothing here")
+
+
+async def open_socket(request: web.Request, heartbeat_s: float | None = None) -> web.WebSocketResponse:
+    """Accept the WebSocket of a request; return it.
+
+    Raises HTTPBadRequest if the request is no valid handshake. Headers that are no UTF-8 are refused here, as
+    aiohttp repeats them in its answers, which fails.
+    """
+    handshake = [v for k, v in request.headers.items() if k.lower().startswith(_HANDSHAKE)]
+    if not all(map(is_utf8, handshake)):
+        raise web.HTTPBadRequest(text="a header of the handshake that is no UTF-8")
+    socket = web.WebSocketResponse(heartbeat=heartbeat_s, max_msg_size=1 << 10, compress=False)
+    await socket.prepare(request)
+    return socket
 
 
 @asynccontextmanager
@@ -163,7 +222,7 @@ def add_pages(application: web.Application, pattern: str, pages: Pages | None) -
         async def answer(request: web.Request) -> web.Response:
             return web.Response(text=text, content_type="text/html", headers=_PAGE_HEADERS)
 
-        application.router.add_get(path, answer)
+        add_get(application, path, answer)
 
     add("/view-page.html", pages.inner)
     add(f"/view{pattern}", pages.outer)
@@ -189,7 +248,10 @@ async def run(
         return await handler(request)
 
     application.middlewares.insert(0, hear)
-    runner = web.AppRunner(application, access_log=None, keepalive_timeout=15.0, shutdown_timeout=_ENDING_S)
+    application.router.add_route("*", "/{name:(?s:.*)}", _refuse, expect_handler=_refuse_expectation)
+    runner = web.AppRunner(
+        application, access_log=None, keepalive_timeout=15.0, shutdown_timeout=_ENDING_S, logger=_LOGGER
+    )
     await runner.setup()
     assert runner.server is not None
     answering, max_connections, newcomers = runner.server, _max_connections(), deque[web.RequestHandler]()
@@ -262,12 +324,21 @@ class Background(ABC):
         except Exception as error:
             self._error = error
         finally:
+            self._loop.run_until_complete(_cancel_others())
             self._loop.close()
             self._ready.set()
 
     def _at(self, address: str) -> None:
         self.address = address
         self._ready.set()
+
+
+async def _cancel_others() -> None:
+    """Cancel the tasks of the running loop that are left, such as those that wait for a client's content."""
+    others = asyncio.all_tasks() - {asyncio.current_task()}
+    for task in others:
+        task.cancel()
+    await asyncio.gather(*others, return_exceptions=True)
 
 
 class _Refusal(asyncio.Protocol):
@@ -295,6 +366,28 @@ def _max_connections() -> int:
             resource.setrlimit(resource.RLIMIT_NOFILE, (max_files, hard))
             soft = max_files
     return max(8, soft * 7 // 8)
+
+
+def _named_host(request: web.Request) -> str | None:
+    """Return the host that a request names, without its port; None if its Host header is invalid."""
+    try:
+        return request.url.host or ""
+    except ValueError:
+        return None
+
+
+def is_utf8(name: str) -> bool:
+    """Return True if an address can have this name: it is no name of other bytes (single surrogates)."""
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def _bytes(word: str) -> bytes:
+    """Return a word as bytes; bytes of a header that are no UTF-8 are single surrogates in it."""
+    return word.encode("utf-8", "surrogatepass")
 
 
 def _is_loopback(host: str) -> bool:

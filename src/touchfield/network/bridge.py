@@ -9,7 +9,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 from urllib.parse import quote
 
-from touchfield.network.access import Access, Background, Pages, add_pages, dropped_unless_read, guarded, web
+from touchfield.network.access import (
+    Access,
+    Background,
+    Pages,
+    add_get,
+    add_pages,
+    dropped_unless_read,
+    guarded,
+    is_utf8,
+    open_socket,
+    web,
+)
+from touchfield.network.file_response import send_file
 from touchfield.network.live import MEDIA_TYPE
 
 if TYPE_CHECKING:
@@ -33,12 +45,13 @@ class Bridge(Background):
     def __init__(self, stream: Path, access: Access, pages: Pages) -> None:
         super().__init__(access, pages)
         self._stream = stream
+        self._name = stream.name if is_utf8(stream.name) else "stream.touch"
         self._hand: Player | None = None
 
     @property
     def page(self) -> str:
         """The address of the page."""
-        return f"http://{self.address}/view/{quote(self._stream.name)}#hand"
+        return f"http://{self.address}/view/{quote(self._name)}#hand"
 
     def follow(self, hand: Player) -> None:
         """Show this hand from now on."""
@@ -46,25 +59,24 @@ class Bridge(Background):
 
     def _application(self) -> web.Application:
         served = guarded(self._access)
-        served.router.add_get("/hand", self._send_positions)
-        add_pages(served, "/{name:.*}", self._pages)
-        served.router.add_get("/{name:.*}", self._file)
+        add_get(served, "/hand", self._send_positions)
+        add_pages(served, "/{name:(?s:.*)}", self._pages)
+        add_get(served, "/{name:(?s:.*)}", self._file)
         return served
 
     async def _file(self, request: web.Request) -> web.StreamResponse:
-        if request.match_info["name"] != self._stream.name:
+        if request.match_info["name"] != self._name:
             raise web.HTTPNotFound
         headers = {
             "Content-Type": MEDIA_TYPE,
             "X-Content-Type-Options": "nosniff",
             "Cache-Control": "no-cache",
         }
-        return web.FileResponse(self._stream, headers=headers)
+        return await send_file(request, self._stream, headers)
 
     async def _send_positions(self, request: web.Request) -> web.StreamResponse:
         """Send the hand's position in the field, metres, and the medium's time, seconds, when they change."""
-        socket = web.WebSocketResponse(max_msg_size=1 << 10, compress=False)
-        await socket.prepare(request)
+        socket = await open_socket(request)
         before: tuple[float, ...] = ()
         with suppress(ConnectionError):
             while not (socket.closed or self._is_over.is_set()):

@@ -60,7 +60,8 @@ class _Client:
     ) -> None:
         self._url, self._report, self._coarse, self._is_layered = url, report, coarse, is_layered
         self._name = "standard input" if url == "-" else without_secret(url)
-        self._receiver = LiveReceiver(is_open=url.lower().startswith("udp:"))
+        self._is_udp = url.lower().startswith("udp:")
+        self._receiver = LiveReceiver(is_open=self._is_udp and "?" not in url)  # without a token
         self._frames: LiveFrames | None = None
         self._has_segment = Flag()
         self._error: TouchfieldError = SourceError(self._name, "nothing in time", "a live stream", _HINT)
@@ -141,10 +142,10 @@ class _Client:
         return any(isinstance(event, Ended) for event in events)
 
     async def _receive(self) -> None:
-        if self._receiver.is_open:
+        if self._is_udp:
             from touchfield.network.udp import listen
 
-            await listen(self._url, self._take, self._is_layered)
+            await listen(self._url, self._take, self._is_layered, self._report)
             return
         import aiohttp
 

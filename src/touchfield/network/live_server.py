@@ -16,9 +16,11 @@ from touchfield.network.access import (
     Background,
     ClientDropped,
     Pages,
+    add_get,
     add_pages,
     dropped_unless_read,
     guarded,
+    open_socket,
     web,
 )
 from touchfield.network.live import MEDIA_TYPE, LiveSegment, LiveSender, file_of
@@ -81,7 +83,7 @@ class LiveServer(Background):
 
     def _application(self) -> web.Application:
         served = guarded(self._access)
-        get = served.router.add_get
+        get = partial(add_get, served)
         for layer, sender in zip(("/live", "/coarse/live"), self._senders):
             get(layer, partial(self._follow, sender))
             get(f"{layer}.json", partial(self._manifest, sender))
@@ -91,8 +93,7 @@ class LiveServer(Background):
         return served
 
     async def _follow(self, sender: LiveSender, request: web.Request) -> web.StreamResponse:
-        socket = web.WebSocketResponse(heartbeat=_PATIENCE_S, max_msg_size=1 << 10, compress=False)
-        await socket.prepare(request)
+        socket = await open_socket(request, _PATIENCE_S)
         receiver = sender.joined()
         self.receivers += 1
         self.max_receivers = max(self.max_receivers, self.receivers)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import asyncio
 import secrets
 import socket
+import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any, Final, Literal
+from urllib.parse import unquote_plus
 
 from touchfield.errors import InvalidArgument, reason
-from touchfield.network.datagrams import MAX_DATAGRAM, MAX_OPEN, Datagrams, Gathering
+from touchfield.network.datagrams import MAX_DATAGRAM, MAX_OPEN, Datagrams, Gathering, stream_of_time
 from touchfield.network.live import END, LiveSender
 from touchfield.options import Address, address
 
@@ -42,13 +44,30 @@ def _parse_address(text: str) -> Address:
     return address(text.lower().removeprefix("udp://").rstrip("/"), "address of datagrams")
 
 
+def token_of(url: str) -> str | None:
+    """Return the token of an address such as udp://HOST:PORT?token=WORD; None if it has no query.
+
+    Raises InvalidArgument for any other query.
+    """
+    _, mark, query = url.partition("?")
+    if not mark:
+        return None
+    name, _, word = query.partition("=")
+    if name != "token" or not word or "&" in word:
+        raise InvalidArgument("address of datagrams", "another query", "none, or ?token=WORD")
+    return unquote_plus(word, errors="surrogateescape")
+
+
 class UdpSender:
     """Sends a live stream's messages to an address without waiting; a context manager.
 
-    `layer` sets the protection; a coarse layer is sent to the next port.
+    `layer` sets the protection; a coarse layer is sent to the next port. With a `token`, receivers need it,
+    and refuse what others send.
     """
 
-    def __init__(self, sender: LiveSender, text: str, layer: Layer = "alone") -> None:
+    def __init__(
+        self, sender: LiveSender, text: str, layer: Layer = "alone", token: str | None = None
+    ) -> None:
         host, port = _parse_address(text)
         if layer == "coarse":
             host, port = _parse_address(f"{host}:{port + 1}")
@@ -59,7 +78,8 @@ class UdpSender:
             raise InvalidArgument("address", f"{text}: {reason(error)}", "a host that is there") from None
         self._socket = socket.socket(family, kind)
         self._socket.setblocking(False)
-        self._sender, self._datagrams, self._count = sender, Datagrams(secrets.randbits(32), REPAIR[layer]), 0
+        stream = secrets.randbits(32) if token is None else stream_of_time(time.time_ns(), layer == "coarse")
+        self._sender, self._datagrams, self._count = sender, Datagrams(stream, REPAIR[layer], token), 0
 
     def __enter__(self) -> UdpSender:
         return self
@@ -91,16 +111,22 @@ class _Protocol(asyncio.DatagramProtocol):
             self._queue.put_nowait(data)
 
 
-async def listen(text: str, take: Callable[[bytes], bool], is_layered: bool = False) -> None:
-    """Receive datagrams at an address until the stream is over.
+async def listen(
+    text: str,
+    take: Callable[[bytes], bool],
+    is_layered: bool = False,
+    report: Callable[[str], None] = lambda note: None,
+) -> None:
+    """Receive datagrams at an address, with its token if it has one, until the stream is over.
 
     That is when ``take(message)`` returns True.
 
-    With `is_layered` another layer covers losses, so that lost messages are given up earlier.
+    With `is_layered` another layer covers losses, so that lost messages are given up earlier. `report` is
+    called with the reason why datagrams of a sender are refused.
     """
-    host, port = _parse_address(text)
+    host, port = _parse_address(text.partition("?")[0])
     gathering, queue = (
-        Gathering(max_open=_LAYERED_OPEN if is_layered else MAX_OPEN),
+        Gathering(max_open=_LAYERED_OPEN if is_layered else MAX_OPEN, token=token_of(text)),
         asyncio.Queue[bytes](1 << 14),
     )
     loop = asyncio.get_running_loop()
@@ -113,7 +139,10 @@ async def listen(text: str, take: Callable[[bytes], bool], is_layered: bool = Fa
             except TimeoutError:
                 await asyncio.to_thread(take, END)
                 return
-            for message in gathering.receive(datagram):
+            messages = gathering.receive(datagram)
+            while gathering.notes:
+                report(gathering.notes.pop(0))
+            for message in messages:
                 is_last = message == _LAST
                 if not is_last and await asyncio.to_thread(take, message):
                     return

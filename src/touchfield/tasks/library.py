@@ -23,7 +23,7 @@ from typing import Any, Final
 import numpy as np
 
 from touchfield.arrays import Float64s
-from touchfield.atomic import atomic_path
+from touchfield.atomic import atomic_path, is_temporary
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.compute.executors import in_order
 from touchfield.compute.threads import Progress, silent
@@ -230,8 +230,8 @@ def describe_file(path: Path) -> tuple[Float64s | None, str]:
 
 
 def _files(folder: Path) -> dict[str, tuple[int, int]]:
-    """Return size and time of every .touch file, by name."""
-    paths = (path for path in folder.rglob("*.touch") if path.is_file())
+    """Return size and time of every .touch file, by name; not of temporary files of other runs."""
+    paths = (path for path in folder.rglob("*.touch") if path.is_file() and not is_temporary(path.name))
     return {
         path.relative_to(folder).as_posix(): (path.stat().st_size, path.stat().st_mtime_ns) for path in paths
     }
