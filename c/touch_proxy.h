@@ -12,19 +12,19 @@
            touch_move_proxy                towards the hand along the surface, no friction         touch_proxy_search.h
            touch_store_proxy               for the next tick
            touch_proxy_force               the stored force, and along the spring what this lacks:
-               touch_ramp_depth                how far the proxy lies below the surface of what was coded, x
+               touch_ramp_depth                how far the proxy lies below the foot of the wall's ramp, x
                touch_added_force               how much of what the stored force lacks is added
            touch_ease_jump                 where the proxy jumps, its force comes slowly           touch_proxy_jump.h
 
-   The force has two parts. The stored force is that of the field at the hand (touch_force_at). The spring pulls the hand to the
-   proxy by K' (|proxy - hand| + x); K' is the stiffness K of the walls in series with the virtual coupling. Fields are
-   low-passed before they are coded, which rounds the foot of each wall's ramp |F| = K d: x is how far the proxy lies below the
-   point where the straight ramp begins.
+   The hand gets the stored force, that of the field at the hand, which changes with time as smoothly as the field does, and
+   not as a surface that is searched for. The spring is a yardstick, K (|proxy - hand| + x): in a wall that fills its
+   neighbourhood the stored force is about that, and nothing is added. Where a wall is thin or has an edge, the stored force is
+   smaller or turned, and what it lacks along the spring is added. A hand that no surface stops gets the stored force. What a
+   jump of the proxy still owes (eased_n) is subtracted. A virtual coupling makes all of it softer. touch_desired_force adds
+   friction.
 
-   In a wall that fills its neighbourhood the stored force is what the spring approximates, and it is rendered: it changes with
-   time as smoothly as the field does, and not as a surface that is searched for. Where a wall is thin or has an edge, the
-   stored force is smaller or turned, and what it lacks along the spring is added. The hand gets the sum less what a jump still
-   owes (eased_n). A hand that no surface stops gets the stored force. Friction is added by touch_field_force. */
+   Fields are low-passed before they are coded, which rounds the foot of each wall's ramp |F| = K d: x is how far the proxy lies
+   below the point where the straight ramp begins. */
 #ifndef TOUCH_PROXY_H
 #define TOUCH_PROXY_H
 
@@ -40,7 +40,8 @@ static inline double touch_added_force(double spring_n, double along_n);
 
 /* -- a tick of the proxy ---------------------------------------------------------------------------------------------- */
 
-#define TOUCH_PROXY_AWAY 1.2                  /* of the motion of hand and surface: how far the proxy may go from the hand */
+/* Of the motion of hand and surface: by so much the proxy may go farther from the hand in a tick. */
+#define TOUCH_PROXY_AWAY 1.2
 
 /* The force on the hand, N, without friction. One tick of the proxy. */
 static inline touch_vector touch_contact_force(touch_receiver *receiver, const touch_instant *t, touch_vector hand_m,
@@ -54,9 +55,10 @@ static inline touch_vector touch_contact_force(touch_receiver *receiver, const t
     else
         start_m = touch_carried_point(t, proxy->body, proxy->body_position_m, proxy->position_m);
     touch_field_point carried = touch_probe(&s, start_m), found = carried;
-    touch_contact_motion motion = touch_motion_of(&s, hand_m, carried);
+    touch_contact_motion motion = {{0.0, 0.0, 0.0}, 0.0};
+    if (!is_new) motion = touch_motion_of(&s, hand_m, carried);
     int is_in_contact = touch_move_proxy(&s, hand_m, TOUCH_PROXY_AWAY * motion.total_m, &found);
-    touch_store_proxy(proxy, t, found.position_m, is_in_contact);
+    touch_store_proxy(proxy, t, found.position_m, is_in_contact); /* force_n and stored_n are still of the tick before */
 
     /* the coupling makes the whole field softer, so that neither contact nor a thin wall changes how stiff it is */
     double softness = 1.0 / (1.0 + s.stiffness_n_per_m * receiver->state.compliance_m_per_n);
@@ -89,8 +91,8 @@ static inline void touch_store_proxy(touch_proxy *proxy, const touch_instant *t,
 #define TOUCH_PROXY_EDGE_COSINE 0.85          /* between the stored force and the spring: up to this it is an edge, */
 #define TOUCH_PROXY_EDGE_WIDTH 0.13           /* and from so much more on a surface */
 
-/* The force of the proxy on the hand, N: the stored one, and along the spring what this lacks. Beside the spring the stored
-   force counts as far as it has about its direction. */
+/* The force of the proxy on the hand, N: the stored one, and along the spring what this lacks. Across the spring the stored
+   force counts in full where both have about one direction, and not at an edge. */
 static inline touch_vector touch_proxy_force(const touch_isosurface *s, double softness, touch_vector hand_m,
                                              touch_vector stored_n) {
     touch_vector proxy_m = s->receiver->state.proxy.position_m, pull = touch_subtract(proxy_m, hand_m);
@@ -99,16 +101,16 @@ static inline touch_vector touch_proxy_force(const touch_isosurface *s, double s
     touch_vector outwards = touch_scale(1.0 / depth_m, pull);
     double ramp_depth_m = touch_ramp_depth(s, proxy_m, touch_scale(-1.0, outwards), depth_m);
     double spring_n = softness * s->stiffness_n_per_m * (depth_m + ramp_depth_m);
-    double along_n = touch_dot(stored_n, outwards), sideways = 0.0;
-    if (stored > 0.0) sideways = touch_smooth_step((along_n / stored - TOUCH_PROXY_EDGE_COSINE) / TOUCH_PROXY_EDGE_WIDTH);
-    touch_vector force = touch_scale(sideways, touch_add_scaled(stored_n, -along_n, outwards));
+    double along_n = touch_dot(stored_n, outwards), weight = 0.0;
+    if (stored > 0.0) weight = touch_smooth_step((along_n / stored - TOUCH_PROXY_EDGE_COSINE) / TOUCH_PROXY_EDGE_WIDTH);
+    touch_vector force = touch_scale(weight, touch_add_scaled(stored_n, -along_n, outwards));
     along_n = touch_fmax(0.0, along_n);
     return touch_add_scaled(force, along_n + touch_added_force(spring_n, along_n), outwards);
 }
 
-/* x, metres: how far a proxy lies below the point where the ramp of the wall behind it begins; negative above, at most a
-   sample. Two samples behind the surface the low-pass of the field is over. Where the force is largest before that, or the wall
-   ends, the force half as far behind tells more, less a margin. At most half the depth of the hand, so that x grows from
+/* x, metres: how far a proxy lies below the point where the ramp of the wall behind it begins; negative above. The larger one
+   of two estimates: from the force two samples behind, where the low-pass of the field is over, and one sample behind, less a
+   margin, as the wall may end before two. Within a sample, and up to half the depth of the hand, so that it grows from
    zero. */
 static inline double touch_ramp_depth(const touch_isosurface *s, touch_vector position_m, touch_vector inwards,
                                       double depth_m) {

@@ -15,17 +15,17 @@
            touch_count_time                jitter, missed ticks, the next deadline                        touch_timing.h
            touch_take_order                play, pause, seek, stop                                        touch_media_clock.h
            touch_find_frames               the two frames around now, and how far between them            touch_media_clock.h
-           touch_tick                      the force:
+           touch_tick                      the force; atomic numbers and fences: touch_shared.h
                touch_store_past_force          for passivity                                              touch_effects.h
                touch_orient_tool               orientation of a tool                                      touch_tool.h
                touch_move_device               device to field: axes, scale, clutch
                    touch_passivity_observer        the energy that the hand put in                        touch_effects.h
                    touch_update_velocity           low-passed                                             touch_effects.h
                    touch_smooth_settings           brake and coupling, on their way to the settings       touch_effects.h
-               touch_force_over_seam           the desired force; after a jump of the medium it fades in  touch_seam.h
-                   touch_desired_force
+               touch_force_over_seam           after a jump of the medium, fades out what changed there   touch_seam.h
+                   touch_desired_force             the force of the field, and what is added to it:
                        touch_find_material         the material there, if there are any, and mu           touch_effects.h
-                       touch_field_force           one of four:
+                       touch_field_force           one of these four; then yield and friction:
                            touch_contact_force         proxy (god object)                                 touch_proxy.h
                            touch_tool_force            penalty forces on the points of a tool             touch_tool.h
                            touch_coupling_force        virtual coupling                                   touch_effects.h
@@ -43,8 +43,8 @@
    Two frames of reference: "device" is the axes of the device, metres of the workspace; "field" is that of the medium.
 
    Only touch_tick and touch_release put forces out. Both do so through touch_limit_both, or repeat the last force where no
-   time has passed. Without a frame, a position or an orientation of the device, the gain goes to zero in the time of the
-   ramp, and so does the last force. */
+   time has passed. Without a frame, a position or an orientation of the device, the last force ramps down; while a seek waits,
+   it fades. */
 #ifndef TOUCH_RENDER_H
 #define TOUCH_RENDER_H
 
@@ -68,18 +68,19 @@ static inline touch_vector touch_field_force(touch_receiver *receiver, const tou
                                              touch_vector *friction_n, double dt_s);
 static inline void touch_desired_torque(touch_receiver *receiver);
 static inline void touch_ramp_out(touch_receiver *receiver, double gain_step, int is_pose_known);
-static inline void touch_leave_field(touch_tick_state *state);
-static inline touch_vector touch_limit_both(touch_receiver *receiver, touch_vector force_n, touch_vector torque_nm,
-                                            double dt_s);
+static inline void touch_ramp_down(touch_tick_state *state, double gain_step);
+static inline void touch_leave_field(touch_tick_state *state, int is_proxy_kept);
+static inline void touch_skip_field(touch_tick_state *state);
+static inline touch_vector touch_limit_both(touch_receiver *receiver, double dt_s);
 
-#define TOUCH_MAX_TICK_S 60.0 /* a tick that comes later counts as this long */
+#define TOUCH_MAX_TICK_S 60.0 /* of a tick that comes later */
 
 /* -- a tick ----------------------------------------------------------------------------------------------------------- */
 
 /* The force, N, in the device's axes, for a device at `device_m`, at `now_ns` of a clock that never goes back. The torque,
-   N m, is in state.torque.output. What the grip reports is to be in `grip` before. */
+   N m, is in state.torque.output. */
 static inline touch_vector touch_receiver_tick(touch_receiver *receiver, touch_vector device_m, int64_t now_ns) {
-    touch_clock *clock = &receiver->clock;
+    touch_clock *clock = &receiver->clock; /* the caller has written receiver->grip */
     int64_t ticks = receiver->counts.ticks;
     int is_silent = touch_count_silence(receiver, now_ns);
     touch_count_time(receiver, now_ns); /* counts this tick; the two lines above need the state before it */
@@ -127,18 +128,18 @@ static inline touch_vector touch_tick(touch_receiver *receiver, int64_t before_o
     if (is_pose_known) touch_move_device(receiver, device_m);
     double gain_step = touch_clamped_dt(settings, dt_s) / settings->ramp_s;
     state->seam.late_s = before_offset && after_offset ? 0.0 : state->seam.late_s + dt_s;
-    if (before_offset && after_offset && is_pose_known) {
+    if (before_offset && after_offset && is_pose_known) { /* the desired force, and after a seam what is left of that before */
         touch_instant t = touch_instant_of(receiver, before_offset, after_offset, blend);
         double gain = touch_fmin(1.0, state->gain + gain_step);
         state->force.desired = touch_force_over_seam(receiver, &t, dt_s);
         state->gain = gain; /* only now: touch_force_over_seam needs that of the tick before */
     } else if (state->seam.is_waiting && is_pose_known && state->gain > 0.0 && !receiver->layout.is_unblended) {
+        /* a seek waits, there was a force, and fades are allowed */
         touch_wait_for_seek(receiver, dt_s);
     } else {
         touch_ramp_out(receiver, gain_step, is_pose_known);
     }
-    touch_vector force = touch_scale(state->gain, state->force.desired);
-    return touch_limit_both(receiver, force, touch_scale(state->gain, state->torque.desired), dt_s);
+    return touch_limit_both(receiver, dt_s);
 }
 
 /* The next force on the way to zero within the ramp or the slew limit, N, in the device's axes; in the end zero for ever. */
@@ -146,14 +147,10 @@ static inline touch_vector touch_release(touch_receiver *receiver, double dt_s) 
     const touch_settings *settings = &receiver->settings;
     touch_tick_state *state = &receiver->state;
     if (!touch_is_time_step(settings, dt_s)) return state->force.output;
-    double gain = touch_fmax(0.0, state->gain - touch_clamped_dt(settings, dt_s) / settings->ramp_s);
-    double fraction = gain > 0.0 ? gain / state->gain : 0.0;
-    state->gain = gain;
+    touch_ramp_down(state, touch_clamped_dt(settings, dt_s) / settings->ramp_s);
+    touch_leave_field(state, 0);
     state->is_started = 0;
-    touch_leave_field(state);
-    state->force.desired = state->torque.desired = touch_zero();
-    touch_vector force = touch_scale(fraction, state->force.output);
-    return touch_limit_both(receiver, force, touch_scale(fraction, state->torque.output), dt_s);
+    return touch_limit_both(receiver, dt_s);
 }
 
 /* -- the device ------------------------------------------------------------------------------------------------------- */
@@ -165,7 +162,7 @@ static inline int touch_is_position(touch_vector p) {
     return fabs(p.x) <= TOUCH_MAX_POSITION_M && fabs(p.y) <= TOUCH_MAX_POSITION_M && fabs(p.z) <= TOUCH_MAX_POSITION_M;
 }
 
-/* Take a position of the device: its position and velocity in the field, and the energy of its motion. */
+/* Take a position of the device: its position and velocity in the field, and its work against the forces before. */
 static inline void touch_move_device(touch_receiver *receiver, touch_vector device_m) {
     const touch_settings *settings = &receiver->settings;
     touch_tick_state *state = &receiver->state;
@@ -186,14 +183,12 @@ static inline void touch_move_device(touch_receiver *receiver, touch_vector devi
 
 /* -- the force that is desired ---------------------------------------------------------------------------------------- */
 
-/* A seek waits for its frames: the force before it fades. The proxy stays on its side of a wall until then. */
+/* A seek waits for its frames: the force before it fades in TOUCH_BLEND_S, to that which carries the handle. */
 static inline void touch_wait_for_seek(touch_receiver *receiver, double dt_s) {
     touch_tick_state *state = &receiver->state;
-    int is_proxy_kept = touch_is_proxy_kept(receiver);
-    touch_leave_field(state);
-    state->proxy.is_active = is_proxy_kept;
+    touch_leave_field(state, touch_is_proxy_kept(receiver));
     state->force.desired = touch_force_over_seam(receiver, NULL, dt_s);
-    if (state->seam.left_s == 0.0) state->gain = 0.0;
+    if (state->seam.left_s == 0.0) state->gain = 0.0; /* the fade is over: the frames that come start from gain 0 */
 }
 
 /* The force before gain and limits, N, in the device's axes: that of the field with friction, damping and vibration, as far
@@ -264,43 +259,49 @@ static inline void touch_desired_torque(touch_receiver *receiver) {
 
 /* -- ramp and limits -------------------------------------------------------------------------------------------------- */
 
+/* Without a frame or a position. One that is missing leaves proxy and anchor where they are, and a frame that comes back
+   meanwhile starts a fade. Late frames leave the proxy there for longer, so that no hand gets through a wall. */
+static inline void touch_ramp_out(touch_receiver *receiver, double gain_step, int is_pose_known) {
+    touch_tick_state *state = &receiver->state;
+    touch_ramp_down(state, gain_step);
+    state->seam.is_field_missing = state->gain > 0.0;
+    if (state->gain > 0.0)
+        touch_skip_field(state);
+    else
+        touch_leave_field(state, is_pose_known && touch_is_proxy_kept(receiver));
+}
+
+/* Lower the gain, and let what was put out fall with it. */
+static inline void touch_ramp_down(touch_tick_state *state, double gain_step) {
+    double before = state->gain;
+    state->gain = touch_fmax(0.0, before - gain_step);
+    state->force.desired = state->torque.desired = touch_zero();
+    if (!(state->gain > 0.0)) return;
+    state->force.desired = touch_scale(1.0 / before, state->force.output); /* touch_limit_both multiplies by the gain */
+    state->torque.desired = touch_scale(1.0 / before, state->torque.output);
+}
+
+/* The hand leaves the field: where it was in contact is forgotten, unless a late frame may bring back the wall of the proxy. */
+static inline void touch_leave_field(touch_tick_state *state, int is_proxy_kept) {
+    touch_skip_field(state);
+    state->anchor.is_set = 0;
+    state->proxy.is_active = is_proxy_kept;
+}
+
 /* No force and no friction of the field act in this tick, nor stand in the log. */
 static inline void touch_skip_field(touch_tick_state *state) {
     state->field_force_n = state->friction_n = state->field_torque_nm = touch_zero();
 }
 
-/* What was put out fades with the gain. One missing frame or position leaves proxy and anchor where they are, and a frame that
-   comes back meanwhile starts a fade. Late frames leave the proxy there for longer, so that no hand gets through a wall. */
-static inline void touch_ramp_out(touch_receiver *receiver, double gain_step, int is_pose_known) {
-    touch_tick_state *state = &receiver->state;
-    double before = state->gain;
-    state->gain = touch_fmax(0.0, before - gain_step);
-    state->seam.is_field_missing = state->gain > 0.0;
-    touch_skip_field(state);
-    if (before > 0.0) { /* touch_tick multiplies by the gain */
-        state->force.desired = touch_scale(1.0 / before, state->force.output);
-        state->torque.desired = touch_scale(1.0 / before, state->torque.output);
-    }
-    if (state->gain > 0.0) return;
-    int is_proxy_kept = is_pose_known && touch_is_proxy_kept(receiver);
-    touch_leave_field(state);
-    state->proxy.is_active = is_proxy_kept;
-    state->force.desired = state->torque.desired = touch_zero();
-}
-
-/* The hand leaves the field: where it was in contact is forgotten. */
-static inline void touch_leave_field(touch_tick_state *state) {
-    touch_skip_field(state);
-    state->proxy.is_active = state->anchor.is_set = 0;
-}
-
-/* Limit force and torque by peak, heat and slew. The force; the torque is in state.torque.output. */
-static inline touch_vector touch_limit_both(touch_receiver *receiver, touch_vector force_n, touch_vector torque_nm,
-                                            double dt_s) {
+/* The desired force and torque, times the gain, limited by peak, heat and slew. The force; the torque is in
+   state.torque.output. */
+static inline touch_vector touch_limit_both(touch_receiver *receiver, double dt_s) {
     const touch_settings *settings = &receiver->settings;
     touch_tick_state *state = &receiver->state;
-    (void)touch_limit_output(settings, &settings->torque_limits, &state->torque, torque_nm, dt_s);
-    return touch_limit_output(settings, &settings->force_limits, &state->force, force_n, dt_s);
+    touch_vector force = touch_scale(state->gain, state->force.desired);
+    touch_vector torque = touch_scale(state->gain, state->torque.desired);
+    (void)touch_limit_output(settings, &settings->torque_limits, &state->torque, torque, dt_s);
+    return touch_limit_output(settings, &settings->force_limits, &state->force, force, dt_s);
 }
 
 #endif

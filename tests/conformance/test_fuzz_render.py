@@ -50,7 +50,7 @@ def test_forces_obey_their_limits(tmp_path: Path, rounds: int) -> None:
     [
         ("touch_effects.h", "state->limit - 0.5 * max_step", "state->limit - 4.0 * max_step"),
         ("touch_effects.h", "if (size > max_step) desired", "if (size > 2.0 * max_step) desired"),
-        ("touch_render.h", "gain > 0.0 ? gain / state->gain : 0.0;", "1.0;"),
+        ("touch_render.h", "before - gain_step)", "before - 0.0 * gain_step)"),
     ],
 )
 def test_fuzzer_finds_faults_in_the_limits(tmp_path: Path, header: str, code: str, fault: str) -> None:
