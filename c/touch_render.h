@@ -22,7 +22,7 @@
                    touch_passivity_observer        the energy that the hand put in                        touch_effects.h
                    touch_update_velocity           low-passed                                             touch_effects.h
                    touch_smooth_settings           brake and coupling, on their way to the settings       touch_effects.h
-               touch_force_over_seam           after a jump of the medium, fades out what changed there   touch_seam.h
+               touch_force_over_seam           after a jump of the medium, fades out what changed there
                    touch_desired_force             the force of the field, and what is added to it:
                        touch_find_material         the material there, if there are any, and mu           touch_effects.h
                        touch_field_force           one of these four; then yield and friction:
@@ -62,6 +62,7 @@ static inline touch_vector touch_tick(touch_receiver *receiver, int64_t before_o
 static inline touch_vector touch_release(touch_receiver *receiver, double dt_s);
 static inline int touch_is_position(touch_vector p);
 static inline void touch_move_device(touch_receiver *receiver, touch_vector device_m);
+static inline touch_vector touch_force_over_seam(touch_receiver *receiver, const touch_instant *t, double dt_s);
 static inline void touch_wait_for_seek(touch_receiver *receiver, double dt_s);
 static inline touch_vector touch_desired_force(touch_receiver *receiver, const touch_instant *t, double dt_s);
 static inline touch_vector touch_field_force(touch_receiver *receiver, const touch_instant *t, touch_vector *point_m,
@@ -182,6 +183,15 @@ static inline void touch_move_device(touch_receiver *receiver, touch_vector devi
 }
 
 /* -- the force that is desired ---------------------------------------------------------------------------------------- */
+
+/* The desired force, N, and the torque, in state.torque.desired; after a seam of the medium with what is left of those before
+   (touch_seam.h). `t` is NULL while a seek waits for its frames: a field without a force. */
+static inline touch_vector touch_force_over_seam(touch_receiver *receiver, const touch_instant *t, double dt_s) {
+    touch_force_before before = touch_enter_seam(receiver, t);
+    receiver->state.torque.desired = touch_zero(); /* until touch_tool_force */
+    touch_vector force = t ? touch_desired_force(receiver, t, dt_s) : receiver->settings.gravity_n;
+    return touch_fade_over_seam(receiver, t, before, force, dt_s);
+}
 
 /* A seek waits for its frames: the force before it fades in TOUCH_BLEND_S, to that which carries the handle. */
 static inline void touch_wait_for_seek(touch_receiver *receiver, double dt_s) {

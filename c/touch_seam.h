@@ -26,9 +26,6 @@
 #include "touch_shared.h"
 #include "touch_tool.h"
 
-/* The force of the field, without a seam: touch_render.h. */
-static inline touch_vector touch_desired_force(touch_receiver *receiver, const touch_instant *t, double dt_s);
-
 #define TOUCH_SEAM_RATIO 2.0      /* of the changes of two pairs of frames: a larger one is a jump */
 #define TOUCH_SEAM_MIN_M 1e-6     /* of a body's surface: a smaller change is none */
 #define TOUCH_SEAM_MIN_N 1e-3     /* of a force */
@@ -168,36 +165,45 @@ static inline touch_vector touch_faded(const touch_seam *seam, touch_vector forc
     return size > limit ? touch_scale(limit / size, sum) : sum;
 }
 
-/* The desired force, N, and the torque, in state.torque.desired. `t` is NULL while a seek waits for its frames: a field without
-   a force. In the first tick after a seam the force of the tick before goes on, and then fades into that of the field. */
-static inline touch_vector touch_force_over_seam(touch_receiver *receiver, const touch_instant *t, double dt_s) {
+typedef struct { /* what a seam needs of the tick before */
+    int is_starting;
+    touch_vector force_n, torque_nm; /* desired */
+    touch_vector field_n, stored_n;  /* of the proxy, and the stored force at the hand, in the field's axes */
+} touch_force_before;
+
+/* Before the force of a tick: in the first one after a seam, the force of the tick before goes on with the motion of the hand,
+   and proxy and anchor stay in place. `t` is NULL while a seek waits for its frames. */
+static inline touch_force_before touch_enter_seam(touch_receiver *receiver, const touch_instant *t) {
     touch_tick_state *state = &receiver->state;
     touch_seam *seam = &state->seam;
-    touch_vector force_before = state->force.desired, torque_before = state->torque.desired;
-    touch_vector proxy_before = state->field_force_n, stored_before = state->proxy.stored_n;
-    touch_vector force = receiver->settings.gravity_n;
-    int is_starting = seam->is_starting || (seam->is_field_missing != !t);
+    touch_force_before before;
+    before.is_starting = seam->is_starting || (seam->is_field_missing != !t);
+    before.force_n = state->force.desired, before.torque_nm = state->torque.desired;
+    before.field_n = state->field_force_n, before.stored_n = state->proxy.stored_n;
+    if (!t || !before.is_starting) return before;
+    before.force_n = touch_add(before.force_n, touch_motion_change(receiver, t));
+    touch_stay_in_place(receiver, t);
+    return before;
+}
+
+/* The force of a tick, N, and the torque, in state.torque.desired, with what is left of those before a seam. */
+static inline touch_vector touch_fade_over_seam(touch_receiver *receiver, const touch_instant *t, touch_force_before before,
+                                                touch_vector force_n, double dt_s) {
+    touch_tick_state *state = &receiver->state;
+    touch_seam *seam = &state->seam;
     double fade_s = TOUCH_BLEND_S;
-    state->torque.desired = touch_zero();
-    if (t) {
-        if (is_starting) {
-            force_before = touch_add(force_before, touch_motion_change(receiver, t));
-            touch_stay_in_place(receiver, t);
-        }
-        force = touch_desired_force(receiver, t, dt_s);
-        if (!is_starting && touch_has_force_jumped(receiver, proxy_before, stored_before, &force_before)) {
-            is_starting = 1;
-            fade_s = touch_fmax(seam->left_s, TOUCH_SEAM_JUMP_S);
-        }
+    if (t && !before.is_starting && touch_has_force_jumped(receiver, before.field_n, before.stored_n, &before.force_n)) {
+        before.is_starting = 1;
+        fade_s = touch_fmax(seam->left_s, TOUCH_SEAM_JUMP_S);
     }
-    if (is_starting && !receiver->layout.is_unblended)
-        touch_start_fade(seam, fade_s, force_before, torque_before, force, state->torque.desired);
+    if (before.is_starting && !receiver->layout.is_unblended)
+        touch_start_fade(seam, fade_s, before.force_n, before.torque_nm, force_n, state->torque.desired);
     seam->is_starting = 0, seam->is_field_missing = !t, seam->hand_m = state->position_m;
-    if (!(seam->left_s > 0.0)) return force;
+    if (!(seam->left_s > 0.0)) return force_n;
     state->torque.desired = touch_faded(seam, state->torque.desired, seam->torque_nm, seam->max_nm);
-    force = touch_faded(seam, force, seam->force_n, seam->max_n);
+    force_n = touch_faded(seam, force_n, seam->force_n, seam->max_n);
     seam->left_s = touch_fmax(0.0, seam->left_s - dt_s);
-    return force;
+    return force_n;
 }
 
 #endif

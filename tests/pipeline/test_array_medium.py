@@ -113,7 +113,7 @@ def test_an_array_is_played_with_the_requested_options(
         spec = PlaySpec("osc:127.0.0.1:9", profile=profile, **times)  # type: ignore[arg-type]
         played = play(path, spec, on_note=notes.append)
         assert played.statistics["stalled_share"] == 0.05 and played.is_starved
-        assert PLAYERS[-1].times == times | {"wait_s": 30.0, "on_note": notes.append}
+        assert PLAYERS[-1].times == times | {"wait_s": 30.0, "on_note": notes.append, "is_blended": True}
         assert played.notes == FakePlayer.notes
         assert PLAYERS[-1].profile_name == played.statistics["profile"] == (profile or VEST.name)
         assert [f"made for {VEST.name}, and is shown on {profile}" in note for note in notes] == [

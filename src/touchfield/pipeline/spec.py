@@ -40,7 +40,8 @@ Frames = tuple[int, int | None]
 REPRESENTATIONS: Final = ("auto", "voxel", "object")
 THIN: Final = ("thicken", "keep")
 COEFFICIENTS: Final = ("friction", "damping_n_s_per_m")
-_OPTIONAL_OF_SOURCE: Final = ("pose_form", "depth_encoding", "topic")  # left out while not given
+_OPTIONAL_OF_SOURCE: Final = {"pose_form": None, "depth_encoding": None, "topic": None, "normals": "auto"}
+"""Options of a source that are left out at these values, so that files from before them keep their bytes."""
 _OPTIONAL: Final = ("vibration", "fit_frames", *COEFFICIENTS)
 NO_FLOOR_N: Final = 1e-30  # for a measure that needs F_0 above 0: smaller than any force
 SOURCE_FORCES: Final = "the source's own forces, sample by sample"
@@ -240,8 +241,8 @@ class EncodeSpec:
         ):
             del values[name]
         del values["source"]["allow_outside"], values["allow_empty"]  # the user decides these each time
-        for name in _OPTIONAL_OF_SOURCE:
-            if values["source"][name] is None:
+        for name, default in _OPTIONAL_OF_SOURCE.items():
+            if values["source"][name] == default:
                 del values["source"][name]
         return json.dumps(values, separators=(",", ":"))
 
