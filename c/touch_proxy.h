@@ -1,5 +1,6 @@
 /* touch_proxy.h: the proxy, or god object (Zilles and Salisbury 1995; cAlgorithmFingerProxy of CHAI3D): a point that stays
-   on a surface while the hand, the device's point, is pressed into it. A spring pulls the hand towards it.
+   on a surface while the hand, the device's point, is pressed into it. A spring between both tells how large the force
+   should be.
 
    There is no mesh. The surface is where the force of the field reaches a level, |F| = level_n, and its outward normal is
    the direction of the force (Salisbury and Tarr 1997). A point where |F| is larger is within.
@@ -16,7 +17,7 @@
                touch_added_force               how much of what the stored force lacks is added
            touch_ease_jump                 where the proxy jumps, its force comes slowly           touch_proxy_jump.h
 
-   The hand gets the stored force, that of the field at the hand, which changes with time as smoothly as the field does, and
+   The hand gets the force that the medium stores at the hand, which changes with time as smoothly as the field does, and
    not as a surface that is searched for. The spring is a yardstick, K (|proxy - hand| + x): in a wall that fills its
    neighbourhood the stored force is about that, and nothing is added. Where a wall is thin or has an edge, the stored force is
    smaller or turned, and what it lacks along the spring is added. A hand that no surface stops gets the stored force. What a
@@ -40,7 +41,7 @@ static inline double touch_added_force(double spring_n, double along_n);
 
 /* -- a tick of the proxy ---------------------------------------------------------------------------------------------- */
 
-/* Of the motion of hand and surface: by so much the proxy may go farther from the hand in a tick. */
+/* Times the motion of hand and surface: by so much the proxy may end farther from the hand. */
 #define TOUCH_PROXY_AWAY 1.2
 
 /* The force on the hand, N, without friction. One tick of the proxy. */
@@ -58,7 +59,7 @@ static inline touch_vector touch_contact_force(touch_receiver *receiver, const t
     touch_contact_motion motion = {{0.0, 0.0, 0.0}, 0.0};
     if (!is_new) motion = touch_motion_of(&s, hand_m, carried);
     int is_in_contact = touch_move_proxy(&s, hand_m, TOUCH_PROXY_AWAY * motion.total_m, &found);
-    touch_store_proxy(proxy, t, found.position_m, is_in_contact); /* force_n and stored_n are still of the tick before */
+    touch_store_proxy(proxy, t, found.position_m, is_in_contact); /* position_m is of this tick now, force_n and stored_n not */
 
     /* the coupling makes the whole field softer, so that neither contact nor a thin wall changes how stiff it is */
     double softness = 1.0 / (1.0 + s.stiffness_n_per_m * receiver->state.compliance_m_per_n);
@@ -104,7 +105,7 @@ static inline touch_vector touch_proxy_force(const touch_isosurface *s, double s
     double along_n = touch_dot(stored_n, outwards), weight = 0.0;
     if (stored > 0.0) weight = touch_smooth_step((along_n / stored - TOUCH_PROXY_EDGE_COSINE) / TOUCH_PROXY_EDGE_WIDTH);
     touch_vector force = touch_scale(weight, touch_add_scaled(stored_n, -along_n, outwards));
-    along_n = touch_fmax(0.0, along_n);
+    along_n = touch_fmax(0.0, along_n); /* a stored force that pulls inwards counts as none */
     return touch_add_scaled(force, along_n + touch_added_force(spring_n, along_n), outwards);
 }
 

@@ -4,25 +4,27 @@
        touch_receiver *receiver = memory;   // laid out as touch_receiver.h says, with settings, frames and a first order
        while (!receiver->clock.is_released) {
            wait until receiver->clock.deadline_ns;
+           receiver->grip = what the device reports besides;
            touch_vector force_n = touch_receiver_tick(receiver, position of the device, m, now_ns);
            put force_n, and receiver->state.torque.output, N m, out to the device;
        }
 
    Read this file from top to bottom: a function stands before those that it calls. One tick, call by call:
 
-       touch_receiver_tick             all of it, at a time of the clock
+       touch_receiver_tick             all of it; TOUCH_FENCE, touch_share and touch_shared           touch_shared.h
            touch_count_silence             does the player, and the thread that decodes, still live?      touch_timing.h
            touch_count_time                jitter, missed ticks, the next deadline                        touch_timing.h
            touch_take_order                play, pause, seek, stop                                        touch_media_clock.h
            touch_find_frames               the two frames around now, and how far between them            touch_media_clock.h
-           touch_tick                      the force; atomic numbers and fences: touch_shared.h
+           touch_tick                      the force:
                touch_store_past_force          for passivity                                              touch_effects.h
                touch_orient_tool               orientation of a tool                                      touch_tool.h
                touch_move_device               device to field: axes, scale, clutch
                    touch_passivity_observer        the energy that the hand put in                        touch_effects.h
                    touch_update_velocity           low-passed                                             touch_effects.h
                    touch_smooth_settings           brake and coupling, on their way to the settings       touch_effects.h
-               touch_force_over_seam           after a jump of the medium, fades out what changed there
+               touch_force_over_seam           the force; after a jump of the medium what changed fades out:
+                   touch_enter_seam                what goes on from the tick before                      touch_seam.h
                    touch_desired_force             the force of the field, and what is added to it:
                        touch_find_material         the material there, if there are any, and mu           touch_effects.h
                        touch_field_force           one of these four; then yield and friction:
@@ -34,6 +36,7 @@
                            touch_friction_force        dry friction                                       touch_friction.h
                        touch_vibration_force, touch_texture, touch_braked                                 touch_effects.h
                        touch_passivity_controller                                                         touch_effects.h
+                   touch_fade_over_seam            what is left of the force before                       touch_seam.h
                touch_wait_for_seek             or, while a seek waits for its frames: the force before fades
                touch_ramp_out                  or, without a frame or a position: it ramps down
                touch_limit_both                after the ramp's gain: the peak, lowered by heat; then slew
@@ -43,8 +46,8 @@
    Two frames of reference: "device" is the axes of the device, metres of the workspace; "field" is that of the medium.
 
    Only touch_tick and touch_release put forces out. Both do so through touch_limit_both, or repeat the last force where no
-   time has passed. Without a frame, a position or an orientation of the device, the last force ramps down; while a seek waits,
-   it fades. */
+   time has passed. Without a frame, a position or an orientation of the device, the last force ramps down; where that is
+   because a seek waits, it fades instead. */
 #ifndef TOUCH_RENDER_H
 #define TOUCH_RENDER_H
 
@@ -74,14 +77,14 @@ static inline void touch_leave_field(touch_tick_state *state, int is_proxy_kept)
 static inline void touch_skip_field(touch_tick_state *state);
 static inline touch_vector touch_limit_both(touch_receiver *receiver, double dt_s);
 
-#define TOUCH_MAX_TICK_S 60.0 /* of a tick that comes later */
+#define TOUCH_MAX_TICK_S 60.0 /* a longer dt counts as this */
 
 /* -- a tick ----------------------------------------------------------------------------------------------------------- */
 
 /* The force, N, in the device's axes, for a device at `device_m`, at `now_ns` of a clock that never goes back. The torque,
    N m, is in state.torque.output. */
 static inline touch_vector touch_receiver_tick(touch_receiver *receiver, touch_vector device_m, int64_t now_ns) {
-    touch_clock *clock = &receiver->clock; /* the caller has written receiver->grip */
+    touch_clock *clock = &receiver->clock;
     int64_t ticks = receiver->counts.ticks;
     int is_silent = touch_count_silence(receiver, now_ns);
     touch_count_time(receiver, now_ns); /* counts this tick; the two lines above need the state before it */
@@ -134,8 +137,7 @@ static inline touch_vector touch_tick(touch_receiver *receiver, int64_t before_o
         double gain = touch_fmin(1.0, state->gain + gain_step);
         state->force.desired = touch_force_over_seam(receiver, &t, dt_s);
         state->gain = gain; /* only now: touch_force_over_seam needs that of the tick before */
-    } else if (state->seam.is_waiting && is_pose_known && state->gain > 0.0 && !receiver->layout.is_unblended) {
-        /* a seek waits, there was a force, and fades are allowed */
+    } else if (is_pose_known && touch_is_fading_for_seek(receiver)) {
         touch_wait_for_seek(receiver, dt_s);
     } else {
         touch_ramp_out(receiver, gain_step, is_pose_known);
@@ -184,21 +186,21 @@ static inline void touch_move_device(touch_receiver *receiver, touch_vector devi
 
 /* -- the force that is desired ---------------------------------------------------------------------------------------- */
 
-/* The desired force, N, and the torque, in state.torque.desired; after a seam of the medium with what is left of those before
-   (touch_seam.h). `t` is NULL while a seek waits for its frames: a field without a force. */
-static inline touch_vector touch_force_over_seam(touch_receiver *receiver, const touch_instant *t, double dt_s) {
-    touch_force_before before = touch_enter_seam(receiver, t);
-    receiver->state.torque.desired = touch_zero(); /* until touch_tool_force */
-    touch_vector force = t ? touch_desired_force(receiver, t, dt_s) : receiver->settings.gravity_n;
-    return touch_fade_over_seam(receiver, t, before, force, dt_s);
-}
-
 /* A seek waits for its frames: the force before it fades in TOUCH_BLEND_S, to that which carries the handle. */
 static inline void touch_wait_for_seek(touch_receiver *receiver, double dt_s) {
     touch_tick_state *state = &receiver->state;
     touch_leave_field(state, touch_is_proxy_kept(receiver));
     state->force.desired = touch_force_over_seam(receiver, NULL, dt_s);
-    if (state->seam.left_s == 0.0) state->gain = 0.0; /* the fade is over: the frames that come start from gain 0 */
+    if (state->seam.left_s == 0.0) state->gain = 0.0; /* without what carries the handle; frames ramp up again */
+}
+
+/* The desired force, N, and the torque, in state.torque.desired; after a seam of the medium with what is left of those before
+   (touch_seam.h). `t` is NULL while a seek waits for its frames: a field without a force. */
+static inline touch_vector touch_force_over_seam(touch_receiver *receiver, const touch_instant *t, double dt_s) {
+    touch_force_before before = touch_enter_seam(receiver, t);
+    receiver->state.torque.desired = touch_zero(); /* until touch_desired_torque */
+    touch_vector force = t ? touch_desired_force(receiver, t, dt_s) : receiver->settings.gravity_n;
+    return touch_fade_over_seam(receiver, t, before, force, dt_s);
 }
 
 /* The force before gain and limits, N, in the device's axes: that of the field with friction, damping and vibration, as far
@@ -232,8 +234,8 @@ static inline touch_vector touch_desired_force(touch_receiver *receiver, const t
 #define TOUCH_MIN_COMPLIANCE_M_PER_N 1e-9 /* 1 / K of the coupling: a stiffer one is none */
 
 /* The force of the field on the hand, N, in the field's axes, without friction, and what friction adds. By settings: proxy (god
-   object), tool, virtual coupling, or the force at the point itself. `*point_m` is the hand; with a virtual coupling it becomes
-   the other end of the coupling. */
+   object), tool, virtual coupling, or the force at the point itself. `*point_m` is the hand; in the third case it becomes the
+   other end of the coupling. */
 static inline touch_vector touch_field_force(touch_receiver *receiver, const touch_instant *t, touch_vector *point_m,
                                              touch_vector *friction_n, double dt_s) {
     const touch_settings *settings = &receiver->settings;
@@ -269,8 +271,8 @@ static inline void touch_desired_torque(touch_receiver *receiver) {
 
 /* -- ramp and limits -------------------------------------------------------------------------------------------------- */
 
-/* Without a frame or a position. One that is missing leaves proxy and anchor where they are, and a frame that comes back
-   meanwhile starts a fade. Late frames leave the proxy there for longer, so that no hand gets through a wall. */
+/* Without a frame or a position. While the gain falls, proxy and anchor stay, and a frame that comes back starts a fade. At
+   gain 0 they are forgotten; late frames keep the proxy longer (TOUCH_SEAM_KEEP_S), so that no hand gets through a wall. */
 static inline void touch_ramp_out(touch_receiver *receiver, double gain_step, int is_pose_known) {
     touch_tick_state *state = &receiver->state;
     touch_ramp_down(state, gain_step);

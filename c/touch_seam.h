@@ -111,6 +111,13 @@ static inline int touch_is_proxy_kept(const touch_receiver *receiver) {
     return state->proxy.is_active && receiver->settings.wall_n_per_m > 0.0 && state->seam.late_s < TOUCH_SEAM_KEEP_S;
 }
 
+/* Whether a seek waits for its frames and the force before it fades. Where it was ramping down already, it goes on to. */
+static inline int touch_is_fading_for_seek(const touch_receiver *receiver) {
+    const touch_tick_state *state = &receiver->state;
+    if (!state->seam.is_waiting || receiver->layout.is_unblended) return 0;
+    return state->gain > 0.0 && (state->seam.left_s > 0.0 || !state->seam.is_field_missing);
+}
+
 /* By how much the motion of the hand since the tick before changes the force of the field, N, in the device's axes: no
    part of what changes at a seam. Before the gain is that of this tick: where it was zero, there was no force to go on. */
 static inline touch_vector touch_motion_change(const touch_receiver *receiver, const touch_instant *t) {
