@@ -270,6 +270,20 @@ def test_frames_that_come_after_a_stall_fade_in() -> None:
     assert steps_n(np.array(forces))[least:].max() < 1.1 * np.pi / 2 * sizes[129] / FADE
 
 
+def test_a_seek_while_the_force_ramps_down_lets_it_go_on() -> None:
+    played = Played(scene(body(BALL, np.zeros((2 * FRAMES, 3)))), late=60)
+    forces = [*played.at_rest(ON_BALL, 130)]
+    size = float(np.linalg.norm(forces[-1]))
+    played.hold_back_frames(500)
+    while np.linalg.norm(forces[-1]) > 0.8 * size:
+        forces.append(played.tick(ON_BALL))
+    assert played.value("state.gain") < 1.0
+    played.seek(0.3)
+    forces += [*played.at_rest(ON_BALL, 50)]
+    ramp_ticks = 1e3 * played.value("settings.ramp_s")
+    assert not forces[-1].any() and steps_n(np.array(forces[130:])).max() < 1.1 * size / ramp_ticks
+
+
 def test_the_force_of_a_fade_is_within_that_of_both_sides() -> None:
     """The ball is 1 mm lower from the seam on, and the hand goes 3 mm deeper meanwhile."""
     positions = np.zeros((FRAMES, 3))
