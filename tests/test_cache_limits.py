@@ -212,7 +212,7 @@ def test_datagrams_wait_for_a_lost_message_within_their_memory(
     sender, gathering = datagrams.Datagrams(7), datagrams.Gathering()
     messages = [np.random.default_rng(i).bytes(4000) for i in range(12)]
     sent = [datagram for message in messages for datagram in sender.add(message)] + sender.flush()
-    delivered = [datagram for datagram in sent if datagrams._parse(datagram).number != 1]  # type: ignore[union-attr]
+    delivered = [datagram for datagram in sent if datagrams._parse(datagram, None).number != 1]  # type: ignore[union-attr]
     out = [message for datagram in delivered for message in gathering.receive(datagram)]
     if waits:
         assert out == messages[:1] and gathering.lost == 0
