@@ -61,15 +61,15 @@ class World:
     """A medium to wander over.
 
     ``surface(tick)`` is its field then, from which hands choose where to go; `centre_m` is what they go round
-    on their way, if there is something to go round. `period` is that of a loop, ticks; `speeds_m_s` are those
-    of the fastest body, float64 [period]. Touches are within `reach_m` of the middle: hands slip off a rim.
+    on their way, if there is something to go round. `period` is that of a loop, ticks, not always whole;
+    `speeds_m_s` are those of the fastest body, float64 [period]. Touches are within `reach_m` of the middle: hands slip off a rim.
     """
 
     medium: Any
     surface: Callable[[int], ForceField]
     friction: float = 0.0
     centre_m: Any = None
-    period: int = 0
+    period: float = 0.0
     every: int = 10**9
     speeds_m_s: Any = None
     reach_m: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -111,7 +111,7 @@ class Intents:
     def _way(self, tick: int) -> tuple[Any, Any]:
         """Return points and normals of a way over the surface at a tick, float64 [n, 3] each."""
         period, every = self._world.period, self._world.every
-        key = (tick % period if period else 0) // every
+        key = int(tick % period if period else 0) // every
         if key not in self._walks:
             field = self._world.surface(key * every)
             walks = surface_walks(field, WALK_M, WALKS, self._rng)
@@ -211,9 +211,8 @@ def desk() -> World:
     """Return the desk, looped."""
     spec = EncodeSpec(frames=(0, rests.FRAMES), nw=6)
     medium = rests.coded(str(SHARED / rests.SCENES["TUM desk"]), spec)
-    length = round(1e3 * rests.FRAMES / rests.RATE_HZ)
-    surface = lambda tick: medium[min(rests.FRAMES - 1, round(tick * rests.RATE_HZ / 1e3))]  # noqa: E731
-    return World(medium, surface, period=length, every=134, is_static=False)
+    surface = lambda tick: medium[min(rests.FRAMES - 1, round(tick * medium.rate_hz / 1e3))]  # noqa: E731
+    return World(medium, surface, period=1e3 * rests.FRAMES / medium.rate_hz, every=134, is_static=False)
 
 
 def bodies() -> World:
@@ -272,7 +271,7 @@ def explained_n(world: World, tick: int, runs: Runs, stiffness: float, beside: A
     changes_m = np.linalg.norm(np.diff(moved_m, axis=1, prepend=moved_m[:, :1]), axis=2)
     ticks = tick + 1 + np.arange(speeds_m.shape[1])
     if world.speeds_m_s is not None:
-        speeds_m = speeds_m + 1e-3 * world.speeds_m_s[ticks % world.period]
+        speeds_m = speeds_m + 1e-3 * world.speeds_m_s[ticks % round(world.period)]
     sum_n_per_m = stiffness + STICK_N_PER_M * world.friction
     bound = sum_n_per_m * speeds_m + DAMPER_N_S_PER_M * 1e3 * changes_m
     is_edge = grown(np.linalg.norm(runs.field_n, axis=2)[:, 1:] < EDGE_N)

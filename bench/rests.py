@@ -14,7 +14,9 @@ Hands rest at seeded points, scripted or on a spring (0.2 kg, 200 N/m, 2 N s/m).
 Each is rendered by the field and by the player's choice ("auto", a proxy), and the medium before coding by
 the field ("source"). "step" is the largest change of the force from one tick of 1 ms to the next, mN, and
 "band" its part from 40 to 400 Hz, mN rms, within windows: at rest, around the start of a segment, the end of
-a loop, and a seek. Both are the worst of all points. The device is a phantom-omni without a continuous limit.
+a loop, and a seek. Both are the worst of all points. "beside" is the field where the hands on springs of
+"auto" are: those of the field settle elsewhere, often behind an edge or a wall. The device is a phantom-omni
+without a continuous limit.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ from typing import Any
 import numpy as np
 
 import touchfield as tf
-from hands import Hands, Spring
+from hands import Hands, Runs, Spring
 from live_offline import Arrivals, Layer, recorded
 from machine import SHARED, Bar, Figures, at_most
 from touchfield.codec.touch.spec import TouchSpec
@@ -43,7 +45,7 @@ from touchfield.render.spec import RenderSpec
 from touchfield.sources.options import SourceOptions
 
 SCENES = {"TUM desk": "rgbd_tum_fr1_rpy", "ICL room": "rgbd_iclnuim_livingroom1"}
-FRAMES, RATE_HZ, LIVE_FRAMES, SEGMENT_FRAMES = 24, 30.0, 90, 8
+FRAMES, LIVE_FRAMES, SEGMENT_FRAMES = 24, 90, 8
 DEPTH_M, OUTSIDE_M, PRESS_S, QUIET = 0.003, 0.008, 0.1, 900
 LEAST_N, MOST_N = 0.6, 2.2
 LATE, BEFORE, AFTER = 12, 3, 140
@@ -77,11 +79,12 @@ class Case:
     deformation: Deformation | None = None
     arrivals: Callable[[], Arrivals] | None = None
 
-    def run(self, is_spring: bool, render: str, hands: slice = slice(None)) -> Any:
-        """Return the forces on the hands, newtons, float64 [hands, ticks, 3]."""
+    def run(self, is_spring: bool, render: str, goals_m: Any = None) -> Runs:
+        """Render the hands; scripted ones may go through other goals, float64 [hands, ticks, 3]."""
         spec = RenderSpec(
             render="field" if render == "source" else render, up="lattice", deformation=self.deformation
         )
+        goals_m = self.goals_m[is_spring] if goals_m is None else goals_m
         arrivals = None if self.arrivals is None else self.arrivals()
         medium = self.medium if arrivals is None else arrivals.medium
         if render == "source":
@@ -90,13 +93,13 @@ class Case:
         is_loop = self.is_loop or render == "source"
         crowd = Hands(medium, LATE, spec=spec, start_s=self.start_s, loop=is_loop)
         return crowd.run(
-            self.goals_m[is_spring][hands],
+            goals_m,
             self.ticks,
             Spring() if is_spring else None,
-            self.starts_m[hands],
+            self.starts_m,
             self.seeks,
             arrivals or (lambda tick: None),
-        ).force_n
+        )
 
     @property
     def windows(self) -> dict[str, Any]:
@@ -145,15 +148,15 @@ def depth_case(name: str, nw: int, points: int) -> Case:
     folder = str(SHARED / SCENES[name])
     medium = coded(folder, spec)
     goals, starts = pressed(medium, points, 2600)
-    seek, back_s, length = 1900, 0.3, round(1e3 * FRAMES / RATE_HZ)
+    seek, back_s, length_ms = 1900, 0.3, 1e3 * FRAMES / medium.rate_hz
     assert medium.segments is not None
-    segments = [round(1e3 * first / RATE_HZ) for first in medium.segments.starts[1:]]
+    segments_ms = [1e3 * first / medium.rate_hz for first in medium.segments.starts[1:]]
     return Case(
         f"{name}, nw {nw}", medium, held(prepare(folder, spec).medium), (goals, goals), starts, 2600,
         seeks={seek: back_s},
         seams={
-            "segment": tuple(length + segment for segment in segments),
-            "loop": (2 * length, seek + LATE + length - round(1e3 * back_s)),
+            "segment": tuple(round(length_ms + segment_ms) for segment_ms in segments_ms),
+            "loop": (round(2 * length_ms), seek + LATE + round(length_ms - 1e3 * back_s)),
             "seek": (seek,),
         },
     )  # fmt: skip
@@ -234,7 +237,7 @@ def desk_stream() -> tuple[HapticMedium, tuple[Layer, Layer]]:
 def live_cases(points: int) -> Iterator[Case]:
     """Yield hands on the desk as a live stream, whole and with every third segment coarse."""
     medium, (fine, coarse) = desk_stream()
-    segment_s = SEGMENT_FRAMES / RATE_HZ
+    segment_s = SEGMENT_FRAMES / medium.rate_hz
     goals, starts = pressed(medium, points, 2600)
     starts_ms = [round(1e3 * segment_s * n) for n in range(1, round(2.4 / segment_s) + 1)]
     loops = tuple(starts_ms[n - 1] for n in (3, 6, 9) if 800 < starts_ms[n - 1] < 2400)
@@ -291,10 +294,13 @@ KINDS = {False: "scripted", True: "spring"}
 
 def measured(case: Case) -> dict[bool, dict[str, Felt]]:
     """Measure a case, for scripted hands and for those on springs."""
-    return {
-        is_spring: {render: felt(case, case.run(is_spring, render)) for render in RENDERS}
-        for is_spring in KINDS
-    }
+    found: dict[bool, dict[str, Felt]] = {}
+    for is_spring in KINDS:
+        runs = {render: case.run(is_spring, render) for render in RENDERS}
+        if is_spring:
+            runs["beside"] = case.run(False, "field", runs["auto"].position_m)
+        found[is_spring] = {render: felt(case, run.force_n) for render, run in runs.items()}
+    return found
 
 
 def rows_of(case: Case, found: dict[bool, dict[str, Felt]]) -> Figures:
@@ -319,10 +325,14 @@ def rests(points: int, lattices: int) -> Figures:
 
 
 def ratios(row: Figures) -> dict[str, float]:
-    """Return `auto` over the field, or over the source if that is less, of step and vibration."""
+    """Return `auto` over the field of step and vibration.
+
+    That is the less steady one of the field, or the source if that is steadier, and the field beside.
+    """
     found = {}
     for key, least in (("step", LEAST_STEP_MN), ("band", LEAST_BAND_MN)):
-        found[key] = row[f"auto_{key}"] / max(min(row[f"field_{key}"], row[f"source_{key}"]), least)
+        steadier = min(row[f"field_{key}"], row[f"source_{key}"])
+        found[key] = row[f"auto_{key}"] / max(steadier, row.get(f"beside_{key}", 0.0), least)
     return found
 
 

@@ -194,10 +194,10 @@ static inline void touch_find_seam(touch_receiver *receiver, touch_frames *found
     if (seam->is_cut) found->after_offset = found->before_offset, found->blend = 0.0;
 }
 
-/* Whether a seek waits for its frames, which are still to come. */
-static inline int touch_is_seeking(const touch_receiver *receiver, int is_silent) {
+/* Whether frames of a seek, or late ones, are still to come. */
+static inline int touch_are_frames_coming(const touch_receiver *receiver, int is_silent) {
     if (is_silent || touch_shared(&receiver->orders.has_feed_failed)) return 0;
-    return touch_is_generation_new(&receiver->clock);
+    return touch_is_generation_new(&receiver->clock) || receiver->clock.feed == TOUCH_STALLED;
 }
 
 /* Advance the media clock, and find the two frames of this instant. */
@@ -227,7 +227,7 @@ static inline touch_frames touch_find_frames(touch_receiver *receiver, double cl
     found.after_offset = touch_frame_offset(receiver, following);
     if (!found.before_offset || !found.after_offset || is_silent) {
         touch_wait_for_frames(receiver, before_s, clock_s, is_silent);
-        receiver->state.seam.is_waiting = touch_is_seeking(receiver, is_silent);
+        receiver->state.seam.is_waiting = touch_are_frames_coming(receiver, is_silent);
         return none;
     }
     touch_use_frames(receiver, media_s, clock_s, found.first_frame);

@@ -1,8 +1,8 @@
 /* touch_proxy_jump.h: jumps of the proxy of touch_proxy.h, to another surface, or on or off one, reach the hand slowly.
 
    The force changes at once by as much as the field itself changes at the hand. The rest of a change is owed. It comes with
-   time, and with the motion of the hand by K per metre: by twice as much where it works against the motion, and not where it
-   works along it, so that it drives no hand. */
+   time, and with the motion of the hand by K per metre: in full where it works against the motion, half where it lies across
+   it, and not where it works along it, so that it drives no hand. */
 #ifndef TOUCH_PROXY_JUMP_H
 #define TOUCH_PROXY_JUMP_H
 
@@ -32,16 +32,22 @@ static inline touch_vector touch_shortened(touch_vector v, double length) {
     return size > length ? touch_scale(1.0 - length / size, v) : touch_zero();
 }
 
+/* How much of what is owed comes with the motion of the hand, N. */
+static inline double touch_given_by_motion(const touch_isosurface *s, touch_vector hand_m, touch_vector owed_n) {
+    double size_n = touch_magnitude(owed_n);
+    if (!(size_n > 0.0)) return 0.0;
+    double along_m = touch_dot(hand_m, owed_n) / size_n;
+    return 0.5 * s->stiffness_n_per_m * (touch_magnitude(hand_m) - along_m);
+}
+
 /* Pass on what the field explains of a change of the proxy's force, and give back some of what is owed. */
 static inline void touch_ease_jump(const touch_isosurface *s, const touch_contact_motion *motion, touch_vector force_n,
                                    touch_vector stored_n, double dt_s) {
     touch_proxy *proxy = &s->receiver->state.proxy;
-    double explained_n = touch_magnitude(touch_subtract(stored_n, proxy->stored_n));
     touch_vector change_n = touch_subtract(force_n, proxy->force_n);
+    double explained_n = touch_magnitude(touch_subtract(stored_n, proxy->stored_n));
     touch_vector owed_n = touch_add(proxy->eased_n, touch_shortened(change_n, explained_n));
-    double size_n = touch_magnitude(owed_n), against_m = touch_magnitude(motion->hand_m);
-    if (size_n > 0.0) against_m -= touch_dot(motion->hand_m, owed_n) / size_n;
-    owed_n = touch_shortened(owed_n, s->stiffness_n_per_m * against_m);
+    owed_n = touch_shortened(owed_n, touch_given_by_motion(s, motion->hand_m, owed_n));
     double given_n_per_s = touch_fmin(touch_magnitude(owed_n) / TOUCH_PROXY_EASE_SMALL_S, s->large_n / TOUCH_PROXY_EASE_S);
     proxy->eased_n = touch_shortened(owed_n, given_n_per_s * dt_s);
 }

@@ -204,7 +204,7 @@ typedef struct { /* over a seam of the medium, from the force before to the forc
     int64_t frame;               /* tag of the frame after the seam that was looked at last */
     int64_t is_cut;              /* the medium jumps there: the frame before stands until then */
     int64_t is_starting;         /* this tick is the first one after a seam */
-    int64_t is_waiting;          /* for the frames of a seek */
+    int64_t is_waiting;          /* for frames of a seek, or late ones */
     int64_t is_field_missing;    /* in the tick before: no frame, or no position */
     double late_s;               /* since the latest frame */
     double left_s;               /* of the fade; 0: there is none */

@@ -37,7 +37,7 @@
                        touch_vibration_force, touch_texture, touch_braked                                 touch_effects.h
                        touch_passivity_controller                                                         touch_effects.h
                    touch_fade_over_seam            what is left of the force before                       touch_seam.h
-               touch_wait_for_seek             or, while a seek waits for its frames: the force before fades
+               touch_fade_out                  or, while frames are still to come: the force before fades
                touch_ramp_out                  or, without a frame or a position: it ramps down
                touch_limit_both                after the ramp's gain: the peak, lowered by heat; then slew
            touch_release                   in place of touch_tick after a stop: the next force on the way to zero
@@ -47,7 +47,7 @@
 
    Only touch_tick and touch_release put forces out. Both do so through touch_limit_both, or repeat the last force where no
    time has passed. Without a frame, a position or an orientation of the device, the last force ramps down; where that is
-   because a seek waits, it fades instead. */
+   because frames of a seek, or late ones, are still to come, it fades instead. */
 #ifndef TOUCH_RENDER_H
 #define TOUCH_RENDER_H
 
@@ -66,7 +66,7 @@ static inline touch_vector touch_release(touch_receiver *receiver, double dt_s);
 static inline int touch_is_position(touch_vector p);
 static inline void touch_move_device(touch_receiver *receiver, touch_vector device_m);
 static inline touch_vector touch_force_over_seam(touch_receiver *receiver, const touch_instant *t, double dt_s);
-static inline void touch_wait_for_seek(touch_receiver *receiver, double dt_s);
+static inline void touch_fade_out(touch_receiver *receiver, double dt_s);
 static inline touch_vector touch_desired_force(touch_receiver *receiver, const touch_instant *t, double dt_s);
 static inline touch_vector touch_field_force(touch_receiver *receiver, const touch_instant *t, touch_vector *point_m,
                                              touch_vector *friction_n, double dt_s);
@@ -137,8 +137,8 @@ static inline touch_vector touch_tick(touch_receiver *receiver, int64_t before_o
         double gain = touch_fmin(1.0, state->gain + gain_step);
         state->force.desired = touch_force_over_seam(receiver, &t, dt_s);
         state->gain = gain; /* only now: touch_force_over_seam needs that of the tick before */
-    } else if (is_pose_known && touch_is_fading_for_seek(receiver)) {
-        touch_wait_for_seek(receiver, dt_s);
+    } else if (is_pose_known && touch_is_fading_out(receiver)) {
+        touch_fade_out(receiver, dt_s);
     } else {
         touch_ramp_out(receiver, gain_step, is_pose_known);
     }
@@ -186,8 +186,8 @@ static inline void touch_move_device(touch_receiver *receiver, touch_vector devi
 
 /* -- the force that is desired ---------------------------------------------------------------------------------------- */
 
-/* A seek waits for its frames: the force before it fades in TOUCH_BLEND_S, to that which carries the handle. */
-static inline void touch_wait_for_seek(touch_receiver *receiver, double dt_s) {
+/* Frames are still to come: the force before fades in TOUCH_BLEND_S, to that which carries the handle. */
+static inline void touch_fade_out(touch_receiver *receiver, double dt_s) {
     touch_tick_state *state = &receiver->state;
     touch_leave_field(state, touch_is_proxy_kept(receiver));
     state->force.desired = touch_force_over_seam(receiver, NULL, dt_s);
@@ -195,7 +195,7 @@ static inline void touch_wait_for_seek(touch_receiver *receiver, double dt_s) {
 }
 
 /* The desired force, N, and the torque, in state.torque.desired; after a seam of the medium with what is left of those before
-   (touch_seam.h). `t` is NULL while a seek waits for its frames: a field without a force. */
+   (touch_seam.h). `t` is NULL while frames are still to come: a field without a force. */
 static inline touch_vector touch_force_over_seam(touch_receiver *receiver, const touch_instant *t, double dt_s) {
     touch_force_before before = touch_enter_seam(receiver, t);
     receiver->state.torque.desired = touch_zero(); /* until touch_desired_torque */

@@ -9,8 +9,8 @@
        F = F_after + w (F_before - F_after in the first tick)
 
    The hand has the stiffness, the proxy and the friction of the field after the seam from the first tick on. Where the field
-   is the same on both sides, nothing is added. |F| is at most the larger one of |F_before| and |F_after|. Where the force of
-   the proxy jumps before the fade is over, the jump fades, too (touch_has_force_jumped).
+   is the same on both sides, nothing is added. |F| is at most the larger one of |F_before| and |F_after|. A wall that has come
+   over the hand pushes as slowly as after any other jump of the proxy (touch_proxy_jump.h).
 
    A receiver whose segments are not blended (layout.is_unblended) has no fades either: the force steps, as far as the slew
    limit lets it.
@@ -26,14 +26,12 @@
 #include "touch_shared.h"
 #include "touch_tool.h"
 
-#define TOUCH_SEAM_RATIO 2.0      /* of the changes of two pairs of frames: a larger one is a jump */
-#define TOUCH_SEAM_MIN_M 1e-6     /* of a body's surface: a smaller change is none */
-#define TOUCH_SEAM_MIN_N 1e-3     /* of a force */
-#define TOUCH_MAX_CARRY_M 1e-3    /* in a tick: a body that went farther has jumped, and carries nothing */
-#define TOUCH_SEAM_JUMP_S 0.05    /* so long a fade goes on after a jump of the proxy: it ends even where each tick jumps */
-#define TOUCH_SEAM_MIN_JUMP 0.005 /* of a large force of the field: what changes by no more is noise, and no jump */
-#define TOUCH_SEAM_KEEP_S 0.25    /* how long late frames leave the proxy where it is: a hand reacts to nothing sooner */
-#define TOUCH_SEAM_SEARCHES 8     /* of the proxy in the first tick: one that the new field covers gets out of it */
+#define TOUCH_SEAM_RATIO 2.0     /* of the changes of two pairs of frames: a larger one is a jump */
+#define TOUCH_SEAM_MIN_M 1e-6    /* of a body's surface: a smaller change is none */
+#define TOUCH_SEAM_MIN_N 1e-3    /* of a force */
+#define TOUCH_MAX_CARRY_M 1e-3   /* in a tick: a body that went farther has jumped, and carries nothing */
+#define TOUCH_SEAM_KEEP_S 0.25   /* how long late frames leave the proxy where it is: a hand reacts to nothing sooner */
+#define TOUCH_SEAM_SEARCHES 8    /* of the proxy in the first tick: one that the new field covers gets out of it */
 
 /* -- whether a medium jumps from a frame to the next ------------------------------------------------------------------- */
 
@@ -99,7 +97,7 @@ static inline void touch_stay_in_place(touch_receiver *receiver, const touch_ins
         anchor->is_set = 0;
     if (!(receiver->settings.wall_n_per_m > 0.0)) return;
     for (int n = 0; n < TOUCH_SEAM_SEARCHES; n++) (void)touch_contact_force(receiver, t, state->position_m, 0.0);
-    proxy->eased_n = touch_zero(); /* the fade does that for the whole force */
+    if (!(touch_dot(proxy->eased_n, proxy->force_n) > 0.0)) proxy->eased_n = touch_zero(); /* a force that is gone: it fades */
 }
 
 /* Whether the proxy stays where it is without a frame: those to come may have the wall that held the hand. */
@@ -111,8 +109,9 @@ static inline int touch_is_proxy_kept(const touch_receiver *receiver) {
     return state->proxy.is_active && receiver->settings.wall_n_per_m > 0.0 && state->seam.late_s < TOUCH_SEAM_KEEP_S;
 }
 
-/* Whether a seek waits for its frames and the force before it fades. Where it was ramping down already, it goes on to. */
-static inline int touch_is_fading_for_seek(const touch_receiver *receiver) {
+/* Whether the force fades as frames of a seek, or late ones, are still to come. Where it was ramping down already, it goes on
+   to. */
+static inline int touch_is_fading_out(const touch_receiver *receiver) {
     const touch_tick_state *state = &receiver->state;
     if (!state->seam.is_waiting || receiver->layout.is_unblended) return 0;
     return state->gain > 0.0 && (state->seam.left_s > 0.0 || !state->seam.is_field_missing);
@@ -132,35 +131,14 @@ static inline touch_vector touch_motion_change(const touch_receiver *receiver, c
 /* The weight of what was before, where a fade has so long to go. */
 static inline double touch_fade_weight(double left_s) { return 0.5 - 0.5 * cos(TOUCH_PI * left_s / TOUCH_BLEND_S); }
 
-/* Fade from the force and the torque of the tick before to those of this one in `left_s`, at most TOUCH_BLEND_S. */
-static inline void touch_start_fade(touch_seam *seam, double left_s, touch_vector force_n, touch_vector torque_nm,
-                                    touch_vector new_force_n, touch_vector new_torque_nm) {
-    double weight = touch_fade_weight(left_s);
-    seam->left_s = left_s;
-    seam->force_n = touch_scale(1.0 / weight, touch_subtract(force_n, new_force_n));
-    seam->torque_nm = touch_scale(1.0 / weight, touch_subtract(torque_nm, new_torque_nm));
+/* Fade from the force and the torque of the tick before to those of this one, in TOUCH_BLEND_S. */
+static inline void touch_start_fade(touch_seam *seam, touch_vector force_n, touch_vector torque_nm, touch_vector new_force_n,
+                                    touch_vector new_torque_nm) {
+    seam->left_s = TOUCH_BLEND_S;
+    seam->force_n = touch_subtract(force_n, new_force_n);
+    seam->torque_nm = touch_subtract(torque_nm, new_torque_nm);
     seam->max_n = touch_norm(force_n);
     seam->max_nm = touch_norm(torque_nm);
-}
-
-/* Whether the force of the proxy jumps in a tick of a fade. After a seam the hand may be where it does not come by itself, deep
-   in a wall or near another, and the force goes over to that of another surface within a few ticks. What changes by more than
-   the stored force at the hand, and than the spring of the proxy by the motion of the hand, is a jump, and fades, too.
-   What these explain is added to `*force_n`, the force of the tick before, in the device's axes. The other two are
-   that of the proxy and the stored one in the tick before, in the field's axes. */
-static inline int touch_has_force_jumped(const touch_receiver *receiver, touch_vector proxy_before_n,
-                                         touch_vector stored_before_n, touch_vector *force_n) {
-    const touch_settings *settings = &receiver->settings;
-    const touch_tick_state *state = &receiver->state;
-    if (!(settings->wall_n_per_m > 0.0 && state->seam.left_s > 0.0)) return 0;
-    touch_vector change = touch_subtract(state->field_force_n, proxy_before_n);
-    double hand_m = touch_norm(touch_subtract(state->position_m, state->seam.hand_m)), size = touch_norm(change);
-    double stored_n = touch_norm(touch_subtract(state->proxy.stored_n, stored_before_n));
-    double explained_n = touch_fmax(stored_n, settings->wall_n_per_m * hand_m);
-    if (!(size > explained_n + TOUCH_SEAM_MIN_JUMP * settings->wall_force_n)) return 0;
-    change = touch_rotate_back(&settings->axes, change);
-    *force_n = touch_add_scaled(*force_n, settings->force_scale * explained_n / size, change);
-    return 1;
 }
 
 /* A force after a seam with what is left of that before; a torque, too. */
@@ -175,18 +153,16 @@ static inline touch_vector touch_faded(const touch_seam *seam, touch_vector forc
 typedef struct { /* what a seam needs of the tick before */
     int is_starting;
     touch_vector force_n, torque_nm; /* desired */
-    touch_vector field_n, stored_n;  /* of the proxy, and the stored force at the hand, in the field's axes */
 } touch_force_before;
 
 /* Before the force of a tick: in the first one after a seam, the force of the tick before goes on with the motion of the hand,
-   and proxy and anchor stay in place. `t` is NULL while a seek waits for its frames. */
+   and proxy and anchor stay in place. `t` is NULL while frames are still to come. */
 static inline touch_force_before touch_enter_seam(touch_receiver *receiver, const touch_instant *t) {
     touch_tick_state *state = &receiver->state;
     touch_seam *seam = &state->seam;
     touch_force_before before;
     before.is_starting = seam->is_starting || (seam->is_field_missing != !t);
     before.force_n = state->force.desired, before.torque_nm = state->torque.desired;
-    before.field_n = state->field_force_n, before.stored_n = state->proxy.stored_n;
     if (!t || !before.is_starting) return before;
     before.force_n = touch_add(before.force_n, touch_motion_change(receiver, t));
     touch_stay_in_place(receiver, t);
@@ -198,13 +174,8 @@ static inline touch_vector touch_fade_over_seam(touch_receiver *receiver, const 
                                                 touch_vector force_n, double dt_s) {
     touch_tick_state *state = &receiver->state;
     touch_seam *seam = &state->seam;
-    double fade_s = TOUCH_BLEND_S;
-    if (t && !before.is_starting && touch_has_force_jumped(receiver, before.field_n, before.stored_n, &before.force_n)) {
-        before.is_starting = 1;
-        fade_s = touch_fmax(seam->left_s, TOUCH_SEAM_JUMP_S);
-    }
     if (before.is_starting && !receiver->layout.is_unblended)
-        touch_start_fade(seam, fade_s, before.force_n, before.torque_nm, force_n, state->torque.desired);
+        touch_start_fade(seam, before.force_n, before.torque_nm, force_n, state->torque.desired);
     seam->is_starting = 0, seam->is_field_missing = !t, seam->hand_m = state->position_m;
     if (!(seam->left_s > 0.0)) return force_n;
     state->torque.desired = touch_faded(seam, state->torque.desired, seam->torque_nm, seam->max_nm);

@@ -176,7 +176,7 @@ def test_a_seek_into_falling_bodies_steps_as_the_field_does(is_spring: bool) -> 
             steps = steps_n(forces)
             worst[render] = max(worst[render], *(float(steps[tick + 11 :][:104].max()) for tick in seeks))
     assert worst["field"] > 0.1
-    assert worst["auto"] < 1.1 * worst["field"]
+    assert worst["auto"] < 1.2 * worst["field"]
 
 
 def test_each_end_of_a_loop_fades() -> None:
@@ -274,9 +274,8 @@ def test_a_seek_while_the_force_ramps_down_lets_it_go_on() -> None:
     played = Played(scene(body(BALL, np.zeros((2 * FRAMES, 3)))), late=60)
     forces = [*played.at_rest(ON_BALL, 130)]
     size = float(np.linalg.norm(forces[-1]))
-    played.hold_back_frames(500)
     while np.linalg.norm(forces[-1]) > 0.8 * size:
-        forces.append(played.tick(ON_BALL))
+        forces.append(played.tick(np.full(3, np.nan)))
     assert played.value("state.gain") < 1.0
     played.seek(0.3)
     forces += [*played.at_rest(ON_BALL, 50)]
