@@ -62,7 +62,8 @@ class World:
 
     ``surface(tick)`` is its field then, from which hands choose where to go; `centre_m` is what they go round
     on their way, if there is something to go round. `period` is that of a loop, ticks, not always whole;
-    `speeds_m_s` are those of the fastest body, float64 [period]. Touches are within `reach_m` of the middle: hands slip off a rim.
+    `speeds_m_s` are those of the fastest body, float64 [period]. Touches are within `reach_m` of the middle:
+    hands slip off a rim.
     """
 
     medium: Any

@@ -177,7 +177,9 @@ def test_the_damper_acts_along_the_force_and_stays_below_it() -> None:
     slides = np.arange(100)[:, None] * np.array([1e-4, 0.0, 0.0])
     assert [f for _, f in bench.along(slides)][-1] == pytest.approx([0.0, 0.0, 2.0], abs=1e-6)
     leaves = slides[-1] + np.arange(100)[:, None] * np.array([0.0, 0.0, 1e-4])  # 0.1 m/s
-    assert [f for _, f in bench.along(leaves)][-1] == pytest.approx([0.0, 0.0, 2.0 - damped_n(0.5, 2.0)], rel=1e-4)
+    assert [f for _, f in bench.along(leaves)][-1] == pytest.approx(
+        [0.0, 0.0, 2.0 - damped_n(0.5, 2.0)], rel=1e-4
+    )
     flees = leaves[-1] + np.arange(60)[:, None] * np.array([0.0, 0.0, 1e-3])  # 1 m/s
     assert [f for _, f in bench.along(flees)][-1] == pytest.approx(
         [0.0, 0.0, 2.0 - damped_n(5.0, 2.0)], rel=1e-3
