@@ -32,6 +32,7 @@ from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.budget import memory_budget_bytes
 from touchfield.medium.selection import evenly_spaced
 from touchfield.medium.trace import ContactTrace, read_trace
+from touchfield.perception.mask import Weber
 from touchfield.pipeline.preparation import Prepared
 from touchfield.pipeline.result import Result
 from touchfield.pipeline.spec import DEFAULT_F0_N, EncodeSpec, ReductionSpec
@@ -247,7 +248,7 @@ class FewestPoints(Result):
     positions_m: Float64s = field(repr=False)  # [m, 3]
     forces_n: Float64s = field(repr=False)  # [m, 3]
     rebuilt_n: Float64s | None = field(default=None, repr=False)  # [m, 3]
-    mask: tuple[float, float] = (EncodeSpec().k, DEFAULT_F0_N)  # k and F_0 of max(F_0, k |F|)
+    mask: tuple[Weber, float] = (EncodeSpec().k, DEFAULT_F0_N)  # k and F_0 of max(F_0, k |F|)
     axes: str = ""
 
     def draw(self, path: str | Path) -> None:
@@ -343,7 +344,7 @@ def fewest_points(
 
         rebuilt_n = rebuild(prepared.medium[len(prepared.medium) // 2])
 
-    meter = FidelityMeter(prepared.spec.k, prepared.spec.f0_n or EncodeSpec().f0_n)
+    meter = FidelityMeter(prepared.spec.weber, prepared.spec.f0_n or EncodeSpec().f0_n)
     provenance = add_note(prepared.medium.provenance, "edits", f"rebuilt from {count} points")
     medium = replace(prepared.medium, vibration=None, segments=None, provenance=provenance)
     medium = replace(medium, make_frame=lambda i: domain.field(rebuild(prepared.medium[i]), meter.f0_n))
@@ -360,7 +361,7 @@ def fewest_points(
         positions_m=domain.positions_m,
         forces_n=middle,
         rebuilt_n=rebuilt_n,
-        mask=(meter.k, meter.f0_n),
+        mask=(meter.weber, meter.f0_n),
         axes=prepared.medium.axes,
     )
     if out is None or Path(out).suffix == ".csv":

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Float32s, Float64s, lengths_of
-from touchfield.perception.mask import mask_n
+from touchfield.perception.mask import Weber, mask_n
 from touchfield.viewer.page import titled_figure, write_png
 from touchfield.viewer.slices import choose_slice, supported_span
 
@@ -35,7 +35,7 @@ def draw_comparison(
     decoded: ForceField,
     title: str,
     axes: str,
-    mask: tuple[float, float],
+    mask: tuple[Weber, float],
     names: tuple[str, str, str] = ("source", "decoded", "error"),
 ) -> None:
     """Write a PNG that compares two fields on one grid.
@@ -76,7 +76,7 @@ class _Panels:
         original: ForceField,
         decoded: ForceField,
         axes: str,
-        mask: tuple[float, float],
+        mask: tuple[Weber, float],
         names: tuple[str, str, str] = ("source", "decoded", "error"),
     ) -> None:
         self.axes, self.mask, self.names = axes, mask, names
@@ -148,7 +148,9 @@ class _Panels:
 
     def _mask_bar(self, figure: Any, panel: Any, view: _View, values: NDArray[Any], title: str) -> None:
         worst = self._image(panel, view, values, title, vmin=0, vmax=2, cmap="PuOr_r")
-        label = f"|{self.names[2]}| / max({self.mask[1]:g} N, {self.mask[0]:g} |F|)"
+        k, f0_n = self.mask
+        weber = f"{k:g}" if isinstance(k, float) else "k(|F|)"
+        label = f"|{self.names[2]}| / max({f0_n:g} N, {weber} |F|)"
         _bar(figure, worst, panel, label, extend="max")
 
     # -- rows -----------------------------------------------------------------------------------------------

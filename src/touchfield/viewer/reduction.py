@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from touchfield.arrays import Bools, Float64s, lengths_of
-from touchfield.perception.mask import mask_n
+from touchfield.perception.mask import Weber, mask_n
 from touchfield.viewer.page import titled_figure, write_png
 from touchfield.viewer.slices import choose_slice, largest_slice, supported_span
 
@@ -74,7 +74,7 @@ def draw_points(
     positions_m: Float64s,
     forces_n: Float64s,
     rebuilt_n: Float64s | None,
-    mask: tuple[float, float],
+    mask: tuple[Weber, float],
     axes: str = "",
 ) -> None:
     """Draw |F| of forces, newtons [m, 3], at positions, metres [m, 3], seen along their shortest side.
@@ -95,7 +95,8 @@ def draw_points(
         title = f"{len(points_m)} points of {len(positions_m)} samples"
         rebuilt = _Dots("|F| / N", lengths_of(rebuilt_n), scale)
         error = lengths_of(rebuilt_n - forces_n) / mask_n(size_n, *mask)
-        label = f"|error| / max({mask[1]:g} N, {mask[0]:g} |F|)"
+        k, f0_n = mask
+        label = f"|error| / max({f0_n:g} N, {f'{k:g}' if isinstance(k, float) else 'k(|F|)'} |F|)"
         errors = _Dots(label, error, {"vmin": 0.0, "vmax": 2.0, "cmap": "PuOr_r"})
         names = "the field", "rebuilt from the points", "error"
         panels = [(name, short, dots) for name, dots in zip(names, (field, rebuilt, errors), strict=True)]
