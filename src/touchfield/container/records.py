@@ -129,7 +129,7 @@ class Head:
     )
     weber_fraction: float = row(Real(0, 1), "The k requested of the coder, which defines the error bound.")
     force_threshold_n: float = row(
-        COEFFICIENT, "F_0: differences up to it are imperceptible; 0 if not used.", "N"
+        COEFFICIENT, "F_0: differences up to it are within the bound; 0 if not used.", "N"
     )
     friction: float = row(COEFFICIENT, "Friction coefficient, for the receiver.")
     damping_n_s_per_m: float = row(COEFFICIENT, "Damping coefficient, for the receiver.", "N s/m")

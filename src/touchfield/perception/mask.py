@@ -154,7 +154,7 @@ class SpatialMasking:
 
     k: float  # Weber fraction, 0 or more
     f0_n: float = 0.0  # absolute threshold F_0, 0 or more
-    # fraction of the mean surrounding stimulus that hides errors, 0 or more; no agreed value
+    # fraction of the mean surrounding stimulus added to the mask, 0 or more; no agreed value
     beta: float = 0.0
     # R, positive; by default the two-point threshold of a finger, 2.5 mm
     radius_m: float = field(default_factory=lambda: figure("two_point_threshold_mm") / 1000)

@@ -66,11 +66,11 @@ _PUSH_FRACTION: Final = 0.25  # fraction of a device's largest force, if its con
 
 @dataclass(frozen=True, kw_only=True)
 class Reduction(Result):
-    """Figures of a reduction, the singular values, the middle frame, and the samples that a hand can feel."""
+    """Figures of a reduction, the singular values, the middle frame, and the samples that a hand can reach."""
 
     singular_values: Float64s = field(repr=False)  # [n]
     middle_frame: ForceField = field(repr=False)
-    perceptible: Bools = field(repr=False)  # [nx, ny, nz]
+    is_reachable: Bools = field(repr=False)  # [nx, ny, nz]
     axes: str = ""
 
     def draw(self, path: str | Path) -> None:
@@ -81,7 +81,7 @@ class Reduction(Result):
         rank, hand = self.figures["rank"], self.figures["hand"]
         title = f"rank {rank}; what is left out changes nothing for {hand}"
         draw_reduction(
-            Path(path), self.singular_values, self.middle_frame, self.perceptible, title, self.axes
+            Path(path), self.singular_values, self.middle_frame, self.is_reachable, title, self.axes
         )
 
 
@@ -105,7 +105,7 @@ def without_unreachable(medium: HapticMedium, reachable: Bools) -> HapticMedium:
         )
 
     provenance = add_note(
-        medium.provenance, "edits", f"without {np.count_nonzero(~reachable)} samples that no hand feels"
+        medium.provenance, "edits", f"without {np.count_nonzero(~reachable)} samples that no hand reaches"
     )
     return replace(medium, make_frame=make, segments=None, provenance=provenance)
 
@@ -132,10 +132,10 @@ def reduce_medium(
     medium, hand = prepared.medium, hand_of(target, spec)
     approximation, figures = _modes(prepared, spec)
     reach = reach_of(medium, hand)
-    perceptible, supported = reach.samples, np.zeros(medium.grid.shape, bool)
+    is_reachable, supported = reach.samples, np.zeros(medium.grid.shape, bool)
     for frame in medium:
         supported[tuple(frame.positions().T)] = True
-    excluded = {"behind": ~perceptible}
+    excluded = {"behind": ~is_reachable}
     notes: tuple[str, ...] = (
         f"nothing changes for {hand.text}, if it begins where no force is and stays between the outermost "
         "samples",
@@ -148,13 +148,13 @@ def reduce_medium(
         excluded["outside_workspace"] = _outside(medium, target)
         notes += (f"and, as to what is outside, if it stays in the workspace of {target.name}",)
     if trace is not None:
-        visited = np.zeros(perceptible.shape, bool)
+        visited = np.zeros(is_reachable.shape, bool)
         visited[tuple(visits(trace, medium.grid).indices.T)] = True
         excluded["never_visited"] = ~binary_dilation(visited, np.ones((3, 3, 3), bool), iterations=2)
         notes += (
             "what the hand of --trace never came near is left out, too: nothing is promised to another",
         )
-    perceptible = ~np.logical_or.reduce(list(excluded.values()))
+    is_reachable = ~np.logical_or.reduce(list(excluded.values()))
     figures |= {
         "hand": hand.text,
         "stopping_force_n": reach.stopped_n,
@@ -163,10 +163,10 @@ def reduce_medium(
             f"{name}_samples": int(np.count_nonzero(supported & samples))
             for name, samples in excluded.items()
         },
-        "felt_samples": int(np.count_nonzero(supported & perceptible)),
+        "felt_samples": int(np.count_nonzero(supported & is_reachable)),
     }
     if cull is not None:
-        written = write_result(prepared, [source], without_unreachable(medium, perceptible), cull, report)
+        written = write_result(prepared, [source], without_unreachable(medium, is_reachable), cull, report)
         figures |= {"culled_file": str(written.path), "culled_file_bytes": written.path.stat().st_size}
         figures |= {f"culled_{name}": value for name, value in written.figures.items() if name in BOUND_KEYS}
         notes += written.notes
@@ -186,7 +186,7 @@ def reduce_medium(
         notes,
         singular_values=approximation.modes.values,
         middle_frame=medium[len(medium) // 2],
-        perceptible=perceptible,
+        is_reachable=is_reachable,
         axes=medium.axes,
     )
 
@@ -292,8 +292,8 @@ class _Domain:
 
     def field(self, forces_n: NDArray[Any], threshold_n: float) -> ForceField:
         """Return the field of forces [m, 3], without those below the perception threshold."""
-        perceptible = lengths_of(forces_n) >= threshold_n
-        return ForceField.from_support(self.grid, self.index[perceptible], forces_n[perceptible])
+        is_above = lengths_of(forces_n) >= threshold_n
+        return ForceField.from_support(self.grid, self.index[is_above], forces_n[is_above])
 
 
 def fewest_points(

@@ -176,14 +176,14 @@ class _Panels:
         )
 
     def _contact_mm(self, force: Float32s) -> Float64s:
-        perceptible = force > self.mask[1]
+        is_above = force > self.mask[1]
         index = (
-            perceptible.argmax(axis=_Z)
+            is_above.argmax(axis=_Z)
             if self.from_low_z
-            else perceptible.shape[_Z] - 1 - perceptible[:, :, ::-1].argmax(axis=_Z)
+            else is_above.shape[_Z] - 1 - is_above[:, :, ::-1].argmax(axis=_Z)
         )
         z = self.low_mm[_Z] + (index + 0.5) * self.step_mm[_Z]
-        return np.where(perceptible.any(axis=_Z), z, np.nan)
+        return np.where(is_above.any(axis=_Z), z, np.nan)
 
     def _slice_name(self) -> str:
         axis, index = self.cut.axis, self.cut.index

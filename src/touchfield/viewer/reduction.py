@@ -26,11 +26,11 @@ _LOWEST_DB: Final = -60.0
 
 
 def draw_reduction(
-    path: Path, values: Float64s, field: ForceField, perceptible: Bools, title: str, axes: str = ""
+    path: Path, values: Float64s, field: ForceField, is_reachable: Bools, title: str, axes: str = ""
 ) -> None:
     """Draw the error that is left after so many modes, and |F| of a field on a slice.
 
-    `values` are the singular values of the modes, float64 [n]. `perceptible`, bool [nx, ny, nz], are the
+    `values` are the singular values of the modes, float64 [n]. `is_reachable`, bool [nx, ny, nz], are the
     samples that are not left out; the slice is the one with the most samples left out, which are drawn in
     grey, and is cropped to the samples with forces.
     """
@@ -42,14 +42,14 @@ def draw_reduction(
     left.set(xlabel="modes", ylabel="error / dB of the energy", ylim=(_LOWEST_DB, 3))
     left.xaxis.get_major_locator().set_params(integer=True)
     left.spines[["top", "right"]].set_visible(False)
-    _draw_left_out(figure, right, field, perceptible, axes)
+    _draw_left_out(figure, right, field, is_reachable, axes)
     write_png(figure, path)
 
 
-def _draw_left_out(figure: Any, panel: Any, field: ForceField, perceptible: Bools, axes: str) -> None:
+def _draw_left_out(figure: Any, panel: Any, field: ForceField, is_reachable: Bools, axes: str) -> None:
     dense = field.to_dense()
     size_n = lengths_of(dense)
-    left_out = (size_n > 0) & ~perceptible
+    left_out = (size_n > 0) & ~is_reachable
     spacing_m = field.grid.spacing_m
     cut = largest_slice(left_out, spacing_m, axes) if left_out.any() else choose_slice(dense, spacing_m, axes)
     own_n, own_left_out = cut.of(size_n), cut.of(left_out)

@@ -49,9 +49,9 @@ class TouchSpec:
     for bit, and is faster."""
     support: str = option("movable", "movable (where |F| is at most F_0), or exact. [default: movable]")
     """Either "movable" (a force of at most F_0 may vanish or appear) or "exact" (the support is kept)."""
-    masking: float = option(0.0, "fraction of the mean surrounding force that hides errors. [default: 0]")
-    """Spatial masking, mode "mask" only: fraction beta, 0 to 1, of the mean surrounding force that hides an
-    error at a voxel. The error bound is then max(F_0, k |F| + beta mean), see
+    masking: float = option(0.0, "fraction of the mean surrounding force added to the bound. [default: 0]")
+    """Spatial masking, mode "mask" only: fraction beta, 0 to 1, of the mean surrounding force by
+    which the bound of a voxel grows. The error bound is then max(F_0, k |F| + beta mean), see
     `touchfield.perception.SpatialMasking`. 0: none."""
     masking_radius_m: float = 0.0025
     """Radius R of that mean, metres: the two-point threshold of the skin, by default that of a finger."""
