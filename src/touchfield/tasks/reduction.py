@@ -66,7 +66,7 @@ _PUSH_FRACTION: Final = 0.25  # fraction of a device's largest force, if its con
 
 @dataclass(frozen=True, kw_only=True)
 class Reduction(Result):
-    """Figures of a reduction, the singular values, the middle frame, and the samples that a hand can reach."""
+    """Figures of a reduction, the singular values, the middle frame, and the samples within reach."""
 
     singular_values: Float64s = field(repr=False)  # [n]
     middle_frame: ForceField = field(repr=False)
