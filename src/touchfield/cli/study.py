@@ -14,6 +14,8 @@ from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.study.design import read_design
 
 _ACTIONS: Final = ("init", "run", "analyse", "power")
+DEFAULT_PARTICIPANT: Final = "01"
+DEFAULT_RUNS: Final = 100
 
 
 @command(
@@ -28,17 +30,22 @@ def study(
     action: Annotated[str, typer.Argument(help="init, run, analyse or power.")],
     target: Annotated[Path, typer.Argument(help="init, analyse: a folder; run, power: the design, TOML.")],
     folder: Annotated[Path | None, typer.Argument(help="run: folder of the results.")] = None,
-    participant: Annotated[str, "run: label of the participant, letters and digits."] = "01",
+    participant: Annotated[
+        str | None, "run: label of the participant, letters and digits. [default: 01]"
+    ] = None,
     device: Annotated[str | None, "run: device that presents the intervals, as of play."] = None,
     observer: Annotated[
         str | None, "run, power: simulated observer, threshold=T,slope=B,lapse=L in the unit of the levels."
     ] = None,
-    runs: Annotated[int, "power: simulated sessions for each number of trials."] = 100,
+    runs: Annotated[int | None, "power: simulated sessions for each number of trials. [default: 100]"] = None,
     plot: Annotated[Path | None, "analyse: PNG to draw: rates, fits and intervals."] = None,
 ) -> Answer:
     """Find out which differences people notice: forced choice between streams, settings or renderers."""
     require_one_of("action", action, _ACTIONS)
-    given = {"FOLDER": folder, "--device": device, "--observer": observer, "--plot": plot}
+    given = {
+        "FOLDER": folder, "--participant": participant, "--device": device, "--observer": observer,
+        "--runs": runs, "--plot": plot,
+    }  # fmt: skip
     _require_fitting(action, {name for name, value in given.items() if value is not None})
     if action == "init":
         return Answer(tasks.study.start_study(target).summary(), str(target))
@@ -51,11 +58,16 @@ def study(
         if observer is None:
             raise InvalidArgument("--observer", "nothing", "the observer to simulate, threshold=20,slope=3")
         with progress("power") as report:
-            done = tasks.study.study_power(target, observer, runs, report)
-        return Answer(done.summary(), str(target), done.notes, {"power": f"{runs} simulated sessions each"})
+            done = tasks.study.study_power(target, observer, runs or DEFAULT_RUNS, report)
+        return Answer(
+            done.summary(),
+            str(target),
+            done.notes,
+            {"power": f"{runs or DEFAULT_RUNS} simulated sessions each"},
+        )
     if folder is None:
         raise InvalidArgument("FOLDER", "nothing", "the folder of the results, after the design")
-    spec = tasks.study.SessionSpec(participant, device, observer)
+    spec = tasks.study.SessionSpec(participant or DEFAULT_PARTICIPANT, device, observer)
     if device is not None:
         echo(_WELCOME[read_design(target).task], to_stderr=True)
     done = tasks.study.run_session(target, folder, spec, _ask, lambda text: echo(text, to_stderr=True))
@@ -63,8 +75,8 @@ def study(
 
 
 _OPTIONS: Final[dict[str, set[str]]] = {
-    "init": set(), "run": {"FOLDER", "--device", "--observer"},
-    "analyse": {"--plot"}, "power": {"--observer"},
+    "init": set(), "run": {"FOLDER", "--participant", "--device", "--observer"},
+    "analyse": {"--plot"}, "power": {"--observer", "--runs"},
 }  # fmt: skip
 
 _WELCOME: Final = {

@@ -46,7 +46,7 @@ def counts_by_level(levels: Sequence[float], correct: Sequence[bool]) -> tuple[F
     """The levels that occur, ascending, the trials at each, and the correct ones; each float64 [n]."""
     each, position = np.unique(np.asarray(levels, np.float64), return_inverse=True)
     totals = np.bincount(position, minlength=len(each)).astype(np.float64)
-    right = np.bincount(position, np.asarray(correct, np.float64), len(each))
+    right = np.bincount(position, np.asarray(correct, np.float64), len(each)).astype(np.float64)
     return each, totals, right
 
 

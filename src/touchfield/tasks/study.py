@@ -10,6 +10,7 @@ session says what an interval has, or whether an answer is correct.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import tempfile
 import time
@@ -109,7 +110,8 @@ def render_spec(values: Mapping[str, Any]) -> RenderSpec:
     for name in values:
         if name not in plain:
             raise InvalidArgument(f"comparison.render.{name}", "an unknown option", f"one of {sorted(plain)}")
-    return RenderSpec(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
+    options: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+    return RenderSpec(**options)
 
 
 def resolved_design(design: StudyDesign, report: Progress = silent) -> StudyDesign:
@@ -155,10 +157,12 @@ def run_session(
     path = trials_path(folder, spec.participant)
     for compared in design.comparisons:
         render_spec(compared.render)
-    design = for_participant(_session_design(design, folder, report), spec.participant)
     observer = None
-    if spec.observer is not None:
+    if spec.observer is not None:  # before anything is written
         observer = SimulatedObserver.parse(spec.observer, design.chance, design.seed)
+    design = for_participant(_session_design(design, folder, report), spec.participant)
+    if observer is not None:
+        observer = replace(observer, seed=design.seed)
     done, procedure = _replayed(design, path)
     session = _Session(design, spec, observer, ask, show)
     for trial in range(done, design.trials):
@@ -182,8 +186,15 @@ def _session_design(design: StudyDesign, folder: Path, report: Progress) -> Stud
         if stored["design"] != design.digest:
             found, hint = "a session of another design", "Take another folder, or the design as it was."
             raise InvalidArgument(str(path), found, hint=hint)
+        if stored.get("streams") != _digests(design):
+            found, hint = "a session with other streams", "Take another folder, or the streams as they were."
+            raise InvalidArgument(str(path), found, hint=hint)
+        if len(stored["levels"]) != len(design.comparisons):
+            raise SourceError(str(path), f"{len(stored['levels'])} levels", f"{len(design.comparisons)}")
         return with_levels(design, stored["levels"], stored["unit"])
+    streams = _digests(design)
     is_measured, design = design.is_measured, resolved_design(design, report)
+    procedure_of(design)  # MissingExtra before anything is written
     folder.mkdir(parents=True, exist_ok=True)
     write_dictionary(folder)
     session = {
@@ -192,10 +203,23 @@ def _session_design(design: StudyDesign, folder: Path, report: Progress) -> Stud
         "interval_s": design.interval_s, "reference": Path(design.reference).name,
         "comparisons": [Path(c.stream).name for c in design.comparisons], "levels": list(design.levels),
         "unit": design.unit, "is_measured": is_measured,
+        "streams": streams,
     }  # fmt: skip
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(session, indent=2) + "\n", "utf-8")
     return design
+
+
+def _digests(design: StudyDesign) -> list[str]:
+    """SHA-256 of the reference and of each comparison; `SourceError` if one is no file."""
+    digests = []
+    for stream in (design.reference, *(compared.stream for compared in design.comparisons)):
+        try:
+            with Path(stream).open("rb") as file:
+                digests.append(hashlib.file_digest(file, "sha256").hexdigest())
+        except OSError as error:
+            raise SourceError(stream, error.strerror or "no file", "a stream of the design") from None
+    return digests
 
 
 def _read_session(path: Path) -> dict[str, Any]:
