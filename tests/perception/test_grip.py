@@ -48,8 +48,8 @@ def test_a_curve_that_is_no_bound_is_refused(points, expected):
 
 def test_the_bound_of_a_curve_never_falls_as_the_force_grows():
     force_n = np.geomspace(1e-3, 1e2, 5001)
-    for held in (*(own.weber for own in grips().values()), CURVE):
-        assert (np.diff(mask_n(force_n, held, 0.01)) >= 0).all()
+    for known in (*(own.weber for own in grips().values()), CURVE):
+        assert (np.diff(mask_n(force_n, known, 0.01)) >= 0).all()
 
 
 def test_the_allowance_of_the_encoder_never_exceeds_the_curve():
@@ -73,11 +73,11 @@ def test_every_number_states_how_it_was_checked():
         assert entry.verified in VERIFIED
         if entry.verified == "read" and not entry.source.startswith("paper"):
             assert entry.year and entry.condition and entry.criterion
-    for held in grips().values():
-        assert len(held.numbers) == 1 + len(held.weber.points)
-        for number in held.numbers:
+    for known in grips().values():
+        assert len(known.numbers) == 1 + len(known.weber.points)
+        for number in known.numbers:
             assert number.verified in VERIFIED and number.source and number.condition and number.criterion
-            assert (number.name in held.note) == (number.verified != "read")
+            assert (number.name in known.note) == (number.verified != "read")
     for profile in vibration_thresholds().values():
         assert len(profile.verified) == len(profile.frequency_hz) and set(profile.verified) <= set(VERIFIED)
 

@@ -35,15 +35,15 @@ _CHUNK = 4096  # bricks at a time: 25 MB of float32 forces
 class FidelityMeter:
     """Accumulated error of decoded frames against their originals.
 
-    `weber`: Weber fraction of the mask, a number or a function of the force. `f0_n`: F_0, absolute threshold
-    of the mask, newtons, positive.
+    `k`: Weber fraction of the mask, a number or a function of the force. `f0_n`: F_0, absolute threshold of
+    the mask, newtons, positive.
     `masking`: for spatial masking (`perception.mask`), beta, the fraction of the surrounding forces, and the
     radius in metres.
     """
 
-    def __init__(self, weber: Weber, f0_n: float, masking: tuple[float, float] | None = None) -> None:
-        self.weber, self.f0_n = weber, f0_n
-        self.k = weber.largest if isinstance(weber, WeberCurve) else weber
+    def __init__(self, k: Weber, f0_n: float, masking: tuple[float, float] | None = None) -> None:
+        self.weber, self.f0_n = k, f0_n
+        self.k = k.largest if isinstance(k, WeberCurve) else k
         if not (self.k >= 0 and f0_n > 0):
             raise InvalidArgument("mask", f"k = {self.k}, F_0 = {f0_n} N", "k >= 0 and F_0 > 0")
         self._masking = None if masking is None else SpatialMasking(0.0, 0.0, *masking)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -42,12 +42,20 @@ class Fit:
         return (self.low is None or self.low <= threshold) and (self.high is None or threshold <= self.high)
 
 
-def counts_by_level(levels: Sequence[float], correct: Sequence[bool]) -> tuple[Float64s, Float64s, Float64s]:
-    """The levels that occur, ascending, the trials at each, and the correct ones; each float64 [n]."""
-    each, position = np.unique(np.asarray(levels, np.float64), return_inverse=True)
-    totals = np.bincount(position, minlength=len(each)).astype(np.float64)
-    right = np.bincount(position, np.asarray(correct, np.float64), len(each)).astype(np.float64)
-    return each, totals, right
+class Counts(NamedTuple):
+    """Trials by level, float64 [n]: the levels that occur, ascending; all trials; the correct ones."""
+
+    levels: Float64s
+    totals: Float64s
+    correct: Float64s
+
+
+def counts_by_level(levels: Sequence[float], correct: Sequence[bool]) -> Counts:
+    """Count the trials at each level that occurs."""
+    distinct, position = np.unique(np.asarray(levels, np.float64), return_inverse=True)
+    totals = np.bincount(position, minlength=len(distinct)).astype(np.float64)
+    right = np.bincount(position, np.asarray(correct, np.float64), len(distinct)).astype(np.float64)
+    return Counts(distinct, totals, right)
 
 
 def fit_psychometric(levels: Sequence[float], correct: Sequence[bool], chance: float) -> Fit:
@@ -58,26 +66,26 @@ def fit_psychometric(levels: Sequence[float], correct: Sequence[bool], chance: f
     """
     if not len(levels):
         raise InvalidArgument("trials", "none", "one or more")
-    each, totals, right = counts_by_level(levels, correct)
-    thresholds = np.geomspace(each[0] / _REACH, each[-1] * _REACH, _GRID)
-    profile = [_best_at(t, each, totals, right, chance) for t in thresholds]
+    counts = counts_by_level(levels, correct)
+    thresholds = np.geomspace(counts.levels[0] / _REACH, counts.levels[-1] * _REACH, _GRID)
+    profile = [_best_at(t, counts, chance) for t in thresholds]
     heights = np.array([height for height, _, _ in profile])
     peak = int(heights.argmax())
     around = thresholds[max(peak - 1, 0)], thresholds[min(peak + 1, _GRID - 1)]
-    threshold, (height, slope, lapse) = _refined(around, each, totals, right, chance)
+    threshold, (height, slope, lapse) = _refined(around, counts, chance)
     limit = height - _drop()
 
-    def end(indices: range, is_low: bool) -> float | None:
+    def end(indices: range) -> float | None:
         inner = threshold
         for i in indices:
             if heights[i] < limit:
-                return _crossing(float(thresholds[i]), inner, limit, each, totals, right, chance)
+                return _crossing(float(thresholds[i]), inner, limit, counts, chance)
             inner = float(thresholds[i])
         return None
 
     function = Psychometric(threshold, slope, chance, lapse)
-    low, high = end(range(peak - 1, -1, -1), True), end(range(peak + 1, _GRID), False)
-    return Fit(function, low, high, height, int(totals.sum()))
+    low, high = end(range(peak - 1, -1, -1)), end(range(peak + 1, _GRID))
+    return Fit(function, low, high, height, int(counts.totals.sum()))
 
 
 def _drop() -> float:
@@ -90,40 +98,37 @@ _SLOPE_GRID: Final = np.geomspace(*_SLOPES, 25)
 _LAPSE_GRID: Final = np.linspace(0.0, MAX_LAPSE, 5)
 
 
-def _best_at(
-    threshold: float, each: Float64s, totals: Float64s, right: Float64s, chance: float
-) -> tuple[float, float, float]:
+def _best_at(threshold: float, counts: Counts, chance: float) -> tuple[float, float, float]:
     """Highest log likelihood at a threshold, over slopes and lapses, with these two."""
     with np.errstate(over="ignore"):
-        rise = -np.expm1(-((each / threshold) ** _SLOPE_GRID[:, None, None]))
+        rise = -np.expm1(-((counts.levels / threshold) ** _SLOPE_GRID[:, None, None]))
     p = chance + (1 - chance - _LAPSE_GRID[None, :, None]) * rise
     p = np.clip(p, 1e-12, 1 - 1e-12)
-    heights = (right * np.log(p) + (totals - right) * np.log1p(-p)).sum(axis=-1)
+    wrong = counts.totals - counts.correct
+    heights = (counts.correct * np.log(p) + wrong * np.log1p(-p)).sum(axis=-1)
     i, j = np.unravel_index(int(heights.argmax()), heights.shape)
     return float(heights[i, j]), float(_SLOPE_GRID[i]), float(_LAPSE_GRID[j])
 
 
 def _refined(
-    around: tuple[float, float], each: Float64s, totals: Float64s, right: Float64s, chance: float
+    around: tuple[float, float], counts: Counts, chance: float
 ) -> tuple[float, tuple[float, float, float]]:
     """The threshold between two others with the highest likelihood, and what is best there."""
     from scipy.optimize import minimize_scalar
 
     def cost(log_threshold: float) -> float:
-        return -_best_at(float(np.exp(log_threshold)), each, totals, right, chance)[0]
+        return -_best_at(float(np.exp(log_threshold)), counts, chance)[0]
 
     found = minimize_scalar(cost, bounds=tuple(np.log(around)), method="bounded")
     threshold = float(np.exp(found.x))
-    return threshold, _best_at(threshold, each, totals, right, chance)
+    return threshold, _best_at(threshold, counts, chance)
 
 
-def _crossing(
-    outer: float, inner: float, limit: float, each: Float64s, totals: Float64s, right: Float64s, chance: float
-) -> float:
+def _crossing(outer: float, inner: float, limit: float, counts: Counts, chance: float) -> float:
     """The threshold at which the profile crosses `limit`, between one outside and one inside."""
     for _ in range(20):
         middle = float(np.sqrt(outer * inner))
-        is_outside = _best_at(middle, each, totals, right, chance)[0] < limit
+        is_outside = _best_at(middle, counts, chance)[0] < limit
         outer, inner = (middle, inner) if is_outside else (outer, middle)
     return inner
 

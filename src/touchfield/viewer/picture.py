@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Float32s, Float64s, lengths_of
+from touchfield.perception.grip import WeberCurve
 from touchfield.perception.mask import Weber, mask_n
 from touchfield.viewer.page import titled_figure, write_png
 from touchfield.viewer.slices import choose_slice, supported_span
@@ -149,7 +150,7 @@ class _Panels:
     def _mask_bar(self, figure: Any, panel: Any, view: _View, values: NDArray[Any], title: str) -> None:
         worst = self._image(panel, view, values, title, vmin=0, vmax=2, cmap="PuOr_r")
         k, f0_n = self.mask
-        weber = f"{k:g}" if isinstance(k, float) else "k(|F|)"
+        weber = "k(|F|)" if isinstance(k, WeberCurve) else f"{k:g}"
         label = f"|{self.names[2]}| / max({f0_n:g} N, {weber} |F|)"
         _bar(figure, worst, panel, label, extend="max")
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from touchfield.arrays import Bools, Float64s, lengths_of
+from touchfield.perception.grip import WeberCurve
 from touchfield.perception.mask import Weber, mask_n
 from touchfield.viewer.page import titled_figure, write_png
 from touchfield.viewer.slices import choose_slice, largest_slice, supported_span
@@ -96,7 +97,7 @@ def draw_points(
         rebuilt = _Dots("|F| / N", lengths_of(rebuilt_n), scale)
         error = lengths_of(rebuilt_n - forces_n) / mask_n(size_n, *mask)
         k, f0_n = mask
-        label = f"|error| / max({f0_n:g} N, {f'{k:g}' if isinstance(k, float) else 'k(|F|)'} |F|)"
+        label = f"|error| / max({f0_n:g} N, {'k(|F|)' if isinstance(k, WeberCurve) else f'{k:g}'} |F|)"
         errors = _Dots(label, error, {"vmin": 0.0, "vmax": 2.0, "cmap": "PuOr_r"})
         names = "the field", "rebuilt from the points", "error"
         panels = [(name, short, dots) for name, dots in zip(names, (field, rebuilt, errors), strict=True)]

@@ -28,9 +28,9 @@ def draw_fits(
     ends = [row["level"] for row in levels]
     x = np.geomspace(min(ends) / 1.5, max(ends) * 1.5, 200)
     for n, (label, fit) in enumerate(fits.items()):
-        colour, own = f"C{n % 10}", [row for row in levels if row["participant"] == label]
-        at, rates = np.array([row["level"] for row in own]), np.array([row["rate"] for row in own])
-        low, high = (np.array([row[key] for row in own]) for key in ("low", "high"))
+        colour, rows = f"C{n % 10}", [row for row in levels if row["participant"] == label]
+        at, rates = np.array([row["level"] for row in rows]), np.array([row["rate"] for row in rows])
+        low, high = (np.array([row[key] for row in rows]) for key in ("low", "high"))
         spread = [np.maximum(rates - low, 0), np.maximum(high - rates, 0)]
         axis.errorbar(at, rates, spread, fmt="o", ms=4, lw=1, color=colour)
         axis.plot(

@@ -110,8 +110,8 @@ class TouchSpec:
             if key in options:
                 expected = "one of both: the grip sets it"
                 raise InvalidArgument(_option(key), f"it together with grip {name}", expected)
-        held = grip(name)
-        return cls(k=held.weber.least, f0_n=held.f0_n, k_by_force=held.weber.points, **options)
+        bound = grip(name)
+        return cls(k=bound.weber.least, f0_n=bound.f0_n, k_by_force=bound.weber.points, **options)
 
     @property
     def weber(self) -> float | WeberCurve:
@@ -130,7 +130,7 @@ class TouchSpec:
         from touchfield.perception.grip import grips
 
         bound = self.f0_n, self.k_by_force
-        notes = (held.note for held in grips().values() if (held.f0_n, held.weber.points) == bound)
+        notes = (known.note for known in grips().values() if (known.f0_n, known.weber.points) == bound)
         return next(notes, "")
 
     @property
@@ -197,7 +197,7 @@ def _bound(spec: TouchSpec) -> BoundRule:
         return BoundRule("every force bit for bit")
     if spec.mode == "mask":
         masking = f" + {spec.masking:g} of the mean force within {1e3 * spec.masking_radius_m:g} mm"
-        by_force = "" if isinstance(spec.weber, float) else spec.weber.text
+        by_force = spec.weber.text if spec.k_by_force and not isinstance(spec.weber, float) else ""
         return BoundRule(mask_text(spec.k, spec.f0_n, masking if spec.masking else "", by_force))
     if spec.mode == "mask-direction":
         angle = f"{spec.direction_jnd_deg:g} degrees"
