@@ -80,6 +80,7 @@ def test_every_number_states_how_it_was_checked():
             assert (number.name in known.note) == (number.verified != "read")
     for profile in vibration_thresholds().values():
         assert len(profile.verified) == len(profile.frequency_hz) and set(profile.verified) <= set(VERIFIED)
+        assert profile.impedance_verified in VERIFIED
 
 
 @pytest.fixture(scope="module")
@@ -93,6 +94,7 @@ def test_a_file_records_its_curve_and_compare_measures_against_it(coded):
     path, encoded = coded
     assert "k(|F|) = 0.3 at 0.2 N, 0.12 at 2 N" in encoded.bound["error_bound"]
     found = compare(BALL, path)
+    assert found.summary()["threshold_verified"] == "unverified"  # the margin in decibels is beside a model
     assert found.meter.weber == CURVE
     assert found.summary()["mask_violations"] == 0
     assert 0.9 < found.summary()["worst_mask_ratio"] <= 1

@@ -403,6 +403,7 @@ class HandMotion:
             "hand_vibration_source_mn": part.source_mn if part else None,
             "hand_vibration_lattice_mn": part.lattice_mn if isinstance(part, Slide) else None,
             "hand": self.threshold.name,
+            "threshold_verified": self.threshold.impedance_verified,
             "threshold_margin_db": margin.db if math.isfinite(margin.db) else None,
             "threshold_margin_third_hz": margin.third_hz if math.isfinite(margin.db) else None,
             "slides": [s.summary() for s in self.slides],

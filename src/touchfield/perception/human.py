@@ -92,8 +92,7 @@ class VibrationThreshold:
     """A detection threshold for vibration, and the hand and device it applies to.
 
     `displacement_um` are peak displacements of a sine at `frequency_hz`, each checked as `verified` says
-    (`VERIFIED`). Mass, damping and stiffness are those of the hand with its device: a model of this project,
-    not measured, so that the force at the threshold is unverified for every profile.
+    (`VERIFIED`). Mass, damping and stiffness are those of the hand with its device.
     """
 
     name: str
@@ -108,6 +107,7 @@ class VibrationThreshold:
     criterion: str
     year: int
     verified: tuple[str, ...]
+    impedance_verified: str  # of mass, damping and stiffness, and so of the force at the threshold
 
     def displacement_peak_um(self, frequency_hz: ArrayLike) -> Float64s:
         """Peak displacement at the threshold, micrometres.
