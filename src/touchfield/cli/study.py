@@ -19,7 +19,7 @@ DEFAULT_RUNS: Final = 100
 
 
 @command(
-    "Measure",
+    "Study",
     "study init folder",
     "study run folder/design.toml results --participant 01 --device haply",
     "study run folder/design.toml results --participant sim --observer threshold=20,slope=3",
@@ -58,7 +58,7 @@ def study(
         if observer is None:
             raise InvalidArgument("--observer", "nothing", "the observer to simulate, threshold=20,slope=3")
         with progress("power") as report:
-            done = tasks.study.study_power(target, observer, runs or DEFAULT_RUNS, report)
+            done = tasks.study.study_power(target, observer, DEFAULT_RUNS if runs is None else runs, report)
         return Answer(
             done.summary(),
             str(target),
