@@ -95,6 +95,8 @@ def test_a_simulated_session_gives_trials_a_dictionary_and_a_fit(folder):
     session = json.loads((out / "session.json").read_text())
     assert {float(row["level"]) for row in rows} <= set(session["levels"])
     found = analyse_study(out, out / "fits.png")
+    assert {row["answered_by"] for row in rows} == {"simulated: threshold=40,slope=2"}
+    assert any("simulated observer" in note for note in found.notes)
     (fit,) = found.figures["participants"]
     assert fit["trials"] == 40 and fit["participant"] == "sim"
     assert (fit["low"] or 0) <= 40 <= (fit["high"] or np.inf)
@@ -135,7 +137,7 @@ def test_a_session_that_stopped_continues_as_if_it_had_not(procedure, folder, mo
     assert stopped.figures["trials"] == 5 and "continues" in stopped.figures["state"]
     first.stops_after = None
     assert run_session(path, folder / "parts", spec, first.ask).figures["state"] == "complete"
-    fixed = ("trial", "level", "stimulus", "order", "response", "correct", "design")
+    fixed = ("trial", "level", "stimulus", "order", "response", "correct", "design", "answered_by")
     files = [folder / part / "sub-07_trials.csv" for part in ("whole", "parts")]
     both = [[tuple(getattr(trial, n) for n in fixed) for trial in read_trials(file)] for file in files]
     assert both[0] == both[1] and len(both[0]) == 12
@@ -175,7 +177,7 @@ def test_an_interval_is_rendered_on_the_simulated_device(folder):
     [
         (r"(?m)^3,(.*?),[\d.]+,", r"3,\1,0.25,", "line 5: found level"),
         (r"(?m)^(3,.*?,)([01]{3}),", r"\g<1>111,", "line 5: found order"),
-        (r"(?m)^(3,.*),\d\.\d+,", r"\1,", "line 5: found 8 columns"),
+        (r"(?m)^(3,.*),\d\.\d+,", r"\1,", "line 5: found 9 columns"),
         (r"(?m)^3,", "4,", "line 5: found trial 4"),
         (r"^trial", "number", "line 1"),
     ],

@@ -34,6 +34,7 @@ class Trial:
     correct: int
     response_s: float
     design: str
+    answered_by: str
 
 
 DICTIONARY: Final[dict[str, dict[str, Any]]] = {
@@ -46,6 +47,7 @@ DICTIONARY: Final[dict[str, dict[str, Any]]] = {
     "correct": {"Description": "Whether the answer is correct", "Levels": {"0": "no", "1": "yes"}},
     "response_s": {"Description": "From the end of the last interval to the answer", "Units": "s"},
     "design": {"Description": "First 16 digits of the SHA-256 of the design"},
+    "answered_by": {"Description": "person: with the device; simulated: with the observer's numbers"},
 }
 """The data dictionary: a description of each column."""
 

@@ -42,6 +42,7 @@ from touchfield.viewer.study import draw_fits
 
 TEMPLATES: Final = ("design.toml", "consent.md", "device.md")
 SESSION: Final = "session.json"
+_SIMULATED: Final = "simulated: "
 _MAX_SESSION_BYTES: Final = 1 << 20
 
 Ask = Callable[[str, int], int | None]
@@ -138,6 +139,11 @@ class SessionSpec:
         if (self.device is None) == (self.observer is None):
             found = "neither" if self.device is None else "both"
             raise InvalidArgument("--device, --observer", found, "one of them: who answers?")
+
+    @property
+    def answered_by(self) -> str:
+        """Who answers, for the record: a person at a device, or a simulated observer."""
+        return f"person: {self.device}" if self.observer is None else f"{_SIMULATED}{self.observer}"
 
 
 def run_session(
@@ -288,7 +294,7 @@ class _Session:
         now = datetime.now(UTC).isoformat(timespec="seconds")
         return Trial(
             number, now, level, Path(compared.stream).name, _text_of(order), response, int(response == right),
-            taken_s, design.digest[:16],
+            taken_s, design.digest[:16], self.spec.answered_by,
         )  # fmt: skip
 
     def _present(self, number: int, order: tuple[int, ...], stream: str, render: Mapping[str, Any]) -> None:
@@ -337,6 +343,8 @@ def analyse_study(folder: str | Path, plot: Path | None = None) -> Result:
             "participant": label, "threshold": function.threshold, "low": fit.low, "high": fit.high,
             "slope": function.slope, "lapse": function.lapse, "trials": fit.trials,
         })  # fmt: skip
+        if any(trial.answered_by.startswith(_SIMULATED) for trial in trials):
+            notes.append(f"participant {label}: answers of a simulated observer")
         if fit.low is None or fit.high is None:
             notes.append(
                 f"participant {label}: the interval is open; more trials, or weaker and stronger levels"
