@@ -87,12 +87,12 @@ def losses(original: Float64s, rendered: Float64s) -> Figures:
     beyond = error > np.maximum(F0_N, K * size) * (1 + 1e-6)
     axis = int(np.abs(original).sum(axis=(0, 1, 2)).argmax())
     peak, rendered_peak = size.max(axis=axis), lengths(rendered).max(axis=axis)
-    is_perceptible = peak > 4 * F0_N
+    is_strong = peak > 4 * F0_N
     return {
         "beyond": float(beyond.sum() / (size > 0).sum()),
         "nmse_db": float(10 * np.log10((error**2).sum() / (size**2).sum())),
-        "holes": float((rendered_peak[is_perceptible] <= 0.2 * peak[is_perceptible]).mean()),
-        "peak": float(np.median(rendered_peak[is_perceptible] / peak[is_perceptible])),
+        "holes": float((rendered_peak[is_strong] <= 0.2 * peak[is_strong]).mean()),
+        "peak": float(np.median(rendered_peak[is_strong] / peak[is_strong])),
     }
 
 

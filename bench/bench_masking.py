@@ -1,5 +1,5 @@
-"""Measures what spatial masking, by which strong forces hide errors nearby, changes in coder `touch` (paper
-section 4.2): bytes and vibration.
+"""Measures what spatial masking, by which strong forces raise the bound nearby, changes in coder `touch`
+(paper section 4.2): bytes and vibration.
 
     python bench/bench_masking.py [--nw N ...] [--quick]
 

@@ -95,9 +95,9 @@ def measure(nw: int) -> Figures:
                 axis = np.radians(tilt) * axis / np.linalg.norm(axis, axis=-1, keepdims=True)
                 now = torque(field, tool, at, Rotation.from_rotvec(np.pad(axis, ((0, 0), (0, 1)))))
                 error, size = np.linalg.norm(upright - now, axis=-1), np.linalg.norm(now, axis=-1)
-                is_perceptible = np.maximum(size, np.linalg.norm(upright, axis=-1)) > F0_N * LEVER_M
+                is_strong = np.maximum(size, np.linalg.norm(upright, axis=-1)) > F0_N * LEVER_M
                 row[f"off_at_{tilt}"] = float(
-                    (error > np.maximum(F0_N * LEVER_M, K * size))[is_perceptible].mean()
+                    (error > np.maximum(F0_N * LEVER_M, K * size))[is_strong].mean()
                 )
             rows[f"{source}, {tool.name}"] = row
     return {"tools": rows}

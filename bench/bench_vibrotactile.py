@@ -170,7 +170,7 @@ def measure(seconds: float) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Require exact operations, imperceptible errors, few bits, accurate textures."""
+    """Require exact operations, errors below the threshold, few bits, accurate textures."""
     rows = figures["reduction"]
     real = {name: row for name, row in rows.items() if name.startswith("recording")}
     return [

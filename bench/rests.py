@@ -51,7 +51,7 @@ LEAST_N, MOST_N = 0.6, 2.2
 LATE, BEFORE, AFTER = 12, 3, 140
 """Ticks until the frames of a seek come, and those before and after a seam that count as being around it."""
 MAX_RATIO, LEAST_STEP_MN, LEAST_BAND_MN = 2.0, 5.0, 0.5
-"""Of `auto` to the field; below these figures of the field nothing is compared: no hand feels them."""
+"""Of `auto` to the field; below these figures of the field nothing is compared."""
 
 Medium = HapticMedium | HapticScene
 

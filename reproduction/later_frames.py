@@ -1,4 +1,4 @@
-"""Computes the entropy of the frames after the first: a sample whose change a hand cannot feel needs no bits
+"""Computes the entropy of the frames after the first: a sample whose change is within the mask needs no bits
 (paper section 5.1).
 
 "The entropy of the second frame till the last one is on average 1.6 and 0.8 as far as object-based and

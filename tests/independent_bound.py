@@ -52,17 +52,16 @@ def direction_ratio(source: np.ndarray, decoded: np.ndarray, k: float, f0_n: flo
     a, b = source.astype(np.float64).reshape(-1, 3), decoded.astype(np.float64).reshape(-1, 3)
     size, error = _lengths(a), _lengths(b - a)
     sine = np.sin(np.radians(jnd_deg))
-    is_perceptible = size * sine > f0_n
-    imperceptible_ratio = _largest(error[~is_perceptible], np.full(np.count_nonzero(~is_perceptible), f0_n))
-    length = _largest(np.abs(_lengths(b) - size)[is_perceptible], np.maximum(f0_n, k * size)[is_perceptible])
+    is_strong = size * sine > f0_n
+    weak_ratio = _largest(error[~is_strong], np.full(np.count_nonzero(~is_strong), f0_n))
+    length = _largest(np.abs(_lengths(b) - size)[is_strong], np.maximum(f0_n, k * size)[is_strong])
     # scaled first: products of the smallest forces would underflow
     scaled_a, scaled_b = (
-        v[is_perceptible] / np.maximum(np.abs(v[is_perceptible]).max(axis=1, keepdims=True), 1e-300)
-        for v in (a, b)
+        v[is_strong] / np.maximum(np.abs(v[is_strong]).max(axis=1, keepdims=True), 1e-300) for v in (a, b)
     )
     angle = np.arctan2(_lengths(np.cross(scaled_a, scaled_b)), (scaled_a * scaled_b).sum(axis=1))
-    angle[error[is_perceptible] == 0] = 0.0
-    return max(imperceptible_ratio, length, float((angle / np.radians(jnd_deg)).max(initial=0.0)))
+    angle[error[is_strong] == 0] = 0.0
+    return max(weak_ratio, length, float((angle / np.radians(jnd_deg)).max(initial=0.0)))
 
 
 def hidden_n(source: np.ndarray, spacing_m: Sequence[float], beta: float, radius_m: float) -> np.ndarray:

@@ -100,6 +100,9 @@ def _coder(*, own_k: bool = False) -> dict[str, Case]:
         "effort": case("fast", "touch.effort", "fast"),
         "masking": case("0.3", "touch.masking", 0.3),
         "body-site": case("palm", "touch.masking_radius_m", 0.01, "--masking 0.3"),
+        "profile": Case(
+            "grip=ball", {"touch.k": 0.08, "touch.f0_n": 0.04, "touch.k_by_force": ((0.5, 0.08),)}
+        ),
         "lossless-quantised": case(None, "touch.mode", "lossless"),
         "interframe": case("on", "touch.interframe", "on"),
         "nq": case("5", "paper.nq", 5, paper),
@@ -172,6 +175,7 @@ ARGUMENTS: Final = {
     "index": "folder",
     "search": "folder like.touch",
     "similar": "one.touch two.touch",
+    "study": "run design.toml {tmp}/results --observer threshold=2",
     "correlate": "video.mp4 in.touch",
     "points": "5 in.touch",
     "demo": "{tmp}/demo",
@@ -427,6 +431,13 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "quantiser": case("uniform:0.1", "similar.quantiser", "uniform:0.1"),
         "over": case("voxel", "similar.over", "voxel"),
         "looks": case("5", "similar.frames", 5),
+    },
+    "study": {
+        "participant": case("07", "run_session.spec.participant", "07"),
+        "device": Case("sim", refused="--device, --observer: found both"),
+        "observer": case("threshold=3", "run_session.spec.observer", "threshold=3"),
+        "runs": Case("20", refused="--runs: found it with study run; expected study power"),
+        "plot": Case("fits.png", refused="--plot: found it with study run; expected study analyse"),
     },
     "correlate": {
         "looks": case("5", "correlate.frames", 5),

@@ -34,7 +34,7 @@ PACKAGES = (
         "medium",
         "network",
     ),
-    *("perception", "pipeline", "reduction", "render", "sources", "tasks", "viewer"),
+    *("perception", "pipeline", "reduction", "render", "sources", "study", "tasks", "viewer"),
 )
 GRID = tf.Grid.over_box((-0.05,) * 3, (0.05,) * 3, (16, 16, 16))
 

@@ -6,7 +6,7 @@ from pathlib import Path
 OUT = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 
 # %%
-# # A quantiser that a hand cannot feel
+# # A quantiser that stays within the mask
 #
 # Figure 2 of the paper shows a force signal $x(t)$, its quantised version $Q(x)$, the error $|Q(x) - x|$ and
 # the mask $\Delta(x) = k\,x$ with $k = 0.25$: "the adaptive quantization step has to be carefully selected so

@@ -13,8 +13,8 @@ The names in ``__all__`` are the ones that most programs need. Everything else i
 which is imported when it is first used: ``tf.medium`` (grids, fields, media), ``tf.sources``, ``tf.devices``,
 ``tf.perception``, ``tf.filters``, ``tf.measure``, ``tf.reduction``, ``tf.codec``, ``tf.container``,
 ``tf.pipeline`` (figure 4 of the paper), ``tf.render`` (the receiver), ``tf.viewer``, ``tf.network``,
-``tf.exchange``, ``tf.tasks`` (what each command does), ``tf.cli``. After Moustakas and Lalos, *An
-information-theoretic treatment of passive haptic media*.
+``tf.exchange``, ``tf.study``, ``tf.tasks`` (what each command does), ``tf.cli``. After Moustakas and Lalos,
+*An information-theoretic treatment of passive haptic media*.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
         reduction as reduction,
         render as render,
         sources as sources,
+        study as study,
         tasks as tasks,
         viewer as viewer,
     )
@@ -101,7 +102,7 @@ _PACKAGES = frozenset(
             "medium",
             "network",
         ),
-        *("perception", "pipeline", "reduction", "render", "sources", "tasks", "viewer"),
+        *("perception", "pipeline", "reduction", "render", "sources", "study", "tasks", "viewer"),
     )
 )
 _MODULES = {

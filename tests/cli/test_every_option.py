@@ -175,6 +175,7 @@ TASKS = {
     "index": ("tasks.library:index_folder", "cli.library:executor_of"),
     "search": ("tasks.library:search",),
     "similar": ("tasks.library:similar",),
+    "study": ("tasks.study:run_session",),
     "correlate": ("tasks.library:correlate",),
     "points": ("tasks.reduction:fewest_points", "tasks.reduction:next_points"),
     "demo": ("cli.demo:run_demo",),

@@ -64,6 +64,7 @@ READING = {
     "lod": "{in}.touch",
     "similar": "{in}.touch sphere.touch",
     "search": "{in} sphere.touch",
+    "study": "run {in}.toml new-results --observer threshold=2",
     "correlate": "{in}.png sphere.touch",
     "import": "{in}.hjif new.touch",
     "demux": "{in}.mp4 new.touch",

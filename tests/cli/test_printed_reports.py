@@ -183,7 +183,9 @@ def test_plan_prints_the_values_of_its_json(monkeypatch: pytest.MonkeyPatch, cap
         ["4", "touch", "mask", "0.1", "144,000", "exact", "100.00", "%"],
     ]
     notes = notes_of(printed)
-    assert notes[0].startswith("a hand feels the difference: only 50 % of the voxels are within the mask; ")
+    assert notes[0].startswith(
+        "the choice is beyond the bound: only 50 % of the voxels are within the mask; "
+    )
     assert notes[0].endswith("keeps it, for 16 kbit/s")
     assert "within max(0.05 N, 0.1 |F|) on the finest lattice" in notes[1]
     assert f"lambda is {values['lambda_bits_per_s']:.4g} bit/s for a unit of NMSE" in notes[2]

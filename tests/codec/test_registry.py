@@ -105,7 +105,7 @@ def test_every_option_is_a_spec_field_or_an_extra_option(name: str) -> None:
     options = _options_of(entry)
     assert entry.spec is not None and {"k", "segment_frames"} <= options.keys()
     for key in options:
-        assert hasattr(entry.spec(), key) or key in ("lossless_quantised", "body_site")
+        assert hasattr(entry.spec(), key) or key in ("lossless_quantised", "body_site", "profile")
     spec_fields = {field.name for field in fields(entry.spec) if field.metadata}
     assert spec_fields | entry.extra_options.keys() == options.keys(), "an order that is given names all"
     assert all(isinstance(make({}), entry.spec) for make in entry.makers.values())

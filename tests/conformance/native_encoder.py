@@ -14,7 +14,7 @@ import numpy as np
 from touchfield.codec.objects.layout import SegmentParts
 from touchfield.codec.support import Bricks
 from touchfield.codec.touch.base_layer_fit import fit_spline
-from touchfield.codec.touch.error_bound import masked_error_n
+from touchfield.codec.touch.error_bound import allowed_error_n
 from touchfield.codec.touch.spec import MODES, TouchSpec
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.medium import VibrationFrame
@@ -206,7 +206,7 @@ class Source:
     def __init__(self, frame: ForceField, spec: TouchSpec) -> None:
         self.bricks = np.ascontiguousarray(frame.bricks, np.int32)
         self.forces = np.ascontiguousarray(frame.forces_n, np.float32)
-        self.hidden = np.ascontiguousarray(masked_error_n(frame, spec), np.float32)
+        self.hidden = np.ascontiguousarray(allowed_error_n(frame, spec), np.float32)
         pointers = _pointer(self.bricks), _pointer(self.forces), _pointer(self.hidden)
         self.c = CSource(len(self.bricks), *pointers)
 

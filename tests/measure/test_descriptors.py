@@ -190,7 +190,7 @@ def test_rotations_by_right_angles_change_only_directions() -> None:
     assert np.abs(stiffer["amplitude"] - a["amplitude"]).max() > 0.05
 
 
-def test_imperceptible_forces_do_not_count() -> None:
+def test_forces_below_the_threshold_do_not_count() -> None:
     field = sheet()
     weak = np.where(field.to_dense() == 0, 0.02, field.to_dense())
     assert descriptor(ForceField.from_dense(GRID, weak.astype(np.float32))).values == pytest.approx(
@@ -209,9 +209,9 @@ def test_amplitude_fractions_are_of_all_voxels() -> None:
 
 def test_level_entropies_are_normalised_by_the_number_of_classes() -> None:
     support = sheet().support()
-    perceptible = support.amplitudes_n >= 0.05
+    is_counted = support.amplitudes_n >= 0.05
     entropies = octree_levels(
-        GRID, support.positions[perceptible], support.amplitudes_n[perceptible], thresholds_n()
+        GRID, support.positions[is_counted], support.amplitudes_n[is_counted], thresholds_n()
     )[1]
     assert descriptor(sheet())["level_entropy"] == pytest.approx(entropies / math.log2(22))
 

@@ -175,7 +175,7 @@ def test_losses_are_below_the_threshold_by_the_requested_margin(kind: str, margi
         np.testing.assert_array_equal(reduce_vibration(signal, 2000.0).symbols, sent.symbols)
 
 
-def test_imperceptible_vibration_is_not_sent_and_a_margin_costs_bits() -> None:
+def test_vibration_below_the_threshold_is_not_sent_and_a_margin_costs_bits() -> None:
     assert not reduce_vibration(1e-5 * noise(4000), 2000.0).symbols.any()
     costs = [reduce_vibration(0.1 * noise(4000), 2000.0, margin_db=m).bits for m in (0.0, 3.0, 12.0)]
     assert costs == sorted(costs) and costs[2] > 1.2 * costs[0]

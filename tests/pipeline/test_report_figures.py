@@ -45,7 +45,7 @@ def medium(scale: float = 1.0) -> HapticMedium:
         wave = scale * (1.0 + 0.1 * n + 0.3 * np.sin(0.4 * x + 0.7 * y + n))
         frames[n, :, :, : 1 + n // 2] = (wave[..., None] * [0.1, 0.2, 1.0])[:, :, None]
     frames[-1, :, :, :7] = np.roll(frames[-1, :, :, :1], 1, axis=-1)
-    frames[2:5, 3:20, 2:9, 6] = 0.003  # imperceptible, and dropped by coder `touch`
+    frames[2:5, 3:20, 2:9, 6] = 0.003  # below F_0, and dropped by coder `touch`
     return HapticMedium.from_array(frames, GRID, 20.0, "x right, y up, z towards the viewer")
 
 

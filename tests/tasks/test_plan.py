@@ -273,7 +273,7 @@ def test_an_impossible_budget_is_refused_before_the_finest_lattice(monkeypatch: 
     assert tried == [4]
 
 
-def test_a_perceptible_choice_is_noted() -> None:
+def test_a_choice_beyond_the_mask_is_noted() -> None:
     def trial(size: int, nmse: float, fraction_within_bound: float) -> Trial:
         return Trial(SPEC, size, 1, nmse, 30.0, fraction_within_bound)
 

@@ -205,18 +205,14 @@ def test_a_moving_medium_is_rebuilt_from_its_points(moving: Path, tmp_path: Path
     done = fewest_points(moving, 8, tmp_path / "back.npz")
     summary = done.summary()
     assert summary["criterion"] == "modes" and summary["modes"] == 8 and summary["bound"] >= 1
-    assert (
-        summary["nmse_db"] < summary["floor_db"] + 3
-    )  # it may be below, as imperceptible forces are dropped
+    assert summary["nmse_db"] < summary["floor_db"] + 3  # it may be below, as forces below F_0 are dropped
     original, back = (open_source(path).stored for path in (moving, tmp_path / "back.npz"))
     error = sum(
         float(((b.to_dense() - a.to_dense()) ** 2).sum()) for a, b in zip(original, back, strict=True)
     )
     energy = sum(float((a.to_dense() ** 2).sum()) for a in original)
     assert 10 * np.log10(error / energy) == pytest.approx(summary["nmse_db"], abs=0.01)
-    assert (
-        fewest_points(moving, 24).summary()["nmse_db"] < -30
-    )  # all its modes, except for imperceptible forces
+    assert fewest_points(moving, 24).summary()["nmse_db"] < -30  # all its modes, except for forces below F_0
 
 
 def test_a_static_medium_and_a_recording(moving: Path, contacts: Path, tmp_path: Path) -> None:

@@ -414,14 +414,14 @@ def test_a_reduction_is_drawn_with_what_is_left_out(tmp_path: Path, monkeypatch:
     rank = done.figures["rank"]
     assert decibels[0] == 0 and decibels[rank] == pytest.approx(done.figures["nmse_db_beforehand"], abs=1e-6)
     size_n = np.linalg.norm(done.middle_frame.to_dense(), axis=-1)
-    left_out = (size_n > 0) & ~done.perceptible
+    left_out = (size_n > 0) & ~done.is_reachable
     counts = [left_out.sum(axis=tuple(n for n in range(3) if n != axis)).max() for axis in range(3)]
     force, grey = slice_panel.images
     drawn = np.ma.filled(grey.get_array().astype(float), 0)
     assert 0 < drawn.sum() in counts, "the slice with the most samples that are left out"
     assert np.nanmax(np.ma.filled(force.get_array(), np.nan)) <= size_n.max()
     assert "grey: left out" in slice_panel.get_title()
-    replace(done, perceptible=np.ones_like(done.perceptible)).draw(tmp_path / "a.png")
+    replace(done, is_reachable=np.ones_like(done.is_reachable)).draw(tmp_path / "a.png")
     assert "nothing is left out" in figures[1].axes[1].get_title()
 
 

@@ -273,7 +273,7 @@ def reduce(
     options: Options,
     medium: Medium,
     out: Annotated[Path | None, typer.Argument(help="File to write from the modes that were used.")] = None,
-    cull: Annotated[Path | None, "OUT.touch without what the hand can never feel."] = None,
+    cull: Annotated[Path | None, "OUT.touch without what the hand can never reach."] = None,
     plot: Annotated[Path | None, "PNG to draw: the error by modes, and a slice of what is left out."] = None,
 ) -> Answer:
     """Reduce MEDIUM to a few modes; report degrees of freedom, their entropy, and unreachable samples."""

@@ -136,6 +136,7 @@ COMMANDS: Final = {
     "play": "play",
     **dict.fromkeys(("serve", "live", "mux", "demux"), "broadcast"),
     "measure": "view",
+    "study": "study",
     "reduce": "editing",
     **dict.fromkeys(("index", "search", "similar", "correlate", "points"), "library"),
     **dict.fromkeys(("demo", "devices", "sources", "doctor", "warmup"), "setup"),

@@ -176,14 +176,15 @@ class BoundRule(NamedTuple):
     reason: str = ""
 
 
-def mask_text(k: float, f0_n: float, masking: str = "") -> str:
+def mask_text(k: float, f0_n: float, masking: str = "", by_force: str = "") -> str:
     """Text of the mask max(F_0, k |F|).
 
-    `masking` is a further term, added to k |F|.
+    `masking` is a further term, added to k |F|. `by_force` describes k(|F|), which then replaces `k`.
     """
-    largest = f"{k:g} |F|{masking}"
+    largest = f"{'k(|F|)' if by_force else f'{k:g}'} |F|{masking}"
     allowed = f"max({f0_n:g} N, {largest})" if f0_n else largest
-    return f"|error| <= {allowed} at every voxel of every frame"
+    where = f"; {by_force}" if by_force else ""
+    return f"|error| <= {allowed} at every voxel of every frame{where}"
 
 
 BOUND_KEYS: Final = ("error_bound", "error_bound_note", *MAX_ERROR_KEYS)

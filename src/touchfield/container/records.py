@@ -127,9 +127,11 @@ class Head:
     mapping_offset_m: tuple[float, float, float] = row(
         POSITION_M, "Point of the scene at the device's origin.", "m"
     )
-    weber_fraction: float = row(Real(0, 1), "The k requested of the coder, which defines the error bound.")
+    weber_fraction: float = row(
+        Real(0, 1), "The k of the error bound that was requested; the largest, if k depends on the force."
+    )
     force_threshold_n: float = row(
-        COEFFICIENT, "F_0: differences up to it are imperceptible; 0 if not used.", "N"
+        COEFFICIENT, "F_0: differences up to it are within the bound; 0 if not used.", "N"
     )
     friction: float = row(COEFFICIENT, "Friction coefficient, for the receiver.")
     damping_n_s_per_m: float = row(COEFFICIENT, "Damping coefficient, for the receiver.", "N s/m")

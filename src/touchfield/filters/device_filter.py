@@ -5,7 +5,7 @@ Type 1, a point that the hand moves, is filtered by `point_filter`; type 2, an a
 clip every force to F_max (`limit`); its direction is kept.
 
 Our addition: forces below a fraction of F_max (1 % by default) are dropped at the end. Otherwise the tail of
-a low-pass would extend the support by samples that no hand can feel and every coder must send.
+a low-pass would extend the support by weak samples that every coder must send.
 """
 
 from __future__ import annotations

@@ -6,26 +6,26 @@ The paper ("indexing") names no descriptor. This one has seven named parts of fi
 ================  ====  ==================================================  ==============================
 part              size  contents                                            invariant to
 ================  ====  ==================================================  ==============================
-amplitude           21  sqrt of the fraction of perceptible voxels at each  position, pose, order of the
+amplitude           21  sqrt of the fraction of counted voxels at each      position, pose, order of the
                         of 21 levels of |F|, Weber steps of k = 0.1 from    frames
                         0.05 N to 2.8 N and above
 directions          42  sqrt of the fraction of sum |F| around each of 42   position, size, stiffness; *not*
                         icosahedral directions                              to pose
 direction_power      8  sqrt(P_l), l = 1 .. 8: spherical-harmonic power of  position, size, stiffness, pose
                         the directions, weighted by |F|
-support              5  fraction of perceptible octree cells, levels 1 ..   position, size; pose by right
-                        5 of the cube around the perceptible voxels         angles
+support              5  fraction of counted octree cells, levels 1 ..       position, size; pose by right
+                        5 of the cube around the counted voxels             angles
 level_entropy        5  entropy of the cells' classes of |F|, relative to   position, size; pose by right
                         its maximum                                         angles
 change               1  |F(t + 1/30 s) - F(t)| over |F|, root mean square   position, size, stiffness, pose;
                         over the lattice, halved                            frame rate
-turnover             1  of the voxels perceptible at t or t + 1/30 s, the   the same except stiffness
-                        fraction perceptible at only one of the two times
+turnover             1  of the voxels counted at t or t + 1/30 s, the       the same except stiffness
+                        fraction counted at only one of the two times
 ================  ====  ==================================================  ==============================
 
 Both histograms are soft: a voxel is shared between the two nearest levels, and between the directions around
-it, so that a small error changes the histogram little. A voxel is *perceptible* if |F| is 0.05 N or more:
-weaker forces are imperceptible, and a filter or a coder may spread or remove them.
+it, so that a small error changes the histogram little. A voxel is *counted* if |F| is 0.05 N or more:
+a filter or a coder may spread or remove weaker forces.
 
 Invariance holds up to the lattice: a body that is rotated or scaled is sampled at other points of it.
 Euclidean distances between square roots of fractions are Hellinger distances (times sqrt 2), and sqrt(P_l) is
@@ -252,13 +252,13 @@ def descriptor(medium: HapticMedium | ForceField, frames: int = 8) -> Descriptor
     for n in sampled:
         field = source[n]
         support = field.support()
-        is_perceptible = support.amplitudes_n >= FORCES_N[0]
-        if is_perceptible.any():
-            amplitudes = support.amplitudes_n[is_perceptible]
-            directions.add(field.vectors_n()[is_perceptible])
+        is_counted = support.amplitudes_n >= FORCES_N[0]
+        if is_counted.any():
+            amplitudes = support.amplitudes_n[is_counted]
+            directions.add(field.vectors_n()[is_counted])
             classes += _level_weights(amplitudes)
             levels.append(
-                octree_levels(field.grid, support.positions[is_perceptible], amplitudes, thresholds_n())
+                octree_levels(field.grid, support.positions[is_counted], amplitudes, thresholds_n())
             )
         if n + lag < len(source):
             changes.append(_change(field, source[n + lag]))
@@ -312,7 +312,7 @@ def _change(before: ForceField, after: ForceField) -> tuple[float, float]:
     """Return the change and the turnover between two frames.
 
     Change: sqrt(sum |b - a|^2 / (sum (|a|^2 + |b|^2) / 2)) / 2. Turnover: |A xor B| / |A or B|, where A and B
-    are the perceptible voxels of the two frames. Both are 0 without any force.
+    are the counted voxels of the two frames. Both are 0 without any force.
     """
     grid = before.grid
     keys = np.union1d(brick_keys(grid, before.bricks), brick_keys(grid, after.bricks))

@@ -8,7 +8,7 @@ Eq. 10 as printed sums unsquared norms in the numerator and has no sum in the de
 * ``nmse_forensic_db`` = 20 log10(sum |e|^2 / sum |F|^2), which comes closest to the figures of table 3.
 
 All sums run over every voxel where either field is not zero. The mask max(F_0, k |F|) gives the number of
-voxels that differ perceptibly, and the largest ratio of error to mask.
+voxels with a larger error, and the largest ratio of error to mask.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from touchfield.arrays import Float32s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import brick_keys
 from touchfield.medium.grid import BRICK
-from touchfield.perception.mask import SpatialMasking, violations
+from touchfield.perception.grip import WeberCurve
+from touchfield.perception.mask import SpatialMasking, Weber, violations
 
 if TYPE_CHECKING:
     from touchfield.medium import ForceField
@@ -34,15 +35,17 @@ _CHUNK = 4096  # bricks at a time: 25 MB of float32 forces
 class FidelityMeter:
     """Accumulated error of decoded frames against their originals.
 
-    `k`: Weber fraction of the mask. `f0_n`: F_0, absolute threshold of the mask, newtons, positive.
+    `k`: Weber fraction of the mask, a number or a function of the force. `f0_n`: F_0, absolute threshold of
+    the mask, newtons, positive.
     `masking`: for spatial masking (`perception.mask`), beta, the fraction of the surrounding forces, and the
     radius in metres.
     """
 
-    def __init__(self, k: float, f0_n: float, masking: tuple[float, float] | None = None) -> None:
-        if not (k >= 0 and f0_n > 0):
-            raise InvalidArgument("mask", f"k = {k}, F_0 = {f0_n} N", "k >= 0 and F_0 > 0")
-        self.k, self.f0_n = k, f0_n
+    def __init__(self, k: Weber, f0_n: float, masking: tuple[float, float] | None = None) -> None:
+        self.weber, self.f0_n = k, f0_n
+        self.k = k.largest if isinstance(k, WeberCurve) else k
+        if not (self.k >= 0 and f0_n > 0):
+            raise InvalidArgument("mask", f"k = {self.k}, F_0 = {f0_n} N", "k >= 0 and F_0 > 0")
         self._masking = None if masking is None else SpatialMasking(0.0, 0.0, *masking)
         self.supported_voxels = 0
         self.compared_voxels = 0
@@ -70,7 +73,7 @@ class FidelityMeter:
         x, y = original.reshape(-1, 3), decoded.reshape(-1, 3)
         is_supported = (x != 0).any(axis=1) | (y != 0).any(axis=1)
         x, y = np.ascontiguousarray(x[is_supported]), np.ascontiguousarray(y[is_supported])
-        violation = violations(x, y, self.k, self.f0_n, masking_n=hidden.reshape(-1)[is_supported])
+        violation = violations(x, y, self.weber, self.f0_n, masking_n=hidden.reshape(-1)[is_supported])
         self.mask_violations += violation.count
         self.worst_mask_ratio = max(self.worst_mask_ratio, violation.worst_ratio or 0.0)
         force2 = (x.astype(np.float64) ** 2).sum(axis=1)

@@ -43,7 +43,7 @@ MAX_CELLS: Final = 1 << 18
 For 8 x 8 x 8 control points the limit is 35 s at 60 Hz.
 """
 
-STEP_M: Final = 2e-5  # quantisation step of displacements in a file: imperceptible
+STEP_M: Final = 2e-5  # quantisation step of displacements in a file
 _MAX_BYTES: Final = MAX_CELLS * 4**3 * 3 * 2  # of 4 x 4 x 4 control points a cell
 _FINE: Final = 3  # points along each side of a cell at which the determinant is evaluated
 _ARRAYS: Final = {"corner_m": 3, "spacing_m": 3, "rate_hz": 1, "compliance_m_per_n": 1, "relax_s": 1}

@@ -17,7 +17,8 @@ A hand at rest feels the changes between frames. Where nothing moves, the source
 whose errors differ from frame to frame does. Points are seeded on the surface of a frame and stay until the
 next points are seeded; the forces at each point are recorded for the source and for the output of a receiver.
 A step is the change from one frame to the next; for the band the frames are interpolated linearly to 1000
-samples per second, as the receiver does. These measures do not prove that an error is imperceptible.
+samples per second, as the receiver does. A level is a figure beside a threshold; it does not prove that
+nobody notices an error.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from touchfield.compute.native import native
 from touchfield.errors import InvalidArgument, require_between
 from touchfield.medium.field import brick_keys
 from touchfield.perception.human import THIRDS_HZ, VibrationThreshold, vibration_threshold
+from touchfield.perception.mask import Weber, mask_n
 
 if TYPE_CHECKING:
     from touchfield.medium import ForceField
@@ -366,7 +368,7 @@ def slides(
 # -- both, and a hand that holds still ---------------------------------------------------------------------
 @dataclass(frozen=True)
 class HandMotion:
-    """Error of a decoded medium as felt by a moving hand and by a hand at rest.
+    """Error of a decoded medium that reaches a moving hand and a hand at rest.
 
     The error is decoded minus source. `hold` is None for a single frame.
     """
@@ -401,6 +403,7 @@ class HandMotion:
             "hand_vibration_source_mn": part.source_mn if part else None,
             "hand_vibration_lattice_mn": part.lattice_mn if isinstance(part, Slide) else None,
             "hand": self.threshold.name,
+            "threshold_verified": self.threshold.impedance_verified,
             "threshold_margin_db": margin.db if math.isfinite(margin.db) else None,
             "threshold_margin_third_hz": margin.third_hz if math.isfinite(margin.db) else None,
             "slides": [s.summary() for s in self.slides],
@@ -441,7 +444,7 @@ class HoldMeter:
     each with its own points. Forces of a part are float64 [source and output, frames, points, 3].
     """
 
-    def __init__(self, frame_count: int, rate_hz: float, k: float, f0_n: float, points: int = 64) -> None:
+    def __init__(self, frame_count: int, rate_hz: float, k: Weber, f0_n: float, points: int = 64) -> None:
         self._rate_hz, self._k, self._f0_n, self._count = rate_hz, k, f0_n, points
         part = max(math.ceil(frame_count / _PARTS), math.ceil(_PART_S * rate_hz))
         self._part, self._frames_remaining = min(part, _MAX_FRAMES), frame_count
@@ -519,8 +522,8 @@ class HoldMeter:
             errors = error[starts == is_start]
             self._errors[is_start] = power + float(errors.sum()), count + errors.size
         is_constant = source <= NO_STEP_N
-        mask_n = np.maximum(self._f0_n, self._k * lengths_of(forces_n[0]))
-        ratio = decoded / np.minimum(mask_n[1:], mask_n[:-1])
+        allowed_n = mask_n(lengths_of(forces_n[0]), self._k, self._f0_n)
+        ratio = decoded / np.minimum(allowed_n[1:], allowed_n[:-1])
         largest, worst_ratio = (float(values[is_constant].max(initial=0.0)) for values in (decoded, ratio))
         self._without_source_step = (
             max(self._without_source_step[0], largest),

@@ -23,6 +23,9 @@ from numpy.typing import ArrayLike
 from touchfield.arrays import Float64s
 from touchfield.errors import require_one_of
 
+VERIFIED: Final = ("read", "secondary", "unverified")
+"""How a figure was checked: read in the source or its abstract; read in a text that quotes it; neither."""
+
 
 @dataclass(frozen=True)
 class Figure:
@@ -32,7 +35,11 @@ class Figure:
     values: tuple[float, ...]
     of: tuple[str, ...]  # names of the values if there are several, else empty
     unit: str  # "1" for a ratio
-    source: str  # starts with "unverified" if the source was not seen
+    source: str
+    verified: str  # one of `VERIFIED`
+    year: int | None = None  # of the source
+    condition: str = ""  # hand, device, stimulus and people, as far as the source was read
+    criterion: str = ""  # procedure and what it estimates
 
     @property
     def value(self) -> float:
@@ -51,7 +58,16 @@ def human() -> Mapping[str, Figure]:
     for name, entry in tomllib.loads(text).items():
         value = entry["value"]
         values = tuple(map(float, value)) if isinstance(value, list) else (float(value),)
-        figures[name] = Figure(name, values, tuple(entry.get("of", ())), entry["unit"], entry["source"])
+        optional = {key: entry[key] for key in ("year", "condition", "criterion") if key in entry}
+        figures[name] = Figure(
+            name,
+            values,
+            tuple(entry.get("of", ())),
+            entry["unit"],
+            entry["source"],
+            entry["verified"],
+            **optional,
+        )
     return MappingProxyType(figures)
 
 
@@ -75,8 +91,8 @@ THIRDS_HZ: Final = tuple(float(1000 * 10 ** (n / 10)) for n in range(-14, -3))
 class VibrationThreshold:
     """A detection threshold for vibration, and the hand and device it applies to.
 
-    `displacement_um` are peak displacements of a sine at `frequency_hz`; mass, damping and stiffness are
-    those of the hand with its device.
+    `displacement_um` are peak displacements of a sine at `frequency_hz`, each checked as `verified` says
+    (`VERIFIED`). Mass, damping and stiffness are those of the hand with its device.
     """
 
     name: str
@@ -88,6 +104,10 @@ class VibrationThreshold:
     stiffness_n_per_m: float
     source: str
     conditions: str
+    criterion: str
+    year: int
+    verified: tuple[str, ...]
+    impedance_verified: str  # of mass, damping and stiffness, and so of the force at the threshold
 
     def displacement_peak_um(self, frequency_hz: ArrayLike) -> Float64s:
         """Peak displacement at the threshold, micrometres.

@@ -1,17 +1,17 @@
 """Processes vibration: separates it from force by frequency, combines three axes into one, and reduces it to
-what a hand can feel.
+what is above the threshold of a hand.
 
 The paper (section 6.4) gives no method: "process the vibrotactile feedback in the spectral domain and then
 modulate the force feedback appropriately in the time domain". Here a `Crossover` splits a recorded force into
 two parts that sum to it; `dft321` reduces three axes to one, because a hand does not perceive the direction
-of a vibration; a `Stft` provides the spectral domain; and `reduce_vibration` keeps the perceptible part::
+of a vibration; a `Stft` provides the spectral domain; and `reduce_vibration` keeps the part above it::
 
     force -> Crossover -> low: the medium's force
                        -> high -> dft321 -> reduced -> symbols and steps -> decoded
 
 The error of what is sent is below the threshold of a hand (`perception.human`) in every third of an octave
 and every half second. A threshold is known for a single sine only: that a sum of thirds below it, or a
-vibration in the presence of another, is imperceptible too is likely but does not follow.
+vibration in the presence of another, goes unnoticed does not follow.
 """
 
 from __future__ import annotations
@@ -337,7 +337,7 @@ def reduce_vibration(
     threshold: VibrationThreshold | None = None,
     margin_db: float = 3.0,
 ) -> ReducedVibration:
-    """Reduce a vibration to what must be sent for the loss to be imperceptible.
+    """Reduce a vibration to what must be sent for the loss to stay below a threshold.
 
     vibration_n : float [n]; newtons at `rate_hz`, such as the high part of a `Crossover` after `dft321`.
     threshold : VibrationThreshold, optional; of the hand, by default the stylus.
@@ -377,10 +377,8 @@ def reduce_vibration(
     first_exponents = np.ceil(_PER_OCTAVE * np.log2(limits * np.sqrt(6 * stft.length / bins))).astype(
         np.int16
     )
-    is_perceptible = np.sqrt(_window_power(x, rate_hz, edges).max(axis=0)) > 0.9 * limits
-    exponents = _fine_enough(
-        np.where(is_perceptible, first_exponents, _NOTHING), first_exponents, exceeds_limit
-    )
+    is_above = np.sqrt(_window_power(x, rate_hz, edges).max(axis=0)) > 0.9 * limits
+    exponents = _fine_enough(np.where(is_above, first_exponents, _NOTHING), first_exponents, exceeds_limit)
     for b in np.flatnonzero((exponents > _NOTHING) & np.isin(np.arange(len(limits)), band)):
         for _ in range(_PATIENCE):  # make steps coarser again that shrank only because of other bands
             coarser = exponents.copy()

@@ -1,5 +1,5 @@
-"""Quantisers and deadbands (changes too small to be sent) whose errors a hand cannot feel, because they grow
-with the force by the Weber fraction k (paper section 4.2).
+"""Quantisers and deadbands (changes too small to be sent) whose errors are bounded by the Weber fraction k
+times the force (paper section 4.2).
 
 Eq. 6 is Q(x) = sgn(x) Delta [|x| / Delta + 1/2], where the bracket must be the floor. As printed, with Delta
 = k |x|, it is k floor(1/k + 1/2) x: a constant gain and no quantiser. With a fixed Delta the error is
@@ -221,7 +221,7 @@ def gate(vectors: Float32s, k: float, reading: str = "closed", decoded: Float32s
 
 
 def gate_in_time(vectors: Float32s, reference: Float32s, k: float) -> Bools:
-    """Return which samples differ perceptibly from the previous decoded frame.
+    """Return which samples differ from the previous decoded frame by more than the deadband.
 
     vectors, reference : float32 [L, 3]; forces of this frame, and the decoded ones of the frame before (zero
         where there was none).

@@ -111,7 +111,7 @@ class Comparison:
             f"{bits_per_voxel:.3g} bits per supported voxel, CR {values['cr_full']:.3g}, {nmse}, "
             f"{100 * values['mask_violation_share']:.1f} % of voxels beyond the mask"
         )
-        mask = self.meter.k, self.meter.f0_n
+        mask = self.meter.weber, self.meter.f0_n
         draw_comparison(Path(path), original, decoded, f"{title}\n{caption}", self.stream["axes"], mask)
 
 
@@ -168,7 +168,7 @@ def _compare(
     # a stream without F_0 is measured with the smallest threshold that a meter takes
     floor_n = (head.force_threshold_n or NO_FLOOR_N) if f0_n is None else f0_n
     masking = opened.masking if k is None and f0_n is None else None
-    meter = FidelityMeter(head.weber_fraction if k is None else k, floor_n, masking)
+    meter = FidelityMeter(opened.weber if k is None else k, floor_n, masking)
     hand, supported = HandMeter(opened, scene, original.exact, slides), 0
     for i in range(len(decoded)):
         x, y = original.medium[i], decoded[i]
@@ -278,7 +278,7 @@ class HandMeter:
         self._starts = {segment.first_frame for segment in opened.reader.segments}
         self._slides = SlideMeter(spec)
         floor_n = head.force_threshold_n or NO_FLOOR_N
-        self._hold = HoldMeter(count, head.rate_hz, head.weber_fraction, floor_n) if count > 1 else None
+        self._hold = HoldMeter(count, head.rate_hz, opened.weber, floor_n) if count > 1 else None
 
     def add(self, frame: int, source: ForceField, decoded: ForceField) -> None:
         """Measure one frame; both fields are on the stream's lattice."""

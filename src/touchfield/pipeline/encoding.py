@@ -158,6 +158,8 @@ def encode_prepared(
     notes = silent_frame_notes(prepared, silent_frames)
     size, bound = Path(out).stat().st_size, file_error_bound(out)
     notes += decoded_notes(prepared, out)
+    if grip_note := getattr(prepared.coding, "grip_note", ""):
+        notes += (grip_note,)
     return Encoded(prepared, size, time.perf_counter() - start_s, supported, notes, bound=bound)
 
 

@@ -193,7 +193,7 @@ class _Trials:
             if self.target.bytes is not None:
                 self.reached[log_control] = round(size), None
                 return math.log(size / (_AIM * self.target.bytes))
-            meter = FidelityMeter(head.weber_fraction, max(head.force_threshold_n, NO_FLOOR_N))
+            meter = FidelityMeter(opened.weber, max(head.force_threshold_n, NO_FLOOR_N))
             for i, decoded in enumerate(opened.medium):
                 meter.add(medium[i], decoded)
         nmse_db = -math.inf if meter.nmse_db is None else meter.nmse_db
@@ -226,6 +226,9 @@ def encode_to_target(
     if spec.coder != "touch" or spec.touch.mode == "lossless":
         found = f"coder {spec.coder}" + (", lossless" if spec.coder == "touch" else "")
         raise InvalidArgument(target.option, found, "coder touch in mode mask, mask-direction or nmse")
+    if spec.touch.k_by_force:
+        found = "it together with a Weber fraction by force (--profile), which no search may raise"
+        raise InvalidArgument(target.option, found, "one of both", "Give --k and --f0-n instead.")
     with atomic_path(Path(out)) as temporary:
         trials = _Trials(source, _with_frame_cache(prepare(source, spec)), target, temporary, report)
         control = _search_all_frames(trials, _start_from_subset(trials))

@@ -26,6 +26,7 @@ from touchfield.filters.device_spec import DeviceFilterSpec, require_nw
 from touchfield.filters.registry import FieldFilter, field_filters, filter_of
 from touchfield.options import option
 from touchfield.perception.human import figure
+from touchfield.perception.mask import Weber
 from touchfield.sources.laws import LawSpec
 from touchfield.sources.options import SourceOptions
 
@@ -178,8 +179,14 @@ class EncodeSpec:
 
     @property
     def k(self) -> float:
-        """The Weber fraction of the chosen coder."""
-        return float(self.coding.k)
+        """The Weber fraction of the chosen coder; of one that depends on the force, the largest."""
+        return float(getattr(self.coding, "largest_k", self.coding.k))
+
+    @property
+    def weber(self) -> Weber:
+        """The Weber fraction of the chosen coder: a number, or a function of the force."""
+        weber: Weber = getattr(self.coding, "weber", self.coding.k)
+        return weber
 
     @property
     def f0_n(self) -> float:
@@ -229,6 +236,8 @@ class EncodeSpec:
         """
         values = {**asdict(self), "thickness_m": str(self.thickness_m) if self.thickness_m else None}
         values[self.coder] = asdict(self.coding)
+        if not values[self.coder].get("k_by_force", True):
+            del values[self.coder]["k_by_force"]  # so that files from before it keep their bytes
         unused = () if has_law else ("law", "stiffness_n_per_m")
         other_coders = (name for name in BUILT_IN_CODERS if name != self.coder)
         kept = ("thin",) if self.thin == "keep" else ()  # as in files from before this option

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -15,8 +16,12 @@ from touchfield.codec.registry import coder
 from touchfield.codec.segment import BitAccount, BoundRule, bound_keys, compression_ratio, max_error_keys
 from touchfield.compute.threads import Progress, silent
 from touchfield.container import TouchReader
+from touchfield.errors import CorruptFile, InvalidArgument
+from touchfield.files import json_of
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.medium.grid import Placement
+from touchfield.perception.grip import WeberCurve
+from touchfield.perception.mask import Weber
 from touchfield.pipeline.decoded_frames import SegmentFrames, VibrationFrames, segment_layout
 
 if TYPE_CHECKING:
@@ -91,6 +96,29 @@ class OpenStream(ABC):
     def masking(self) -> tuple[float, float] | None:
         """Fraction and radius in metres of the error bound's spatial masking; None without masking."""
         return None
+
+    @cached_property
+    def weber(self) -> Weber:
+        """The Weber fraction of the error bound: k of the head, or the k(|F|) that the provenance has.
+
+        CorruptFile if the points in the provenance are no such function.
+        """
+        points = self._k_by_force
+        return WeberCurve(points) if points else self.reader.head.weber_fraction
+
+    @property
+    def _k_by_force(self) -> tuple[tuple[float, float], ...]:
+        """Points of k(|F|) by the provenance of a file of coder `touch`; empty if k is one number."""
+        try:
+            stored = json_of(self.reader.provenance.get("spec", "{}"))["touch"]["k_by_force"]
+        except (ValueError, TypeError, KeyError, RecursionError):
+            return ()
+        if self.reader.head.coder != "touch" or not stored:
+            return ()
+        try:
+            return WeberCurve.of(stored).points
+        except InvalidArgument as error:
+            raise CorruptFile("PROV spec touch.k_by_force", error.found, error.expected) from None
 
     @property
     @abstractmethod
@@ -238,7 +266,10 @@ class VoxelStream(OpenStream):
 
     @property
     def bound_rule(self) -> BoundRule:
-        return coder(self.reader.head.coder).bound_rule(getattr(self.decoder, "spec", None))
+        spec: Any = getattr(self.decoder, "spec", None)
+        if self._k_by_force:
+            spec = replace(spec, k_by_force=self._k_by_force)
+        return coder(self.reader.head.coder).bound_rule(spec)
 
     @property
     def max_error_summary(self) -> dict[str, Any]:

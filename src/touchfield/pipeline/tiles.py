@@ -140,6 +140,7 @@ def _require_independent_tiles(spec: EncodeSpec, prepared: Prepared, out: Path) 
         ("a vibration", spec.vibration is not None),
         (f"coder {spec.coder}", spec.coder != "touch"),
         ("spatial masking", spec.touch.masking > 0),
+        ("a Weber fraction by force", bool(spec.touch.k_by_force)),
         (f"mode {spec.touch.mode}", spec.touch.mode == "lossless"),
         ("an array of actuators", prepared.device.is_array),
         ("a source that is a stream", prepared.source is None),

@@ -43,7 +43,8 @@ def fidelity_of(prepared: Prepared, received: HapticMedium) -> FidelityMeter:
 
     The mask is that of the coder.
     """
-    meter, medium = FidelityMeter(prepared.spec.k, prepared.spec.f0_n or EncodeSpec().f0_n), prepared.medium
+    spec, medium = prepared.spec, prepared.medium
+    meter = FidelityMeter(spec.weber, spec.f0_n or EncodeSpec().f0_n)
     for n in evenly_spaced(len(medium), _COMPARED_FRAMES):
         decoded = received[n]
         meter.add(medium[n], decoded if decoded.grid == medium.grid else rebuild_level(decoded, medium.grid))

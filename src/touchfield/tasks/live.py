@@ -140,10 +140,10 @@ def coarse_layer(source: Source | ArrayLike, prepared: Prepared) -> tuple[Prepar
     fine, spec = prepared.medium, prepared.spec
     if max(fine.grid.shape) < 2:
         raise InvalidArgument("--coarse", f"a lattice of {fine.grid.shape} samples", "one that can be halved")
-    meter, first = FidelityMeter(spec.k, spec.f0_n or EncodeSpec().f0_n), fine[0]
+    meter, first = FidelityMeter(spec.weber, spec.f0_n or EncodeSpec().f0_n), fine[0]
     meter.add(first, rebuild_level(_coarse(first), fine.grid))
-    k, f0_n = min(2 * spec.touch.k, 0.5), 2 * spec.touch.f0_n
-    spec = replace(spec, touch=replace(spec.touch, k=k, f0_n=f0_n, mode="mask"))
+    k, f0_n = min(2 * spec.k, 0.5), 2 * spec.touch.f0_n
+    spec = replace(spec, touch=replace(spec.touch, k=k, f0_n=f0_n, k_by_force=(), mode="mask"))
     coarse = replace(prepared, medium=detail_level(fine, 1), spec=spec, objects=None, exact=None, source=None)
     layer = f"half of {fine.grid.description}; NMSE of the first frame {meter.nmse_db:.1f} dB"
     layer += "; the vibration is left out" if fine.vibration is not None else ""

@@ -280,7 +280,7 @@ class Plan:
         if self.choice.mask_fraction >= _MIN_MASK_FRACTION:
             return ()
         message = f"only {100 * self.choice.mask_fraction:.3g} % of the voxels are within the mask"
-        note = f"a hand feels the difference: {message}"
+        note = f"the choice is beyond the bound: {message}"
         keeping = [t for t in self.trials if t.mask_fraction >= _MIN_MASK_FRACTION]
         if not keeping:
             return (f"{note}; no setting that was tried keeps it (more --nw, a smaller --k)",)

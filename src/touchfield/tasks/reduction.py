@@ -32,6 +32,7 @@ from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.medium.budget import memory_budget_bytes
 from touchfield.medium.selection import evenly_spaced
 from touchfield.medium.trace import ContactTrace, read_trace
+from touchfield.perception.mask import Weber
 from touchfield.pipeline.preparation import Prepared
 from touchfield.pipeline.result import Result
 from touchfield.pipeline.spec import DEFAULT_F0_N, EncodeSpec, ReductionSpec
@@ -65,11 +66,11 @@ _PUSH_FRACTION: Final = 0.25  # fraction of a device's largest force, if its con
 
 @dataclass(frozen=True, kw_only=True)
 class Reduction(Result):
-    """Figures of a reduction, the singular values, the middle frame, and the samples that a hand can feel."""
+    """Figures of a reduction, the singular values, the middle frame, and the samples within reach."""
 
     singular_values: Float64s = field(repr=False)  # [n]
     middle_frame: ForceField = field(repr=False)
-    perceptible: Bools = field(repr=False)  # [nx, ny, nz]
+    is_reachable: Bools = field(repr=False)  # [nx, ny, nz]
     axes: str = ""
 
     def draw(self, path: str | Path) -> None:
@@ -80,7 +81,7 @@ class Reduction(Result):
         rank, hand = self.figures["rank"], self.figures["hand"]
         title = f"rank {rank}; what is left out changes nothing for {hand}"
         draw_reduction(
-            Path(path), self.singular_values, self.middle_frame, self.perceptible, title, self.axes
+            Path(path), self.singular_values, self.middle_frame, self.is_reachable, title, self.axes
         )
 
 
@@ -104,7 +105,7 @@ def without_unreachable(medium: HapticMedium, reachable: Bools) -> HapticMedium:
         )
 
     provenance = add_note(
-        medium.provenance, "edits", f"without {np.count_nonzero(~reachable)} samples that no hand feels"
+        medium.provenance, "edits", f"without {np.count_nonzero(~reachable)} samples that no hand reaches"
     )
     return replace(medium, make_frame=make, segments=None, provenance=provenance)
 
@@ -131,10 +132,10 @@ def reduce_medium(
     medium, hand = prepared.medium, hand_of(target, spec)
     approximation, figures = _modes(prepared, spec)
     reach = reach_of(medium, hand)
-    perceptible, supported = reach.samples, np.zeros(medium.grid.shape, bool)
+    is_reachable, supported = reach.samples, np.zeros(medium.grid.shape, bool)
     for frame in medium:
         supported[tuple(frame.positions().T)] = True
-    excluded = {"behind": ~perceptible}
+    excluded = {"behind": ~is_reachable}
     notes: tuple[str, ...] = (
         f"nothing changes for {hand.text}, if it begins where no force is and stays between the outermost "
         "samples",
@@ -147,13 +148,13 @@ def reduce_medium(
         excluded["outside_workspace"] = _outside(medium, target)
         notes += (f"and, as to what is outside, if it stays in the workspace of {target.name}",)
     if trace is not None:
-        visited = np.zeros(perceptible.shape, bool)
+        visited = np.zeros(is_reachable.shape, bool)
         visited[tuple(visits(trace, medium.grid).indices.T)] = True
         excluded["never_visited"] = ~binary_dilation(visited, np.ones((3, 3, 3), bool), iterations=2)
         notes += (
             "what the hand of --trace never came near is left out, too: nothing is promised to another",
         )
-    perceptible = ~np.logical_or.reduce(list(excluded.values()))
+    is_reachable = ~np.logical_or.reduce(list(excluded.values()))
     figures |= {
         "hand": hand.text,
         "stopping_force_n": reach.stopped_n,
@@ -162,10 +163,10 @@ def reduce_medium(
             f"{name}_samples": int(np.count_nonzero(supported & samples))
             for name, samples in excluded.items()
         },
-        "felt_samples": int(np.count_nonzero(supported & perceptible)),
+        "felt_samples": int(np.count_nonzero(supported & is_reachable)),
     }
     if cull is not None:
-        written = write_result(prepared, [source], without_unreachable(medium, perceptible), cull, report)
+        written = write_result(prepared, [source], without_unreachable(medium, is_reachable), cull, report)
         figures |= {"culled_file": str(written.path), "culled_file_bytes": written.path.stat().st_size}
         figures |= {f"culled_{name}": value for name, value in written.figures.items() if name in BOUND_KEYS}
         notes += written.notes
@@ -185,7 +186,7 @@ def reduce_medium(
         notes,
         singular_values=approximation.modes.values,
         middle_frame=medium[len(medium) // 2],
-        perceptible=perceptible,
+        is_reachable=is_reachable,
         axes=medium.axes,
     )
 
@@ -247,7 +248,7 @@ class FewestPoints(Result):
     positions_m: Float64s = field(repr=False)  # [m, 3]
     forces_n: Float64s = field(repr=False)  # [m, 3]
     rebuilt_n: Float64s | None = field(default=None, repr=False)  # [m, 3]
-    mask: tuple[float, float] = (EncodeSpec().k, DEFAULT_F0_N)  # k and F_0 of max(F_0, k |F|)
+    mask: tuple[Weber, float] = (EncodeSpec().k, DEFAULT_F0_N)  # k and F_0 of max(F_0, k |F|)
     axes: str = ""
 
     def draw(self, path: str | Path) -> None:
@@ -291,8 +292,8 @@ class _Domain:
 
     def field(self, forces_n: NDArray[Any], threshold_n: float) -> ForceField:
         """Return the field of forces [m, 3], without those below the perception threshold."""
-        perceptible = lengths_of(forces_n) >= threshold_n
-        return ForceField.from_support(self.grid, self.index[perceptible], forces_n[perceptible])
+        is_above = lengths_of(forces_n) >= threshold_n
+        return ForceField.from_support(self.grid, self.index[is_above], forces_n[is_above])
 
 
 def fewest_points(
@@ -343,7 +344,7 @@ def fewest_points(
 
         rebuilt_n = rebuild(prepared.medium[len(prepared.medium) // 2])
 
-    meter = FidelityMeter(prepared.spec.k, prepared.spec.f0_n or EncodeSpec().f0_n)
+    meter = FidelityMeter(prepared.spec.weber, prepared.spec.f0_n or EncodeSpec().f0_n)
     provenance = add_note(prepared.medium.provenance, "edits", f"rebuilt from {count} points")
     medium = replace(prepared.medium, vibration=None, segments=None, provenance=provenance)
     medium = replace(medium, make_frame=lambda i: domain.field(rebuild(prepared.medium[i]), meter.f0_n))
@@ -360,7 +361,7 @@ def fewest_points(
         positions_m=domain.positions_m,
         forces_n=middle,
         rebuilt_n=rebuilt_n,
-        mask=(meter.k, meter.f0_n),
+        mask=(meter.weber, meter.f0_n),
         axes=prepared.medium.axes,
     )
     if out is None or Path(out).suffix == ".csv":

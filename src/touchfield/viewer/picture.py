@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Float32s, Float64s, lengths_of
-from touchfield.perception.mask import mask_n
+from touchfield.perception.grip import WeberCurve
+from touchfield.perception.mask import Weber, mask_n
 from touchfield.viewer.page import titled_figure, write_png
 from touchfield.viewer.slices import choose_slice, supported_span
 
@@ -35,7 +36,7 @@ def draw_comparison(
     decoded: ForceField,
     title: str,
     axes: str,
-    mask: tuple[float, float],
+    mask: tuple[Weber, float],
     names: tuple[str, str, str] = ("source", "decoded", "error"),
 ) -> None:
     """Write a PNG that compares two fields on one grid.
@@ -76,7 +77,7 @@ class _Panels:
         original: ForceField,
         decoded: ForceField,
         axes: str,
-        mask: tuple[float, float],
+        mask: tuple[Weber, float],
         names: tuple[str, str, str] = ("source", "decoded", "error"),
     ) -> None:
         self.axes, self.mask, self.names = axes, mask, names
@@ -148,7 +149,9 @@ class _Panels:
 
     def _mask_bar(self, figure: Any, panel: Any, view: _View, values: NDArray[Any], title: str) -> None:
         worst = self._image(panel, view, values, title, vmin=0, vmax=2, cmap="PuOr_r")
-        label = f"|{self.names[2]}| / max({self.mask[1]:g} N, {self.mask[0]:g} |F|)"
+        k, f0_n = self.mask
+        weber = "k(|F|)" if isinstance(k, WeberCurve) else f"{k:g}"
+        label = f"|{self.names[2]}| / max({f0_n:g} N, {weber} |F|)"
         _bar(figure, worst, panel, label, extend="max")
 
     # -- rows -----------------------------------------------------------------------------------------------
@@ -174,14 +177,14 @@ class _Panels:
         )
 
     def _contact_mm(self, force: Float32s) -> Float64s:
-        perceptible = force > self.mask[1]
+        is_above = force > self.mask[1]
         index = (
-            perceptible.argmax(axis=_Z)
+            is_above.argmax(axis=_Z)
             if self.from_low_z
-            else perceptible.shape[_Z] - 1 - perceptible[:, :, ::-1].argmax(axis=_Z)
+            else is_above.shape[_Z] - 1 - is_above[:, :, ::-1].argmax(axis=_Z)
         )
         z = self.low_mm[_Z] + (index + 0.5) * self.step_mm[_Z]
-        return np.where(perceptible.any(axis=_Z), z, np.nan)
+        return np.where(is_above.any(axis=_Z), z, np.nan)
 
     def _slice_name(self) -> str:
         axis, index = self.cut.axis, self.cut.index

@@ -16,7 +16,7 @@ from touchfield.viewer.page import titled_figure, write_png
 if TYPE_CHECKING:
     from pathlib import Path
 
-_QUANTISED, _PERCEPTIBLE = "#0072b2", "#d55e00"
+_QUANTISED, _BEYOND = "#0072b2", "#d55e00"
 
 
 def draw_masked_signal(
@@ -25,7 +25,7 @@ def draw_masked_signal(
     """Draw each reading Q(x) of a signal x, its error, and the mask k x.
 
     Each reading has a column, with its name as title. Times are in seconds, the signal and its readings in
-    newtons, float64 [n]. An error outside the mask, which is perceptible, is drawn in orange.
+    newtons, float64 [n]. An error outside the mask is drawn in orange.
     """
     title = f"a force, quantised; its error, and the mask of {k:g} x"
     figure = titled_figure("the picture of a quantised signal", title, 4.3 * len(readings), 6.0)
@@ -38,7 +38,7 @@ def draw_masked_signal(
         bottom.fill_between(t_s, mask, color="0.85", lw=0, label=f"mask, {k:g} x")
         bottom.plot(t_s, error, color=_QUANTISED, lw=1.2, label="error |Q(x) - x|")
         beyond = np.where(error > mask * (1 + 1e-9), error, np.nan)
-        bottom.plot(t_s, beyond, color=_PERCEPTIBLE, lw=2.2, label="beyond the mask")
+        bottom.plot(t_s, beyond, color=_BEYOND, lw=2.2, label="beyond the mask")
         bottom.set_xlabel("time / s")
     axes[0, 0].set_ylabel("force / N")
     axes[1, 0].set_ylabel("error / N")
@@ -60,7 +60,12 @@ def draw_textures(
         levels_mn = np.where(levels_n > 0, 1e3 * levels_n, np.nan)
         axis.loglog(bands_hz, levels_mn, "o-", ms=3, lw=1.2, color=f"C{n % 10}", label=label)
     axis.fill_between(
-        bands_hz, 1e3 * threshold_n, 1e3 * threshold_n.min() / 10, color="0.9", lw=0, label="imperceptible"
+        bands_hz,
+        1e3 * threshold_n,
+        1e3 * threshold_n.min() / 10,
+        color="0.9",
+        lw=0,
+        label="below the threshold",
     )
     axis.set(xlabel="frequency / Hz", ylabel="force / mN rms")
     axis.legend(fontsize=8)

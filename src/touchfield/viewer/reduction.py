@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from touchfield.arrays import Bools, Float64s, lengths_of
-from touchfield.perception.mask import mask_n
+from touchfield.perception.grip import WeberCurve
+from touchfield.perception.mask import Weber, mask_n
 from touchfield.viewer.page import titled_figure, write_png
 from touchfield.viewer.slices import choose_slice, largest_slice, supported_span
 
@@ -26,11 +27,11 @@ _LOWEST_DB: Final = -60.0
 
 
 def draw_reduction(
-    path: Path, values: Float64s, field: ForceField, perceptible: Bools, title: str, axes: str = ""
+    path: Path, values: Float64s, field: ForceField, is_reachable: Bools, title: str, axes: str = ""
 ) -> None:
     """Draw the error that is left after so many modes, and |F| of a field on a slice.
 
-    `values` are the singular values of the modes, float64 [n]. `perceptible`, bool [nx, ny, nz], are the
+    `values` are the singular values of the modes, float64 [n]. `is_reachable`, bool [nx, ny, nz], are the
     samples that are not left out; the slice is the one with the most samples left out, which are drawn in
     grey, and is cropped to the samples with forces.
     """
@@ -42,14 +43,14 @@ def draw_reduction(
     left.set(xlabel="modes", ylabel="error / dB of the energy", ylim=(_LOWEST_DB, 3))
     left.xaxis.get_major_locator().set_params(integer=True)
     left.spines[["top", "right"]].set_visible(False)
-    _draw_left_out(figure, right, field, perceptible, axes)
+    _draw_left_out(figure, right, field, is_reachable, axes)
     write_png(figure, path)
 
 
-def _draw_left_out(figure: Any, panel: Any, field: ForceField, perceptible: Bools, axes: str) -> None:
+def _draw_left_out(figure: Any, panel: Any, field: ForceField, is_reachable: Bools, axes: str) -> None:
     dense = field.to_dense()
     size_n = lengths_of(dense)
-    left_out = (size_n > 0) & ~perceptible
+    left_out = (size_n > 0) & ~is_reachable
     spacing_m = field.grid.spacing_m
     cut = largest_slice(left_out, spacing_m, axes) if left_out.any() else choose_slice(dense, spacing_m, axes)
     own_n, own_left_out = cut.of(size_n), cut.of(left_out)
@@ -74,7 +75,7 @@ def draw_points(
     positions_m: Float64s,
     forces_n: Float64s,
     rebuilt_n: Float64s | None,
-    mask: tuple[float, float],
+    mask: tuple[Weber, float],
     axes: str = "",
 ) -> None:
     """Draw |F| of forces, newtons [m, 3], at positions, metres [m, 3], seen along their shortest side.
@@ -95,7 +96,8 @@ def draw_points(
         title = f"{len(points_m)} points of {len(positions_m)} samples"
         rebuilt = _Dots("|F| / N", lengths_of(rebuilt_n), scale)
         error = lengths_of(rebuilt_n - forces_n) / mask_n(size_n, *mask)
-        label = f"|error| / max({mask[1]:g} N, {mask[0]:g} |F|)"
+        k, f0_n = mask
+        label = f"|error| / max({f0_n:g} N, {'k(|F|)' if isinstance(k, WeberCurve) else f'{k:g}'} |F|)"
         errors = _Dots(label, error, {"vmin": 0.0, "vmax": 2.0, "cmap": "PuOr_r"})
         names = "the field", "rebuilt from the points", "error"
         panels = [(name, short, dots) for name, dots in zip(names, (field, rebuilt, errors), strict=True)]

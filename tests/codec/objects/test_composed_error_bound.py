@@ -173,7 +173,7 @@ def test_overlapping_fields_are_coded_finer(tmp_path: Path) -> None:
 
 
 def cancelling(strength_n: float, damping: float = 0.0) -> HapticScene:
-    """Two fields that cancel: the sum is zero, so errors of a thousandth of 400 N are perceptible."""
+    """Two fields that cancel: the sum is zero, so errors of a thousandth of 400 N are beyond the bound."""
     field = ball(BODY_GRID, 0.005, strength_n)
     against = ForceField.from_dense(BODY_GRID, -field.to_dense())
     tracks = [PoseTrack.constant(3, (0.0003, 0.0, 0.0)), PoseTrack.constant(3, (0.0003, 0.0, 0.0))]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchfield.codec.touch.error_bound import masked_error_n
+from touchfield.codec.touch.error_bound import allowed_error_n
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.medium import ForceField
 
@@ -14,7 +14,7 @@ __all__ = ["error_ratios"]
 def _dense_masking_n(original: ForceField, spec: TouchSpec) -> np.ndarray:
     """Error that surrounding forces hide at each sample, newtons [nx, ny, nz]."""
     out = np.zeros([8 * n for n in original.grid.brick_shape])
-    for (x, y, z), hidden_n in zip(8 * original.bricks, masked_error_n(original, spec).reshape(-1, 8, 8, 8)):
+    for (x, y, z), hidden_n in zip(8 * original.bricks, allowed_error_n(original, spec).reshape(-1, 8, 8, 8)):
         out[x : x + 8, y : y + 8, z : z + 8] = hidden_n
     return out[tuple(slice(n) for n in original.grid.shape)]
 

@@ -191,9 +191,10 @@ class ObjectsEncoder:
 
     def __init__(self, scene: HapticScene, spec: Any, f0_n: float) -> None:
         check_pose_count(len(scene.objects), scene.frame_count)
-        if coder_of_spec(spec).has_error_bound and spec.masking:
-            found, expected = "it with bodies that have fields of their own", "fields of voxels"
-            raise InvalidArgument("--masking", found, expected, "Add --representation voxel.")
+        for option, name in (("--masking", "masking"), ("--profile", "k_by_force")):
+            if coder_of_spec(spec).has_error_bound and getattr(spec, name):
+                found, expected = "it with bodies that have fields of their own", "fields of voxels"
+                raise InvalidArgument(option, found, expected, "Add --representation voxel.")
         self._scene, self._spec, self._f0_n = scene, spec, f0_n
         self._all_rigid = all(body.is_rigid for body in scene.objects)
         self._segment_length = (

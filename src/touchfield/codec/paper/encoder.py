@@ -190,7 +190,7 @@ def _sent_alone_n(spec: PaperSpec, frame: ForceField) -> Float32s:
 
 
 def _changes_n(spec: PaperSpec, segment: Sequence[ForceField]) -> Float32s:
-    """Amplitudes of perceptible changes between originals, pooled over a segment."""
+    """Amplitudes of changes above the deadband between originals, pooled over a segment."""
     amplitudes = [np.zeros(0, np.float32)]
     for previous, frame in pairwise(segment):
         change = frame + previous.scaled(-1)

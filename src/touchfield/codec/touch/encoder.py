@@ -20,7 +20,7 @@ from touchfield.codec.segment import CodedSegment, FrameStats, MaxError
 from touchfield.codec.touch.base_layer_fit import fit_spline
 from touchfield.codec.touch.body import BodyReader, write_parameters
 from touchfield.codec.touch.decoder import NAME
-from touchfield.codec.touch.error_bound import masked_error_n
+from touchfield.codec.touch.error_bound import allowed_error_n, has_allowance
 from touchfield.codec.touch.spec import MODES, TouchSpec
 from touchfield.compute.native import argument_errors, native
 from touchfield.errors import InvalidArgument
@@ -111,7 +111,7 @@ class TouchEncoder:
         if frame.grid != self._grid:
             found = f"a grid of {frame.grid.shape}"
             raise InvalidArgument(f"frame {index}", found, f"that of the stream, {self._grid.shape}")
-        return _arrays(frame, masked_error_n(frame, self._spec) if self._spec.masking else None)
+        return _arrays(frame, allowed_error_n(frame, self._spec) if has_allowance(self._spec) else None)
 
     @contextmanager
     def _argument_errors(self, frames: Sequence[ForceField], key: ForceField | None) -> Iterator[None]:

@@ -5,12 +5,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from touchfield.codec.registry import Coder
 from touchfield.codec.segment import BoundRule, mask_text
 from touchfield.errors import InvalidArgument, require_kinds
 from touchfield.options import option
+
+if TYPE_CHECKING:
+    from touchfield.perception.grip import WeberCurve
 
 MODES: Final = ("mask", "mask-direction", "nmse", "lossless")
 EFFORTS: Final = ("fast", "default")
@@ -46,12 +49,16 @@ class TouchSpec:
     for bit, and is faster."""
     support: str = option("movable", "movable (where |F| is at most F_0), or exact. [default: movable]")
     """Either "movable" (a force of at most F_0 may vanish or appear) or "exact" (the support is kept)."""
-    masking: float = option(0.0, "fraction of the mean surrounding force that hides errors. [default: 0]")
-    """Spatial masking, mode "mask" only: fraction beta, 0 to 1, of the mean surrounding force that hides an
-    error at a voxel. The error bound is then max(F_0, k |F| + beta mean), see
+    masking: float = option(0.0, "fraction of the mean surrounding force added to the bound. [default: 0]")
+    """Spatial masking, mode "mask" only: fraction beta, 0 to 1, of the mean surrounding force by
+    which the bound of a voxel grows. The error bound is then max(F_0, k |F| + beta mean), see
     `touchfield.perception.SpatialMasking`. 0: none."""
     masking_radius_m: float = 0.0025
     """Radius R of that mean, metres: the two-point threshold of the skin, by default that of a finger."""
+    k_by_force: tuple[tuple[float, float], ...] = ()
+    """The Weber fraction as a function of force, mode "mask" only: points (newtons, k) of a
+    `touchfield.perception.WeberCurve`, of which `k` is the smallest k (`for_grip`). The error bound is then
+    max(F_0, k(|F|) |F|). Empty: k is the same for every force. The provenance of a file stores the points."""
     guess: str = "auto"
     """Whether a frame may have a base layer (spline or columns): "auto" (the encoder decides), or "off"."""
     interframe: str = option("auto", "auto, off or on. [default: auto]")
@@ -74,8 +81,62 @@ class TouchSpec:
         ):
             if not fits:
                 raise InvalidArgument(name, repr(getattr(self, name)), expected)
-        if self.masking and self.mode != "mask":
-            raise InvalidArgument("masking", f"it in mode {self.mode}", "it in mode mask only")
+        for name in ("masking", "k_by_force"):
+            if getattr(self, name) and self.mode != "mask":
+                raise InvalidArgument(name, f"it in mode {self.mode}", "it in mode mask only")
+        if self.k_by_force:
+            object.__setattr__(self, "k_by_force", self._checked_points())
+
+    def _checked_points(self) -> tuple[tuple[float, float], ...]:
+        """The points of `k_by_force`, also if they were lists (of JSON)."""
+        from touchfield.perception.grip import WeberCurve
+
+        curve = WeberCurve.of(self.k_by_force)
+        if self.k != curve.least:
+            hint = "TouchSpec.for_grip sets both."
+            raise InvalidArgument("k", repr(self.k), f"{curve.least:g}, the smallest of k_by_force", hint)
+        return curve.points
+
+    @classmethod
+    def for_grip(cls, name: str, **options: Any) -> TouchSpec:
+        """The spec with F_0 and k(|F|) of a grip: "stylus", "ball" or "finger" (docs: perception.md).
+
+        `options` are other fields. `InvalidArgument` if there is no such grip, or `options` has `k` or
+        `f0_n`.
+        """
+        from touchfield.perception.grip import grip
+
+        for key in ("k", "f0_n", "k_by_force"):
+            if key in options:
+                expected = "one of both: the grip sets it"
+                raise InvalidArgument(_option(key), f"it together with grip {name}", expected)
+        bound = grip(name)
+        return cls(k=bound.weber.least, f0_n=bound.f0_n, k_by_force=bound.weber.points, **options)
+
+    @property
+    def weber(self) -> float | WeberCurve:
+        """The Weber fraction of the error bound: `k`, or the function of `k_by_force`."""
+        if not self.k_by_force:
+            return self.k
+        from touchfield.perception.grip import WeberCurve
+
+        return WeberCurve(self.k_by_force)
+
+    @property
+    def grip_note(self) -> str:
+        """Which numbers of the bound were not measured for its grip; empty if none, or without a grip."""
+        if not self.k_by_force:
+            return ""
+        from touchfield.perception.grip import grips
+
+        bound = self.f0_n, self.k_by_force
+        notes = (known.note for known in grips().values() if (known.f0_n, known.weber.points) == bound)
+        return next(notes, "")
+
+    @property
+    def largest_k(self) -> float:
+        """The Weber fraction that bounds the relative error at every force: the largest of `k_by_force`."""
+        return max((k for _, k in self.k_by_force), default=self.k)
 
 
 def _spec(options: dict[str, Any]) -> TouchSpec:
@@ -104,7 +165,18 @@ def _spec(options: dict[str, Any]) -> TouchSpec:
         if key in values and mode != only:
             found, expected = f"it in mode {mode}", f"it in mode {only} only"
             raise InvalidArgument(_option(key), found, expected, f"Add --mode {only}.")
+    profile = values.pop("profile", None)
+    if profile is not None:
+        return TouchSpec.for_grip(_grip_of(profile), **values)
     return TouchSpec(**values)
+
+
+def _grip_of(profile: str) -> str:
+    """The grip of ``--profile grip=NAME``."""
+    key, equals, name = profile.partition("=")
+    if key != "grip" or not equals:
+        raise InvalidArgument("--profile", repr(profile), "grip=stylus, grip=ball or grip=finger")
+    return name
 
 
 def _option(key: str) -> str:
@@ -125,7 +197,8 @@ def _bound(spec: TouchSpec) -> BoundRule:
         return BoundRule("every force bit for bit")
     if spec.mode == "mask":
         masking = f" + {spec.masking:g} of the mean force within {1e3 * spec.masking_radius_m:g} mm"
-        return BoundRule(mask_text(spec.k, spec.f0_n, masking if spec.masking else ""))
+        by_force = spec.weber.text if spec.k_by_force and not isinstance(spec.weber, float) else ""
+        return BoundRule(mask_text(spec.k, spec.f0_n, masking if spec.masking else "", by_force))
     if spec.mode == "mask-direction":
         angle = f"{spec.direction_jnd_deg:g} degrees"
         length = f"the length within max({floor}, {relative}) and the direction within {angle}"
@@ -136,7 +209,7 @@ def _bound(spec: TouchSpec) -> BoundRule:
 
 _OPTIONS: Final = (
     "k", "segment_frames", "f0_n", "mode", "direction_jnd_deg", "step_n", "support", "effort", "masking",
-    "body_site", "lossless_quantised", "interframe",
+    "body_site", "profile", "lossless_quantised", "interframe",
 )  # fmt: skip
 
 CODER = Coder(
@@ -147,6 +220,7 @@ CODER = Coder(
     makers={"touch": _spec},
     options=_OPTIONS,
     extra_options={
+        "profile": (str, "k by force and F_0 of a grip: grip=stylus, grip=ball or grip=finger."),
         "body_site": (str, "masking: body site in contact: finger, palm, belly, forearm. [default: finger]"),
         "lossless_quantised": (bool, "keep a field that is quantised already exactly."),
     },

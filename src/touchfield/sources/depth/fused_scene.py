@@ -57,7 +57,7 @@ FIRST_WEIGHT: Final = 16.0
 """Weight of the first observation of a surface: a seventh fewer samples change between frames than with 1.
 """
 RENEWALS_HZ: Final = 8.0
-"""Rate at which static parts are updated; it saves a third of the bytes and most perceptible steps."""
+"""Rate at which static parts are updated; it saves a third of the bytes and most steps above the mask."""
 CHANGED_SAMPLES: Final = 8
 """A brick (512 samples) follows every frame once this many of its samples changed: an eighth of a plane."""
 

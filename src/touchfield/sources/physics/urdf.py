@@ -39,7 +39,7 @@ _KEPT: Final = ("link", "joint", "mujoco")
 _KEPT_SETTINGS: Final[dict[str, dict[str, str]]] = {"compiler": {}, "option": {"timestep": "0.001"}}
 """Elements of the element mujoco that are used, and what holds where a robot states nothing."""
 
-_SILENT: Final = ("material",)  # left out without a note, as it cannot be felt
+_SILENT: Final = ("material",)  # left out without a note, as it has no force
 _XACRO: Final = re.compile(r"\$[{(]")
 _XACRO_NAMESPACES: Final = ("{http://www.ros.org/wiki/xacro}", "{http://ros.org/wiki/xacro}")
 _LEAST_KG, _LEAST_KG_M2 = 1e-6, 1e-9

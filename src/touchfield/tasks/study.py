@@ -1,0 +1,375 @@
+"""Runs forced-choice studies: presents streams on a device, or has a simulated observer answer, records every
+trial, and analyses a folder of sessions.
+
+    design -> levels (given, or measured) -> trials by a procedure -> sub-LABEL_trials.csv -> fits
+
+A folder has ``session.json`` (levels and design of the study), ``trials.json`` (data dictionary) and one file
+for each participant. A session that stops is continued by the same call. Nothing that is shown during a
+session says what an interval has, or whether an answer is correct.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
+from datetime import UTC, datetime
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from touchfield._version import __version__
+from touchfield.atomic import atomic_path
+from touchfield.compute.threads import Progress, silent
+from touchfield.devices.drivers.touch_down import touch_down
+from touchfield.errors import InvalidArgument, SourceError
+from touchfield.files import json_of
+from touchfield.network.opening import open_stream
+from touchfield.pipeline.result import Result
+from touchfield.render.spec import RenderSpec
+from touchfield.study.analysis import fit_psychometric, level_tests, power_of
+from touchfield.study.design import TASKS, StudyDesign, for_participant, read_design, with_levels
+from touchfield.study.procedures import procedure_of
+from touchfield.study.psychometric import Psychometric, SimulatedObserver
+from touchfield.study.trials import Trial, append_trial, read_trials, trials_path, write_dictionary
+from touchfield.tasks.play import PlaySpec, play
+from touchfield.viewer.study import draw_fits
+
+TEMPLATES: Final = ("design.toml", "consent.md", "device.md")
+SESSION: Final = "session.json"
+_SIMULATED: Final = "simulated: "
+_MAX_SESSION_BYTES: Final = 1 << 20
+
+Ask = Callable[[str, int], int | None]
+"""``ask(question, answers) -> 1 to answers``, or None to stop."""
+
+Show = Callable[[str], None]
+
+
+# -- templates -------------------------------------------------------------------------------------------
+def start_study(folder: str | Path) -> Result:
+    """Write the templates of a study (design, consent, device) to a folder; none is overwritten.
+
+    `InvalidArgument` if one exists.
+    """
+    folder = Path(folder)
+    for name in TEMPLATES:
+        if (folder / name).exists():
+            raise InvalidArgument(str(folder / name), "a file", "no such file yet", "Name another folder.")
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in TEMPLATES:
+        text = (resources.files("touchfield.study") / "templates" / name).read_text("utf-8")
+        with atomic_path(folder / name) as temporary:
+            temporary.write_text(text, "utf-8")
+    return Result({"files": [str(folder / name) for name in TEMPLATES]})
+
+
+# -- levels ----------------------------------------------------------------------------------------------
+def measured_levels_mn(design: StudyDesign, report: Progress = silent) -> tuple[float, ...]:
+    """Difference in force between each comparison and the reference, millinewtons rms.
+
+    Both are played offline along one path, which touches the reference (`touch_down`). Ticks count in which
+    either has a force. `InvalidArgument` if a comparison does not differ.
+    """
+    with open_stream(design.reference) as stream, tempfile.TemporaryDirectory() as folder:
+        path = touch_down(stream.scene or stream.medium)
+        trajectory = Path(folder) / "path.csv"
+        rows = np.column_stack([path.times_s, path.positions_m])
+        np.savetxt(trajectory, rows, delimiter=",", header="t_s,x_m,y_m,z_m", comments="")
+        reference_n = _forces_n(design.reference, trajectory, {})
+        levels = []
+        for i, compared in enumerate(design.comparisons):
+            forces_n = _forces_n(compared.stream, trajectory, compared.render)
+            count = min(len(forces_n), len(reference_n))
+            a, b = reference_n[:count], forces_n[:count]
+            has_force = a.any(axis=1) | b.any(axis=1)
+            squares = ((a - b)[has_force] ** 2).sum(axis=1)
+            levels.append(1e3 * float(np.sqrt(squares.mean())) if squares.size else 0.0)
+            if not levels[-1] > 0:
+                found, expected = "the same forces as of the reference", "a difference along the path"
+                raise InvalidArgument(compared.stream, found, expected, "Take it out, or give levels.")
+            report(i + 1, len(design.comparisons))
+    return tuple(levels)
+
+
+def _forces_n(stream: str, trajectory: Path, render: Mapping[str, Any]) -> Any:
+    """Forces along a path, newtons float64 [ticks, 3]."""
+    spec = PlaySpec(offline=True, is_logged=True, trajectory=trajectory, render=render_spec(render))
+    rows = play(stream, spec).checked().rows
+    assert rows is not None
+    return np.asarray(rows["force_n"], np.float64)
+
+
+def render_spec(values: Mapping[str, Any]) -> RenderSpec:
+    """The spec of the renderer from a table of a design; `InvalidArgument` for an unknown or unfit option."""
+    plain = {item.name for item in fields(RenderSpec)} - {"tool", "materials", "deformation"}
+    for name in values:
+        if name not in plain:
+            raise InvalidArgument(f"comparison.render.{name}", "an unknown option", f"one of {sorted(plain)}")
+    options: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+    return RenderSpec(**options)
+
+
+def resolved_design(design: StudyDesign, report: Progress = silent) -> StudyDesign:
+    """The design with levels: its own, or measured ones in mN rms."""
+    if not design.is_measured:
+        return design
+    return with_levels(design, measured_levels_mn(design, report), "mN")
+
+
+# -- sessions --------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class SessionSpec:
+    """Who takes part, and how the intervals are presented.
+
+    `observer`: a simulated observer, "threshold=20,slope=3,lapse=0.02", in the unit of the levels; `device`:
+    as of `PlaySpec`. One of both.
+    """
+
+    participant: str = "01"
+    device: str | None = None
+    observer: str | None = None
+
+    def __post_init__(self) -> None:
+        if (self.device is None) == (self.observer is None):
+            found = "neither" if self.device is None else "both"
+            raise InvalidArgument("--device, --observer", found, "one of them: who answers?")
+
+    @property
+    def answered_by(self) -> str:
+        """Who answers, for the record: a person at a device, or a simulated observer."""
+        return f"person: {self.device}" if self.observer is None else f"{_SIMULATED}{self.observer}"
+
+
+def run_session(
+    design_path: str | Path,
+    folder: str | Path,
+    spec: SessionSpec,
+    ask: Ask,
+    show: Show = lambda text: None,
+    report: Progress = silent,
+) -> Result:
+    """Run or continue the session of a participant, and return how far it came.
+
+    `InvalidArgument` or `SourceError` if the design is wrong, the folder has another design, or earlier
+    trials do not follow from it.
+    """
+    design, folder = read_design(design_path), Path(folder)
+    path = trials_path(folder, spec.participant)
+    for compared in design.comparisons:
+        render_spec(compared.render)
+    observer = None
+    if spec.observer is not None:  # before anything is written
+        observer = SimulatedObserver.parse(spec.observer, design.chance, design.seed)
+    design = for_participant(_session_design(design, folder, report), spec.participant)
+    if observer is not None:
+        observer = replace(observer, seed=design.seed)
+    done, procedure = _replayed(design, path)
+    session = _Session(design, spec, observer, ask, show)
+    for trial in range(done, design.trials):
+        index = procedure.next_index()
+        answered = session.trial(trial, sorted(design.levels)[index])
+        if answered is None:
+            break
+        append_trial(path, answered)
+        procedure.update(index, bool(answered.correct))
+        done = trial + 1
+        report(done, design.trials)
+    state = "complete" if done == design.trials else "stopped; the same command continues it"
+    return Result({"file": str(path), "trials": done, "of": design.trials, "state": state})
+
+
+def _session_design(design: StudyDesign, folder: Path, report: Progress) -> StudyDesign:
+    """The design with the levels that the folder has, or that are now measured and written there."""
+    path = folder / SESSION
+    if path.exists():
+        stored = _read_session(path)
+        if stored["design"] != design.digest:
+            found, hint = "a session of another design", "Take another folder, or the design as it was."
+            raise InvalidArgument(str(path), found, hint=hint)
+        if stored.get("streams") != _digests(design):
+            found, hint = "a session with other streams", "Take another folder, or the streams as they were."
+            raise InvalidArgument(str(path), found, hint=hint)
+        if len(stored["levels"]) != len(design.comparisons):
+            raise SourceError(str(path), f"{len(stored['levels'])} levels", f"{len(design.comparisons)}")
+        return with_levels(design, stored["levels"], stored["unit"])
+    streams = _digests(design)
+    is_measured, design = design.is_measured, resolved_design(design, report)
+    procedure_of(design)  # MissingExtra before anything is written
+    folder.mkdir(parents=True, exist_ok=True)
+    write_dictionary(folder)
+    session = {
+        "title": design.title, "touchfield": __version__, "design": design.digest, "task": design.task,
+        "procedure": design.procedure, "trials": design.trials, "seed": design.seed,
+        "interval_s": design.interval_s, "reference": Path(design.reference).name,
+        "comparisons": [Path(c.stream).name for c in design.comparisons], "levels": list(design.levels),
+        "unit": design.unit, "is_measured": is_measured,
+        "streams": streams,
+    }  # fmt: skip
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(session, indent=2) + "\n", "utf-8")
+    return design
+
+
+def _digests(design: StudyDesign) -> list[str]:
+    """SHA-256 of the reference and of each comparison; `SourceError` if one is no file."""
+    digests = []
+    for stream in (design.reference, *(compared.stream for compared in design.comparisons)):
+        try:
+            with Path(stream).open("rb") as file:
+                digests.append(hashlib.file_digest(file, "sha256").hexdigest())
+        except OSError as error:
+            raise SourceError(stream, error.strerror or "no file", "a stream of the design") from None
+    return digests
+
+
+def _read_session(path: Path) -> dict[str, Any]:
+    """The session of a folder; `SourceError` if it is not what `run_session` writes."""
+    try:
+        data = path.open("rb").read(_MAX_SESSION_BYTES)
+        values: dict[str, Any] = json_of(data.decode())
+        levels = tuple(float(level) for level in values["levels"])
+        known = {name: str(values[name]) for name in ("design", "unit", "task", "title")}
+    except OSError as error:
+        raise SourceError(str(path), error.strerror or "no file", "a folder of a study") from None
+    except (ValueError, TypeError, KeyError, RecursionError):
+        raise SourceError(str(path), "no session", "what `touchfield study run` writes") from None
+    return {**values, **known, "levels": levels}
+
+
+def _replayed(design: StudyDesign, path: Path) -> tuple[int, Any]:
+    """The number of trials in a file, and the procedure after them."""
+    procedure, ascending = procedure_of(design), sorted(design.levels)
+    earlier = read_trials(path) if path.exists() else ()
+    for trial in earlier:
+        index = procedure.next_index()
+        where = f"{path}, line {trial.trial + 2}"
+        if trial.level != ascending[index]:
+            found, expected = (
+                f"level {trial.level}",
+                f"{ascending[index]}, which follows from the answers before",
+            )
+            raise SourceError(where, found, expected, "Restore the file, or take another participant.")
+        if trial.order != _text_of(design.order(trial.trial)):
+            raise SourceError(where, f"order {trial.order}", _text_of(design.order(trial.trial)))
+        procedure.update(index, bool(trial.correct))
+    return len(earlier), procedure
+
+
+def _text_of(order: tuple[int, ...]) -> str:
+    return "".join(map(str, order))
+
+
+@dataclass(frozen=True)
+class _Session:
+    """Presents trials and takes the answers."""
+
+    design: StudyDesign
+    spec: SessionSpec
+    observer: SimulatedObserver | None
+    ask: Ask
+    show: Show
+
+    def trial(self, number: int, level: float) -> Trial | None:
+        """Present a trial; None if the participant stops."""
+        design = self.design
+        compared = next(c for c in design.comparisons if c.level == level)
+        order, right = design.order(number), design.answer(number)
+        start_s = 0.0
+        if self.observer is not None:
+            is_correct = self.observer.is_correct(level, number)
+            response: int | None = right if is_correct else right % design.answers + 1
+        else:
+            self._present(number, order, compared.stream, compared.render)
+            start_s = time.perf_counter()
+            response = self.ask(_QUESTIONS[design.task], design.answers)
+        if response is None:
+            return None
+        taken_s = round(time.perf_counter() - start_s, 3) if self.observer is None else 0.0
+        now = datetime.now(UTC).isoformat(timespec="seconds")
+        return Trial(
+            number, now, level, Path(compared.stream).name, _text_of(order), response, int(response == right),
+            taken_s, design.digest[:16], self.spec.answered_by,
+        )  # fmt: skip
+
+    def _present(self, number: int, order: tuple[int, ...], stream: str, render: Mapping[str, Any]) -> None:
+        """Play the intervals of a trial on the device, one after the other."""
+        device = self.spec.device or "sim"
+        for i, has_comparison in enumerate(order, 1):
+            self.show(f"trial {number + 1} of {self.design.trials}: interval {i} of {len(order)}")
+            spec = PlaySpec(device=device, seconds=self.design.interval_s, loop=True)
+            spec = replace(spec, render=render_spec(render if has_comparison else {}))
+            play(stream if has_comparison else self.design.reference, spec).checked()
+
+
+_QUESTIONS: Final = {
+    "2ifc": "Which of intervals 2 and 3 differs from the first? 1 (the second) or 2 (the third)",
+    "3ifc": "Which interval differs from the others? 1, 2 or 3",
+    "abx": "Is the last interval the first or the second? 1 or 2",
+}
+
+
+# -- analysis --------------------------------------------------------------------------------------------
+def analyse_study(folder: str | Path, plot: Path | None = None) -> Result:
+    """Fit the psychometric function of each participant of a folder.
+
+    Each of ``participants`` has the threshold, its 95 % interval, slope, lapse, and trials; each of
+    ``levels`` the rate of correct answers and the exact test against chance. `SourceError` if there is no
+    session or no trial; with `plot` also a PNG (`MissingExtra` without matplotlib).
+    """
+    folder = Path(folder)
+    session = _read_session(folder / SESSION)
+    if session["task"] not in TASKS:
+        raise SourceError(str(folder / SESSION), f"task {session['task']!r}", " or ".join(TASKS))
+    chance, participants, levels, fits, notes = TASKS[session["task"]], [], [], {}, []
+    for path in sorted(folder.glob("sub-*_trials.csv")):
+        trials, label = read_trials(path), path.name[4:].removesuffix("_trials.csv")
+        if not trials:
+            notes.append(f"participant {label} has no trial")
+            continue
+        if any(trial.design != session["design"][:16] for trial in trials):
+            raise SourceError(str(path), "trials of another design", "those of the design of the folder")
+        of_trials = [trial.level for trial in trials], [bool(trial.correct) for trial in trials]
+        fit = fits[label] = fit_psychometric(*of_trials, chance)
+        rows = level_tests(*of_trials, chance)
+        levels += [{"participant": label, **row} for row in rows]
+        function = fit.function
+        participants.append({
+            "participant": label, "threshold": function.threshold, "low": fit.low, "high": fit.high,
+            "slope": function.slope, "lapse": function.lapse, "trials": fit.trials,
+        })  # fmt: skip
+        if any(trial.answered_by.startswith(_SIMULATED) for trial in trials):
+            notes.append(f"participant {label}: answers of a simulated observer")
+        if fit.low is None or fit.high is None:
+            notes.append(
+                f"participant {label}: the interval is open; more trials, or weaker and stronger levels"
+            )
+    if not fits:
+        raise SourceError(str(folder), "no trials", "sub-LABEL_trials.csv of `touchfield study run`")
+    if plot is not None:
+        draw_fits(plot, session["title"], session["unit"], fits, levels)
+    figures = {"title": session["title"], "task": session["task"], "chance": chance, "unit": session["unit"]}
+    return Result({**figures, "participants": participants, "levels": levels}, tuple(notes))
+
+
+def study_power(design_path: str | Path, observer: str, runs: int = 100, report: Progress = silent) -> Result:
+    """Simulate the design of a study with an observer, for a quarter to four times its trials.
+
+    The rows are those of `touchfield.study.power_of`. `InvalidArgument` if `runs` is not 10 to 1000.
+    """
+    if not 10 <= runs <= 1000:
+        raise InvalidArgument("--runs", str(runs), "10 to 1000")
+    design = resolved_design(read_design(design_path), report)
+    function: Psychometric = SimulatedObserver.parse(observer, design.chance, design.seed).function
+    counts = sorted({max(round(design.trials * factor), 1) for factor in (0.25, 0.5, 1, 2, 4)})
+    rows = []
+    for i, trials in enumerate(counts):
+        rows.append(power_of(replace(design, trials=trials), function, runs))
+        report(i + 1, len(counts))
+    figures = {"levels": list(design.levels), "unit": design.unit, "threshold": function.threshold}
+    return Result({**figures, "procedure": design.procedure, "task": design.task, "power": rows})
