@@ -43,6 +43,7 @@ class StubNode:
         self.name, self.now_ns, self.sent = name, 10**9, []
         self.values: dict[str, Any] = {"use_sim_time": self.parameters.get("use_sim_time", True)}
         self.messages: list[str] = []
+        self.subscriptions = 1
 
     def declare_parameter(self, name: str, value: Any) -> None:
         self.values[name] = self.parameters.get(name, value)
@@ -58,7 +59,9 @@ class StubNode:
         self.receive = receive
 
     def create_publisher(self, kind: type, topic: str, quality: object) -> Any:
-        return SimpleNamespace(publish=self.sent.append)
+        return SimpleNamespace(
+            publish=self.sent.append, get_subscription_count=lambda: self.subscriptions
+        )
 
     def get_logger(self) -> Any:
         def log(message: str, **_: Any) -> None:
@@ -289,6 +292,10 @@ def test_simulated_hand_presses_on_the_plate(
     node = play(plate)
     monkeypatch.setattr(StubNode, "parameters", {"hand": str(tmp_path / "press.txt")})
     hand = Press()
+    hand.subscriptions = 0
+    hand.tick()
+    assert not hand.sent and hand.messages == ["no node subscribes to 'hand' yet"]
+    hand.subscriptions = 1
     for _ in range(1100):
         hand.tick()
         node.receive(hand.sent[-1])

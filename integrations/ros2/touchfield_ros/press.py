@@ -5,7 +5,8 @@
     ros2 run touchfield_ros press --ros-args -p hand:=FOLDER/press.txt
 
 Publishes the lines `x y z` of a file, metres, as poses on `hand` (geometry_msgs/PoseStamped), one every
-millisecond, and then the last one again and again. Logs the force that arrives on `wrench`
+millisecond, and then the last one again and again. It starts when `hand` has a subscriber: the first poses
+would be lost while the nodes find each other. Logs the force that arrives on `wrench`
 (geometry_msgs/WrenchStamped) twice a second.
 """
 
@@ -38,6 +39,9 @@ class Press(Node):
         self.create_timer(1.0 / self.get_parameter("rate_hz").value, self._send)
 
     def _send(self) -> None:
+        if not self._sent and not self._publisher.get_subscription_count():
+            self.get_logger().info("no node subscribes to 'hand' yet", throttle_duration_sec=5.0)
+            return
         position_m = self._positions_m[min(self._sent, len(self._positions_m) - 1)]
         self._sent += 1
         out = PoseStamped()
