@@ -4,11 +4,12 @@
     python ros2_host.py record
 
 `step` sends a line `x y z`, metres, as a pose before each tick of 1 ms of simulated time. `record` listens.
-Both print the force of each wrench that arrives, newtons, with the version of neither: see `rmw`.
+Both print the force of each wrench that arrives, newtons.
 """
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import time
 from collections.abc import Callable
@@ -78,7 +79,7 @@ def step() -> None:
         stop_s = time.monotonic() + TIMEOUT_S
         while not is_done():
             assert time.monotonic() < stop_s, "no message has arrived"
-            executor.spin_once(timeout_sec=0.1)
+            executor.spin_once(timeout_sec=0.001)
 
     publishers = hand.poses, hand.clocks
     wait(lambda: all(publisher.get_subscription_count() for publisher in publishers))
@@ -99,10 +100,8 @@ def main() -> None:
     if sys.argv[1] == "step":
         step()
         return
-    try:
+    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
         rclpy.spin(Recorder())
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
 
 
 if __name__ == "__main__":

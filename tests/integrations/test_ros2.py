@@ -31,6 +31,8 @@ from builders import (
     stream_of,
 )
 
+from touchfield.errors import SourceError
+
 TICK_NS = 1_000_000
 
 
@@ -45,7 +47,8 @@ class StubNode:
         self.messages: list[str] = []
         self.subscriptions = 1
 
-    def declare_parameter(self, name: str, value: Any) -> None:
+    def declare_parameter(self, name: str, value: Any, descriptor: Any) -> None:
+        assert descriptor.dynamic_typing
         self.values[name] = self.parameters.get(name, value)
 
     def get_parameter(self, name: str) -> Any:
@@ -59,9 +62,7 @@ class StubNode:
         self.receive = receive
 
     def create_publisher(self, kind: type, topic: str, quality: object) -> Any:
-        return SimpleNamespace(
-            publish=self.sent.append, get_subscription_count=lambda: self.subscriptions
-        )
+        return SimpleNamespace(publish=self.sent.append, get_subscription_count=lambda: self.subscriptions)
 
     def get_logger(self) -> Any:
         def log(message: str, **_: Any) -> None:
@@ -83,6 +84,7 @@ class StubRclpy(ModuleType):
         super().__init__("rclpy")
         self.is_running = False
         self.spin: Any = None
+        self.errors: list[str] = []
 
     def init(self, signal_handler_options: str) -> None:
         assert signal_handler_options == "no handlers"
@@ -125,6 +127,9 @@ def rclpy(monkeypatch: pytest.MonkeyPatch) -> StubRclpy:
     """The stand-ins of the modules of ROS."""
     rclpy = StubRclpy()
     for name, content in {
+        "rcl_interfaces": {},
+        "rcl_interfaces.msg": {"ParameterDescriptor": SimpleNamespace},
+        "rclpy.logging": {"get_logger": lambda _: SimpleNamespace(fatal=rclpy.errors.append)},
         "rclpy.executors": {"ExternalShutdownException": RuntimeError},
         "rclpy.node": {"Node": StubNode},
         "rclpy.qos": {"qos_profile_sensor_data": object()},
@@ -137,7 +142,7 @@ def rclpy(monkeypatch: pytest.MonkeyPatch) -> StubRclpy:
         monkeypatch.setitem(sys.modules, name, module)
     monkeypatch.setitem(sys.modules, "rclpy", rclpy)
     monkeypatch.syspath_prepend(str(INTEGRATIONS / "ros2"))
-    for module in ("node", "press"):
+    for module in ("node", "press", "parameters"):
         monkeypatch.delitem(sys.modules, f"touchfield_ros.{module}", raising=False)
     return rclpy
 
@@ -281,6 +286,41 @@ def test_signal_brings_the_force_to_zero(
     assert forces_n[lengths[0] - 1].any()
     assert len(forces_n) > lengths[0] + 5 and not forces_n[-1].any()
     assert not rclpy.is_running
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({}, "the parameter file: found nothing"),
+        ({"file": "/nowhere.touch"}, "/nowhere.touch: found no such file"),
+        ({"friction": "high"}, "the parameter friction: found 'high'; expected a finite number"),
+        ({"loop": 1}, "the parameter loop: found 1; expected true or false"),
+        ({"silence_s": math.inf}, "the parameter silence_s: found inf"),
+        ({"rate_hz": 0}, "the parameter rate_hz: found 0.0; expected at least 1"),
+    ],
+)
+def test_wrong_parameters_are_refused_with_a_message(
+    rclpy: StubRclpy, monkeypatch: pytest.MonkeyPatch, parameters: dict[str, Any], message: str
+) -> None:
+    import touchfield_ros.node as module
+
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    monkeypatch.setattr(StubNode, "parameters", parameters)
+    assert module.main() != 0
+    assert len(rclpy.errors) == 1 and rclpy.errors[0].startswith(message)
+
+
+def test_numbers_need_no_point(play: Any, plate: Path) -> None:
+    assert play(plate, force_max_n=2).player.force_max_n == 2.0
+
+
+@pytest.mark.parametrize("content", ["", "1 2\n", "0 0 0\n1 2 x\n", "nan 0 0\n"])
+def test_hand_of_wrong_lines_is_refused(rclpy: StubRclpy, tmp_path: Path, content: str) -> None:
+    from touchfield_ros.press import read_positions
+
+    (tmp_path / "hand.txt").write_text(content)
+    with pytest.raises(SourceError, match="hand"):
+        read_positions(tmp_path / "hand.txt")
 
 
 def test_simulated_hand_presses_on_the_plate(

@@ -1,4 +1,4 @@
-"""The node of `integrations/ros2` in real ROS 2: `rclpy`, its messages and its transport. See `ros2_host.py`."""
+"""The node of `integrations/ros2` in real ROS 2: `rclpy`, messages and transport. See `ros2_host.py`."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from builders import (
     ENGINE,
     INTEGRATIONS,
     ROOT,
+    TICKS,
     assert_is_released,
     make_plate,
     player_forces,
@@ -28,8 +29,7 @@ from builders import (
 ABSENT = [name for name in ("rclpy", "geometry_msgs", "rosgraph_msgs") if not importlib.util.find_spec(name)]
 pytestmark = pytest.mark.skipif(bool(ABSENT), reason=f"this Python has no {' and no '.join(ABSENT)} of ROS 2")
 HOST = Path(__file__).with_name("ros2_host.py")
-COUNT = 1000
-START_TIMEOUT_S = 60
+TIMEOUT_S = 60
 
 
 def environment() -> dict[str, str]:
@@ -53,7 +53,9 @@ def start(*arguments: object) -> subprocess.Popen[str]:
 def start_node(name: str, **parameters: object) -> subprocess.Popen[str]:
     """Start an entry point of the package."""
     options = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
-    return start("-c", f"from touchfield_ros.{name} import main; main()", "--ros-args", *options)
+    return start(
+        "-c", f"import sys; from touchfield_ros.{name} import main; sys.exit(main())", "--ros-args", *options
+    )
 
 
 @pytest.fixture
@@ -81,10 +83,18 @@ def stepped_forces(path: Path, positions_m: np.ndarray, **parameters: object) ->
 @pytest.mark.parametrize("name", ["touch-block", "objects-touch-deforming"])
 def test_wrenches_agree_with_the_player(name: str) -> None:
     options = {key: value for key, value in ENGINE.items() if key in ("loop", "wall_n_per_m")}
-    points, expected_n = player_forces(stream_of(name), slow_way(name, COUNT), **options)
+    points, expected_n = player_forces(stream_of(name), slow_way(name, TICKS), **options)
     forces_n = stepped_forces(stream_of(name), points, wall_n_per_m=800.0)
     assert np.abs(forces_n).max() > 0.05
     np.testing.assert_allclose(forces_n, expected_n, atol=ATOL_N, rtol=0)
+
+
+def test_wrong_parameter_is_refused_with_a_message(processes: list[subprocess.Popen[str]]) -> None:
+    processes.append(start_node("node", file="none.touch", friction="high"))
+    _, log = processes[0].communicate(timeout=TIMEOUT_S)
+    assert processes[0].returncode == 2
+    assert "the parameter friction: found 'high'; expected a finite number" in log
+    assert "Traceback" not in log
 
 
 def read_forces(recorder: subprocess.Popen[str], until_n: float) -> np.ndarray:
@@ -98,20 +108,19 @@ def read_forces(recorder: subprocess.Popen[str], until_n: float) -> np.ndarray:
     return np.array(rows)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_plate_resists_in_real_time_until_a_signal(
-    processes: list[subprocess.Popen[str]], tmp_path: Path, number: signal.Signals
+    processes: list[subprocess.Popen[str]], tmp_path: Path
 ) -> None:
     plate, hand = make_plate(tmp_path / "plate.touch"), tmp_path / "press.txt"
     np.savetxt(hand, press_plate(), fmt="%.17g")
     recorder, play = start(HOST, "record"), start_node("node", file=plate, force_max_n=3.3)
     processes += [recorder, play, start_node("press", hand=hand)]
     pressed_n = read_forces(recorder, 0.5)
-    play.send_signal(number)
-    _, log = play.communicate(timeout=START_TIMEOUT_S)
+    play.send_signal(signal.SIGTERM)
+    _, log = play.communicate(timeout=TIMEOUT_S)
     assert play.returncode == 0, log
     recorder.send_signal(signal.SIGINT)
-    rest, log = recorder.communicate(timeout=START_TIMEOUT_S)
+    rest, log = recorder.communicate(timeout=TIMEOUT_S)
     assert recorder.returncode == 0, log
     forces_n = np.array([line.split() for line in rest.splitlines()], np.float64)
     assert np.linalg.norm(pressed_n, axis=1).max() <= 3.3
