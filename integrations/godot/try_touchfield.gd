@@ -24,7 +24,9 @@ func _initialize() -> void:
 	options.erase("steps")
 	var positions_m := _read_positions(words[1])
 	if is_stepped:
-		_write(words[2], await _run_steps(words[0], positions_m, options))
+		var forces_n := await _run_steps(words[0], positions_m, options)
+		if forces_n:
+			_write(words[2], forces_n)
 	else:
 		_run_ticks(words, positions_m, options)
 
@@ -50,6 +52,7 @@ func _run_ticks(words: PackedStringArray, positions_m: PackedVector3Array, optio
 
 
 func _run_steps(path: String, positions_m: PackedVector3Array, options: Dictionary) -> PackedVector3Array:
+	await process_frame # nodes become ready once the tree runs
 	var node := Touchfield.new()
 	node.file = path
 	node.options = options
@@ -57,12 +60,19 @@ func _run_steps(path: String, positions_m: PackedVector3Array, options: Dictiona
 	root.add_child(node.hand)
 	node.hand.position = positions_m[0]
 	root.add_child(node)
+	if not node.player:
+		quit(65)
+		return PackedVector3Array()
+	while not node.player.is_ready(0.0):
+		OS.delay_msec(1)
 	var forces_n := PackedVector3Array()
 	for position_m in positions_m:
-		node.hand.position = position_m
-		await physics_frame
+		await physics_frame # before the step
 		forces_n.push_back(node.force_n)
-	return forces_n
+		node.hand.position = position_m
+	await physics_frame
+	forces_n.push_back(node.force_n)
+	return forces_n.slice(1)
 
 
 func _read_positions(path: String) -> PackedVector3Array:
