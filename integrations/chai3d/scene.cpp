@@ -58,7 +58,6 @@ struct cScene {
         m_object->addEffect(m_effect);
         m_tool->setHapticDevice(m_device);
         m_tool->setRadius(0.001);
-        m_tool->setWaitForSmallForce(false);  // the effect ramps by itself
         m_tool->start();
     }
     ~cScene() { m_tool->stop(); }

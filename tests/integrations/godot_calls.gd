@@ -1,5 +1,5 @@
 extends SceneTree
-# Calls of the extension that a script of Godot can make: prints "line N: ..." for the first that fails, else "ok".
+# Calls of the extension that a script of Godot can make: prints "ok", or what is not so.
 
 var failures := 0
 

@@ -18,7 +18,7 @@ import rclpy
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock
 from touchfield_ros.node import Play
 
@@ -42,7 +42,8 @@ class Recorder(Node):
     def __init__(self) -> None:
         super().__init__("recorder")
         self.received = 0
-        self.create_subscription(WrenchStamped, "wrench", self._receive, qos_profile_sensor_data)
+        every = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)  # also if it reads late
+        self.create_subscription(WrenchStamped, "wrench", self._receive, every)
 
     def _receive(self, wrench: WrenchStamped) -> None:
         force = wrench.wrench.force
