@@ -28,6 +28,8 @@ from touchfield.render.spec import RenderSpec
 from touchfield_ros.parameters import read_parameters
 
 NAME = "touchfield_play"
+LAST_ZEROS = 20
+"""Wrenches of no force at the end."""
 PARAMETERS = {
     "file": "",
     "frame_id": "touchfield",
@@ -127,9 +129,14 @@ class Play(Node):
         self._publisher.publish(out)
 
     def release(self) -> None:
-        """Publish forces on the way to zero, at the node's rate, after its executor has ended."""
+        """Publish forces on the way to zero, at the node's rate, after its executor has ended.
+
+        Zero is sent several times: the transport may lose a message, and a device would keep the last force.
+        """
         self.player.stop()
-        while rclpy.ok() and not self.player.is_released:
+        zeros = 0
+        while rclpy.ok() and zeros < LAST_ZEROS:
+            zeros += self.player.is_released
             time.sleep(self._period_s)
             self._ticked_ns += round(1e9 * self._period_s)  # simulated time stands without an executor
             self._publish(self.player.tick(self._position_m, self._ticked_ns))
