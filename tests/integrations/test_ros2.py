@@ -260,7 +260,7 @@ def test_invalid_pose_ramps_the_force_to_zero(play: Any, plate: Path, invalid: t
 def test_signal_brings_the_force_to_zero(
     rclpy: StubRclpy, play: Any, plate: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
 ) -> None:
-    """`main` in real time, with a spin that ends by a signal while the hand presses."""
+    """`main` in real time, with a spin that ends by a signal while the hand presses, and a second signal."""
     import touchfield_ros.node as module
 
     seen: list[Any] = []
@@ -277,6 +277,8 @@ def test_signal_brings_the_force_to_zero(
 
     rclpy.spin = spin
     monkeypatch.setattr(StubNode, "parameters", {"file": str(plate), "use_sim_time": False})
+    release = module.Play.release
+    monkeypatch.setattr(module.Play, "release", lambda node: (signal.raise_signal(number), release(node)))
     handlers = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)}
     try:
         module.main()

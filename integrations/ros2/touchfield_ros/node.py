@@ -28,6 +28,7 @@ from touchfield.render.spec import RenderSpec
 from touchfield_ros.parameters import read_parameters
 
 NAME = "touchfield_play"
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
 LAST_ZEROS = 20
 """Wrenches of no force at the end."""
 PARAMETERS = {
@@ -158,6 +159,8 @@ def _play() -> None:
         node = Play()
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_IGN)  # a second one would cut the ramp off
         if node is not None:
             node.release()
     finally:
@@ -168,7 +171,7 @@ def _play() -> None:
 def main() -> int:
     """The entry point: plays until a signal, then brings the force to zero; returns the exit status."""
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # theirs end publishing before the ramp
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in SIGNALS:
         signal.signal(number, _interrupt)
     try:
         _play()
