@@ -1,12 +1,10 @@
 // Calls the effect as CHAI3D does. It reads positions, a line `x y z` in metres for each tick of 1 ms, and prints the force of
 // each, newtons. At the end it stops the effect, and prints the forces on the way to zero. Time is simulated, or real with -r;
 // the other options are those of cTouchfieldSettings.
-#include "cTouchfieldEffect.h"
+#include "options.h"
 
 #include <chrono>
 #include <cstdio>
-#include <cstdlib>
-#include <cstring>
 #include <thread>
 
 typedef std::chrono::steady_clock cClock;
@@ -40,21 +38,6 @@ struct cLoop {
 
 static void print(const chai3d::cVector3d& a_force) {
     std::printf("%.17g %.17g %.17g\n", a_force.x(), a_force.y(), a_force.z());
-}
-
-static const char* readOptions(int a_count, char** a_words, cTouchfieldSettings& a_settings, bool& a_isRealTime) {
-    int n = 1;
-    for (; n + 1 < a_count; n++) {
-        if (!std::strcmp(a_words[n], "-l")) a_settings.m_loop = true;
-        else if (!std::strcmp(a_words[n], "-r")) a_isRealTime = true;
-        else if (!std::strcmp(a_words[n], "-p")) a_settings.m_forceMax = std::atof(a_words[++n]);
-        else if (!std::strcmp(a_words[n], "-m")) a_settings.m_friction = std::atof(a_words[++n]);
-        else if (!std::strcmp(a_words[n], "-d")) a_settings.m_damping = std::atof(a_words[++n]);
-        else if (!std::strcmp(a_words[n], "-c")) a_settings.m_coupling = std::atof(a_words[++n]);
-        else if (!std::strcmp(a_words[n], "-k")) a_settings.m_wallStiffness = std::atof(a_words[++n]);
-        else return nullptr;
-    }
-    return n + 1 == a_count ? a_words[n] : nullptr;
 }
 
 int main(int a_count, char** a_words) {

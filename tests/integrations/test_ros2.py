@@ -31,6 +31,8 @@ from builders import (
     stream_of,
 )
 
+from touchfield.errors import SourceError
+
 TICK_NS = 1_000_000
 
 
@@ -43,8 +45,10 @@ class StubNode:
         self.name, self.now_ns, self.sent = name, 10**9, []
         self.values: dict[str, Any] = {"use_sim_time": self.parameters.get("use_sim_time", True)}
         self.messages: list[str] = []
+        self.subscriptions = 1
 
-    def declare_parameter(self, name: str, value: Any) -> None:
+    def declare_parameter(self, name: str, value: Any, descriptor: Any) -> None:
+        assert descriptor.dynamic_typing
         self.values[name] = self.parameters.get(name, value)
 
     def get_parameter(self, name: str) -> Any:
@@ -58,7 +62,7 @@ class StubNode:
         self.receive = receive
 
     def create_publisher(self, kind: type, topic: str, quality: object) -> Any:
-        return SimpleNamespace(publish=self.sent.append)
+        return SimpleNamespace(publish=self.sent.append, get_subscription_count=lambda: self.subscriptions)
 
     def get_logger(self) -> Any:
         def log(message: str, **_: Any) -> None:
@@ -80,6 +84,7 @@ class StubRclpy(ModuleType):
         super().__init__("rclpy")
         self.is_running = False
         self.spin: Any = None
+        self.errors: list[str] = []
 
     def init(self, signal_handler_options: str) -> None:
         assert signal_handler_options == "no handlers"
@@ -122,6 +127,9 @@ def rclpy(monkeypatch: pytest.MonkeyPatch) -> StubRclpy:
     """The stand-ins of the modules of ROS."""
     rclpy = StubRclpy()
     for name, content in {
+        "rcl_interfaces": {},
+        "rcl_interfaces.msg": {"ParameterDescriptor": SimpleNamespace},
+        "rclpy.logging": {"get_logger": lambda _: SimpleNamespace(fatal=rclpy.errors.append)},
         "rclpy.executors": {"ExternalShutdownException": RuntimeError},
         "rclpy.node": {"Node": StubNode},
         "rclpy.qos": {"qos_profile_sensor_data": object()},
@@ -134,7 +142,7 @@ def rclpy(monkeypatch: pytest.MonkeyPatch) -> StubRclpy:
         monkeypatch.setitem(sys.modules, name, module)
     monkeypatch.setitem(sys.modules, "rclpy", rclpy)
     monkeypatch.syspath_prepend(str(INTEGRATIONS / "ros2"))
-    for module in ("node", "press"):
+    for module in ("node", "press", "parameters"):
         monkeypatch.delitem(sys.modules, f"touchfield_ros.{module}", raising=False)
     return rclpy
 
@@ -212,6 +220,7 @@ def test_thin_plate_resists_the_hand_until_the_end(play: Any, plate: Path) -> No
     forces_n = move(node, press_plate())
     assert_resists(forces_n, peak_n)
     node.release()
+    assert not sent_forces(node)[-20:].any()  # if the last ones are lost
     assert_is_released(sent_forces(node)[len(forces_n) :], forces_n[-1], peak_n)
 
 
@@ -251,7 +260,7 @@ def test_invalid_pose_ramps_the_force_to_zero(play: Any, plate: Path, invalid: t
 def test_signal_brings_the_force_to_zero(
     rclpy: StubRclpy, play: Any, plate: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
 ) -> None:
-    """`main` in real time, with a spin that ends by a signal while the hand presses."""
+    """`main` in real time, with a spin that ends by a signal while the hand presses, and a second signal."""
     import touchfield_ros.node as module
 
     seen: list[Any] = []
@@ -268,6 +277,8 @@ def test_signal_brings_the_force_to_zero(
 
     rclpy.spin = spin
     monkeypatch.setattr(StubNode, "parameters", {"file": str(plate), "use_sim_time": False})
+    release = module.Play.release
+    monkeypatch.setattr(module.Play, "release", lambda node: (signal.raise_signal(number), release(node)))
     handlers = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)}
     try:
         module.main()
@@ -280,6 +291,41 @@ def test_signal_brings_the_force_to_zero(
     assert not rclpy.is_running
 
 
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({}, "the parameter file: found nothing"),
+        ({"file": "/nowhere.touch"}, "/nowhere.touch: found no such file"),
+        ({"friction": "high"}, "the parameter friction: found 'high'; expected a finite number"),
+        ({"loop": 1}, "the parameter loop: found 1; expected true or false"),
+        ({"silence_s": math.inf}, "the parameter silence_s: found inf"),
+        ({"rate_hz": 0}, "the parameter rate_hz: found 0.0; expected at least 1"),
+    ],
+)
+def test_wrong_parameters_are_refused_with_a_message(
+    rclpy: StubRclpy, monkeypatch: pytest.MonkeyPatch, parameters: dict[str, Any], message: str
+) -> None:
+    import touchfield_ros.node as module
+
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    monkeypatch.setattr(StubNode, "parameters", parameters)
+    assert module.main() != 0
+    assert len(rclpy.errors) == 1 and rclpy.errors[0].startswith(message)
+
+
+def test_numbers_need_no_point(play: Any, plate: Path) -> None:
+    assert play(plate, force_max_n=2).player.force_max_n == 2.0
+
+
+@pytest.mark.parametrize("content", ["", "1 2\n", "0 0 0\n1 2 x\n", "nan 0 0\n"])
+def test_hand_of_wrong_lines_is_refused(rclpy: StubRclpy, tmp_path: Path, content: str) -> None:
+    from touchfield_ros.press import read_positions
+
+    (tmp_path / "hand.txt").write_text(content)
+    with pytest.raises(SourceError, match="hand"):
+        read_positions(tmp_path / "hand.txt")
+
+
 def test_simulated_hand_presses_on_the_plate(
     play: Any, plate: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -289,6 +335,10 @@ def test_simulated_hand_presses_on_the_plate(
     node = play(plate)
     monkeypatch.setattr(StubNode, "parameters", {"hand": str(tmp_path / "press.txt")})
     hand = Press()
+    hand.subscriptions = 0
+    hand.tick()
+    assert not hand.sent and hand.messages == ["no node subscribes to 'hand' yet"]
+    hand.subscriptions = 1
     for _ in range(1100):
         hand.tick()
         node.receive(hand.sent[-1])

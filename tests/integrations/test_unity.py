@@ -1,8 +1,9 @@
-"""The library for Unity renders the forces of the Python player, from Python and, with Mono, from C#."""
+"""The library for Unity renders the forces of the Python player: from Python, and from C# (Mono, .NET)."""
 
 from __future__ import annotations
 
 import ctypes
+import json
 import re
 from collections.abc import Iterator
 from ctypes import POINTER, c_char_p, c_double, c_int, c_int64, c_uint64, c_void_p
@@ -226,13 +227,28 @@ def test_c_sharp_declares_every_function_of_the_header() -> None:
     assert imported == expected and len(imported) > 15
 
 
-@pytest.fixture(scope="module")
-def program(built: Path) -> list[object]:
+def write_settings(folder: Path) -> None:
+    """Let .NET run the program that Mono's compiler has made, in whatever version is there."""
+    framework = {"name": "Microsoft.NETCore.App", "version": "3.1.0"}
+    properties = {"System.Globalization.Invariant": True}  # it needs no library of languages
+    options = {"rollForward": "LatestMajor", "framework": framework, "configProperties": properties}
+    (folder / "try.runtimeconfig.json").write_text(json.dumps({"runtimeOptions": options}))
+
+
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(("mono",), marks=needs("mono")),
+        pytest.param(("dotnet", "exec"), marks=needs("dotnet")),
+    ],
+)
+def program(request: pytest.FixtureRequest, built: Path) -> list[object]:
     build_integration("unity", built, "CFLAGS=-O1", "try")
-    return ["env", f"LD_LIBRARY_PATH={built}", "mono", built / "try.exe"]
+    write_settings(built)
+    return ["env", f"LD_LIBRARY_PATH={built}", *request.param, built / "try.exe"]
 
 
-@needs("mono", "mcs")
+@needs("mcs")
 @pytest.mark.parametrize("name", ["touch-block", "objects-touch-deforming"])
 def test_c_sharp_agrees_with_the_python_player(program: list[object], name: str) -> None:
     points, expected_n = player_forces(stream_of(name), slow_way(name, TICKS), 0.5, **ENGINE)
@@ -240,7 +256,7 @@ def test_c_sharp_agrees_with_the_python_player(program: list[object], name: str)
     np.testing.assert_allclose(forces_n, expected_n, atol=ATOL_N, rtol=0)
 
 
-@needs("mono", "mcs")
+@needs("mcs")
 @pytest.mark.parametrize("clock", [[], ["-r"]])
 def test_c_sharp_keeps_the_hand_out_of_a_thin_plate(
     program: list[object], plate: Path, clock: list[str]
@@ -250,7 +266,7 @@ def test_c_sharp_keeps_the_hand_out_of_a_thin_plate(
     assert_is_released(released_n, forces_n[-1], 3.3)
 
 
-@needs("mono", "mcs")
+@needs("mcs")
 def test_force_ramps_to_zero_if_the_device_fails(program: list[object], plate: Path) -> None:
     points = press_plate()
     done_n, _ = ticks_of(*program, "-p", 3.3, "-r", "-f", 600, plate, points=points)
@@ -258,7 +274,7 @@ def test_force_ramps_to_zero_if_the_device_fails(program: list[object], plate: P
     assert_is_released(done_n[600:], done_n[599], 3.3)
 
 
-@needs("mono", "mcs")
+@needs("mcs")
 def test_physics_steps_render_the_ticks_between_them(program: list[object], plate: Path) -> None:
     points = slide_on_plate()[::20]
     forces_n, _ = ticks_of(*program, "-p", 3.3, "-m", 0.3, "-a", 20, plate, points=points)
@@ -267,13 +283,13 @@ def test_physics_steps_render_the_ticks_between_them(program: list[object], plat
     assert_has_friction(every_tick_n, 0.3)
 
 
-@needs("mono", "mcs")
+@needs("mcs")
 def test_damaged_file_is_refused_with_a_message(program: list[object]) -> None:
     done = run(*program, FAULTY)
     assert done.returncode == 65 and "end too early" in done.stderr
 
 
-@needs("mono", "mcs")
+@needs("mcs")
 def test_the_component_compiles(tmp_path: Path) -> None:
     files = [INTEGRATIONS / "unity" / "Touchfield.cs", Path(__file__).parent / "UnityEngine.cs"]
     options = ["-warnaserror", "-target:library", "-define:UNITY_5_3_OR_NEWER", f"-out:{tmp_path / 'u.dll'}"]

@@ -17,13 +17,20 @@ from typing import Any
 import rclpy
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.executors import ExternalShutdownException
+from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
 
 import touchfield as tf
+from touchfield.errors import InvalidArgument, TouchfieldError
 from touchfield.render.spec import RenderSpec
+from touchfield_ros.parameters import read_parameters
 
+NAME = "touchfield_play"
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+LAST_ZEROS = 20
+"""Wrenches of no force at the end."""
 PARAMETERS = {
     "file": "",
     "frame_id": "touchfield",
@@ -46,15 +53,18 @@ class Play(Node):
     """
 
     def __init__(self) -> None:
-        super().__init__("touchfield_play")
-        for name, value in PARAMETERS.items():
-            self.declare_parameter(name, value)
-        self._is_simulated = bool(self._parameter("use_sim_time"))
-        self._silence_ns = round(1e9 * self._parameter("silence_s"))
-        self._period_s = 1.0 / self._parameter("rate_hz")
-        self.frame_id = self._parameter("frame_id")
-        self._stream = tf.open_stream(self._parameter("file"))
-        self.player = self._open_player(self._stream.__enter__())
+        super().__init__(NAME)
+        values = read_parameters(self, PARAMETERS)
+        if not values["file"]:
+            raise InvalidArgument(
+                "the parameter file", "nothing", "a .touch file", "Add -p file:=NAME.touch."
+            )
+        self._is_simulated = bool(self.get_parameter("use_sim_time").value)
+        self._silence_ns = round(1e9 * values["silence_s"])
+        self.frame_id = values["frame_id"]
+        self._stream = tf.open_stream(values["file"])
+        self.player = self._open_player(self._stream.__enter__(), values)
+        self._period_s = 1.0 / values["rate_hz"]
         self.player.__enter__()
         for note in self.player.notes:
             self.get_logger().info(note)
@@ -65,25 +75,22 @@ class Play(Node):
         self._publisher = self.create_publisher(WrenchStamped, "wrench", qos_profile_sensor_data)
         self.create_timer(self._period_s, self._tick)
 
-    def _parameter(self, name: str) -> Any:
-        return self.get_parameter(name).value
-
-    def _open_player(self, opened: Any) -> tf.TickedPlayer:
-        force_max_n, friction = self._parameter("force_max_n"), self._parameter("friction")
+    def _open_player(self, opened: Any, values: dict[str, Any]) -> tf.TickedPlayer:
+        force_max_n, friction = values["force_max_n"], values["friction"]
         allowed_n = opened.declared_device.force_max_n
         spec = RenderSpec(
-            rate_hz=self._parameter("rate_hz"),
+            rate_hz=values["rate_hz"],
             peak_n=min(force_max_n, allowed_n) if force_max_n > 0 else None,
             friction=friction if friction >= 0 else None,
-            wall_n_per_m=self._parameter("wall_n_per_m") or None,
+            wall_n_per_m=values["wall_n_per_m"] or None,
             up="lattice",
         )
         return tf.TickedPlayer(
             opened.scene or opened.medium,
             opened.declared_device,
             spec,
-            loop=self._parameter("loop"),
-            speed=self._parameter("speed"),
+            loop=values["loop"],
+            speed=values["speed"],
             is_simulated=self._is_simulated,
         )
 
@@ -123,9 +130,14 @@ class Play(Node):
         self._publisher.publish(out)
 
     def release(self) -> None:
-        """Publish forces on the way to zero, at the node's rate, after its executor has ended."""
+        """Publish forces on the way to zero, at the node's rate, after its executor has ended.
+
+        Zero is sent several times: the transport may lose a message, and a device would keep the last force.
+        """
         self.player.stop()
-        while rclpy.ok() and not self.player.is_released:
+        zeros = 0
+        while rclpy.ok() and zeros < LAST_ZEROS:
+            zeros += self.player.is_released
             time.sleep(self._period_s)
             self._ticked_ns += round(1e9 * self._period_s)  # simulated time stands without an executor
             self._publish(self.player.tick(self._position_m, self._ticked_ns))
@@ -141,16 +153,31 @@ def _interrupt(*_: object) -> None:
     raise KeyboardInterrupt
 
 
-def main() -> None:
-    """The entry point: plays until a signal, then brings the force to zero."""
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # theirs end publishing before the ramp
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
-    node = Play()
+def _play() -> None:
+    node = None
     try:
+        node = Play()
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
-        node.release()
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_IGN)  # a second one would cut the ramp off
+        if node is not None:
+            node.release()
     finally:
-        node.destroy_node()
+        if node is not None:
+            node.destroy_node()
+
+
+def main() -> int:
+    """The entry point: plays until a signal, then brings the force to zero; returns the exit status."""
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # theirs end publishing before the ramp
+    for number in SIGNALS:
+        signal.signal(number, _interrupt)
+    try:
+        _play()
+    except TouchfieldError as error:
+        get_logger(NAME).fatal(str(error))
+        return error.exit_code
+    finally:
         rclpy.try_shutdown()
+    return 0

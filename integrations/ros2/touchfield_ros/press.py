@@ -5,19 +5,53 @@
     ros2 run touchfield_ros press --ros-args -p hand:=FOLDER/press.txt
 
 Publishes the lines `x y z` of a file, metres, as poses on `hand` (geometry_msgs/PoseStamped), one every
-millisecond, and then the last one again and again. Logs the force that arrives on `wrench`
+millisecond, and then the last one again and again. It starts when `hand` has a subscriber: the first poses
+would be lost while the nodes find each other. Logs the force that arrives on `wrench`
 (geometry_msgs/WrenchStamped) twice a second.
 """
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import rclpy
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.executors import ExternalShutdownException
+from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
+
+from touchfield.errors import SourceError, TouchfieldError
+from touchfield_ros.parameters import read_parameters
+
+NAME = "touchfield_press"
+PARAMETERS = {"hand": "press.txt", "rate_hz": 1000.0}
+
+
+def read_positions(path: Path) -> list[tuple[float, float, float]]:
+    """Read a line `x y z`, metres, for each tick.
+
+    Raises SourceError if there is no such file, or a line is none of three numbers.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise SourceError(str(path), str(error), "a text file with a line `x y z` for each tick") from None
+    positions_m = []
+    for number, line in enumerate(lines, start=1):
+        try:
+            x, y, z = map(float, line.split())
+        except ValueError:
+            x = y = z = math.nan
+        if not all(map(math.isfinite, (x, y, z))):
+            raise SourceError(
+                f"{path}, line {number}", repr(line[:80]), "three finite numbers `x y z`, metres"
+            )
+        positions_m.append((x, y, z))
+    if not positions_m:
+        raise SourceError(str(path), "no line", "a line `x y z` for each tick")
+    return positions_m
 
 
 class Press(Node):
@@ -27,17 +61,18 @@ class Press(Node):
     """
 
     def __init__(self) -> None:
-        super().__init__("touchfield_press")
-        self.declare_parameter("hand", "press.txt")
-        self.declare_parameter("rate_hz", 1000.0)
-        text = Path(self.get_parameter("hand").value).read_text()
-        self._positions_m = [tuple(map(float, line.split())) for line in text.splitlines()]
+        super().__init__(NAME)
+        values = read_parameters(self, PARAMETERS)
+        self._positions_m = read_positions(Path(values["hand"]))
         self._sent = 0
         self.create_subscription(WrenchStamped, "wrench", self._receive, qos_profile_sensor_data)
         self._publisher = self.create_publisher(PoseStamped, "hand", qos_profile_sensor_data)
-        self.create_timer(1.0 / self.get_parameter("rate_hz").value, self._send)
+        self.create_timer(1.0 / values["rate_hz"], self._send)
 
     def _send(self) -> None:
+        if not self._sent and not self._publisher.get_subscription_count():
+            self.get_logger().info("no node subscribes to 'hand' yet", throttle_duration_sec=5.0)
+            return
         position_m = self._positions_m[min(self._sent, len(self._positions_m) - 1)]
         self._sent += 1
         out = PoseStamped()
@@ -51,14 +86,18 @@ class Press(Node):
         self.get_logger().info(message, throttle_duration_sec=0.5)
 
 
-def main() -> None:
-    """The entry point."""
+def main() -> int:
+    """The entry point; returns the exit status."""
     rclpy.init()
-    node = Press()
     try:
+        node = Press()
         rclpy.spin(node)
+        node.destroy_node()
+    except TouchfieldError as error:
+        get_logger(NAME).fatal(str(error))
+        return error.exit_code
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
-        node.destroy_node()
         rclpy.try_shutdown()
+    return 0
