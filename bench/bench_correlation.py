@@ -5,8 +5,8 @@
 Pairs of normal noise of 64 x 64 pixels, smoothed by 1.5 to 12 pixels, are independent ("false alarms") or
 share half of their variance ("detected"); one of each pair is known within a disc only, as the forces of a
 body are. The figures are the fractions of the pairs with p <= 0.05 of those where p is given; "p given" is
-their fraction. The comparisons are the shuffling of square blocks of four correlation lengths, as long as there are
-16 of them, and the shuffling of single pixels.
+their fraction. The comparisons are the shuffling of square blocks of four correlation lengths, as long as
+there are 16 of them, and the shuffling of single pixels.
 """
 
 from __future__ import annotations
