@@ -305,7 +305,8 @@ def picture_correlation(
     require_between(2, 256, classes=classes)
     require_between(19, MAX_SURROGATES, surrogates=surrogates)
     x, y = (quantile_classes(m, classes) for m in (v, a))
-    mutual, notes = _mutual(x, y, interval), (f"{classes} classes of equal share each",)
+    mutual = _mutual(x, y, interval)
+    notes: tuple[str, ...] = (f"{classes} classes of equal share each",)
     if np.isnan(v).sum() > np.isnan(a).sum():  # surrogates of the one of which more is known
         v, x, y = a, y, x
     drawn = phase_surrogates(v, surrogates, seed)
