@@ -58,7 +58,7 @@ ANY_POSE: Final[Mapping[str, float]] = MappingProxyType(
 
 MAX_MEDIA: Final = 1 << 20
 _MAX_NAME: Final = 1000  # characters
-_BLOCK: Final = 1 << 14  # number of media whose distances are computed at once
+_BLOCK: Final = 1 << 11  # number of media whose distances are computed at once, so that they stay in a cache
 _MAX_HEAD_BYTES: Final = 1 << 28
 _FORMAT: Final = "touchfield medium index"
 
