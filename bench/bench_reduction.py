@@ -10,10 +10,11 @@ modes; "share of coefficients" leaves out the modes. "kb" are the bytes of the m
 the rounded coefficients, both compressed by LZMA. LZMA is no coder made for them, but shows the order of
 magnitude. "touch kb" are the bytes of the same frames by coder `touch` at about the same error.
 
-"culling": the media are a static solid pillow (`thickness_m` inf) and a solid floor with a travelling wave.
-The figures are the samples that remain after samples out of the hand's reach are removed, and the forces that
-differ along `--paths` adversarial paths of hands. These press against the force, swing with it so that each
-turn gains energy, or approach from far away.
+"culling": the media are a static solid pillow (`thickness_m` inf), a solid floor with a travelling wave, and
+a solid box. Nothing of the box is removed: at its edges forces turn by a right angle from one sample to the
+next, and nothing is proved to stop a hand there. The figures are the samples that remain after samples out of
+the hand's reach are removed, and the forces that differ along `--paths` adversarial paths of hands. These
+press against the force, swing with it so that each turn gains energy, or approach from far away.
 """
 
 from __future__ import annotations
@@ -40,6 +41,12 @@ kind = "superquadric"
 center_m = [0.0, 0.0, 0.0]
 half_extents_m = [0.16, 0.12, 0.085]
 exponents = [0.5, 0.5]
+"""
+BOX = """axes = "x right, y up, z towards the viewer"
+[[shape]]
+kind = "box"
+center_m = [0.0, 0.0, 0.0]
+half_extents_m = [0.04, 0.04, 0.04]
 """
 
 
@@ -128,6 +135,17 @@ def pillow() -> tf.HapticMedium:
         return in_memory(prepare(path, spec).medium)
 
 
+def box() -> tf.HapticMedium:
+    """Return a static solid box of 80 mm."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "box.toml"
+        path.write_text(BOX)
+        spec = tf.EncodeSpec(
+            device="phantom-premium-1.5", nw=6, thickness_m=np.inf, stiffness_n_per_m=1500.0, mapping="1"
+        )
+        return in_memory(prepare(path, spec).medium)
+
+
 def floor() -> tf.HapticMedium:
     """Return a solid floor with a travelling wave.
 
@@ -184,9 +202,9 @@ def supported_samples(medium: tf.HapticMedium) -> int:
 
 
 def culling(count: int) -> Figures:
-    """Return samples, bytes and forces of two solids after culling."""
+    """Return samples, bytes and forces of three solids after culling."""
     rows = {}
-    for name, medium in (("pillow", pillow()), ("floor", floor())):
+    for name, medium in (("pillow", pillow()), ("floor", floor()), ("box", box())):
         began = time.perf_counter()
         reach = reach_of(medium, HAND)
         took = time.perf_counter() - began

@@ -422,7 +422,9 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
     "index": {"index": case("{tmp}/i.npz", "index_folder.path", "{tmp}/i.npz"), "workers": _WORKERS},
     "search": {
         "count": case("3", "search.count", 3),
-        "any-pose": Case(None, {"search.weights.directions": 0.0}),
+        "any-pose": Case(
+            None, {f"search.weights.{part}": 0.0 for part in ("directions", "support", "level_entropy")}
+        ),
         "weight": case("amplitude=2", "search.weights.amplitude", 2.0),
         "index": case("i.npz", "search.path", "i.npz"),
     },

@@ -16,6 +16,7 @@ from touchfield.measure.similarity import (
     Contact,
     contact_along_rays,
     correlation_length_px,
+    phase_surrogates,
     picture_correlation,
     quantile_classes,
 )
@@ -175,13 +176,14 @@ def test_depth_of_the_first_contact_is_the_surface() -> None:
     assert picture_correlation(depth, met.distances_m, classes=4).mutual.value > 1.5
 
 
-def test_p_values_of_independent_images_are_calibrated() -> None:
-    """40 pairs: 5 or more below p = 0.025 have a probability of 1/300; with single pixels nearly all are."""
-    pairs = [(smooth_noise(2 * s + 10), smooth_noise(2 * s + 11)) for s in range(40)]
-    by_blocks = [picture_correlation(a, b, shuffles=79, interval=False).p for a, b in pairs]
-    assert sum(p <= 0.025 for p in by_blocks) < 5
-    by_pixels = [picture_correlation(a, b, shuffles=79, block_px=1, interval=False).p for a, b in pairs[:10]]
-    assert sum(p <= 0.025 for p in by_pixels) >= 5
+@pytest.mark.parametrize("sigma", [1.5, 5.0])
+def test_p_values_of_independent_images_are_calibrated(sigma: float) -> None:
+    """30 pairs: 6 or more below p = 0.05 have a probability of 1/300."""
+    rng = np.random.default_rng(round(10 * sigma))
+    pairs = ndimage.gaussian_filter(rng.normal(size=(30, 2, 96, 96)), (0, 0, sigma, sigma))[..., 16:80, 16:80]
+    found = [picture_correlation(a, b, surrogates=39, interval=False) for a, b in pairs]
+    assert sum(math.isnan(f.p) for f in found) < 10
+    assert sum(f.p <= 0.05 for f in found) < 6
 
 
 def test_unknown_pixels_are_ignored() -> None:
@@ -190,11 +192,12 @@ def test_unknown_pixels_are_ignored() -> None:
     rng = np.random.default_rng(6)
     for m in (a, b):
         m[rng.random(m.shape) < 0.2] = np.nan
-    found = picture_correlation(a, b, classes=4, block_px=8)
+    found = picture_correlation(a, b, classes=4)
     assert found.share == pytest.approx(0.8**2, abs=0.05)
     assert found.mutual.samples == round(found.share * a.size)
     assert float(found.mutual) == pytest.approx(2, abs=0.1), "the same classes but at their borders"
-    assert found.blocks == 64 and "64 blocks" in found.mutual.interval.method
+    assert "64 blocks" in found.mutual.interval.method
+    assert found.length_px == pytest.approx(correlation_length_px(smooth_noise(5), smooth_noise(5)), abs=1)
 
 
 def test_correlation_is_seeded_and_has_a_summary() -> None:
@@ -207,11 +210,13 @@ def test_correlation_is_seeded_and_has_a_summary() -> None:
     assert constant.summary()["z"] is None
 
 
-def test_image_too_small_for_its_blocks_is_refused() -> None:
-    a = smooth_noise(9, (64, 64), 8.0)
-    found = picture_correlation(a, a)
-    assert any("p is too small" in note for note in found.mutual.notes)
-    assert found.blocks >= 16
+def test_p_of_pictures_that_are_too_smooth_is_refused() -> None:
+    for a in (smooth_noise(9, (64, 64), 12.0), np.arange(64.0) + np.zeros((64, 1))):
+        found = picture_correlation(a, a)
+        assert math.isnan(found.p) and math.isnan(found.z) and float(found.mutual) > 2
+        assert f"correlation length of {found.length_px:.3g} pixels" in found.mutual.notes[-2]
+        assert found.summary()["p"] is None
+    assert not any("no p" in note for note in picture_correlation(*[smooth_noise(9)] * 2).mutual.notes)
 
 
 def test_invalid_images_are_refused() -> None:
@@ -220,7 +225,11 @@ def test_invalid_images_are_refused() -> None:
     for x, y in ((a, a[:8]), (a, unknown), (a[0], a[0]), (a, np.full((16, 16), np.inf))):
         with pytest.raises(InvalidArgument):
             picture_correlation(x, y)
-    for option in ({"classes": 1}, {"shuffles": 3}, {"block_px": 0}, {"block_px": 17}, {"block_px": 16}):
+    few = np.full((16, 16), np.nan)
+    few[:2, :3] = 1.0
+    with pytest.raises(InvalidArgument, match="groups of 2 x 2 pixels"):
+        picture_correlation(a, few)
+    for option in ({"classes": 1}, {"surrogates": 3}):
         with pytest.raises(InvalidArgument):
             picture_correlation(a, a, **option)
 
@@ -270,47 +279,37 @@ def miller_madow_bits(*columns: NDArray[np.int64]) -> float:
     return float(-(p * np.log2(p)).sum() + (len(counts) - 1) / (2 * n * math.log(2)))
 
 
-def test_correlation_agrees_with_explicit_shuffles() -> None:
-    rng, side, classes = np.random.default_rng(3), 6, 5
+def test_correlation_agrees_with_explicit_surrogates() -> None:
+    rng, classes = np.random.default_rng(3), 5
     a = smooth_noise(11, (40, 58))
     b = a + 0.3 * smooth_noise(12, (40, 58))
     a[rng.random(a.shape) < 0.1] = np.nan
-    found = picture_correlation(a, b, classes=classes, shuffles=19, block_px=side, seed=4)
-    blocks = [
-        (slice(y, y + side), slice(x, x + side)) for y in range(0, 36, side) for x in range(0, 54, side)
-    ]
-    classes_a, classes_b = (
-        np.stack([quantile_classes(m, classes)[block].ravel() for block in blocks]) for m in (a, b)
-    )
+    found = picture_correlation(a, b, classes=classes, surrogates=19, seed=4)
+    classes_a = quantile_classes(a, classes)
 
-    def bits(y: NDArray[np.int64]) -> float:
-        is_known = (classes_a >= 0) & (y >= 0)
-        u, v = classes_a[is_known], y[is_known]
+    def bits(other: Float64s) -> float:
+        is_known = classes_a >= 0
+        u, v = classes_a[is_known], quantile_classes(other, classes)[is_known]
         return miller_madow_bits(u) + miller_madow_bits(v) - miller_madow_bits(u, v)
 
-    draw = np.random.default_rng(4)
-    null = np.array([bits(classes_b[draw.permutation(len(classes_b))]) for _ in range(19)])
-    assert float(found.mutual) == pytest.approx(bits(classes_b))
+    null = np.array([bits(other) for other in phase_surrogates(b, 19, 4)])
+    assert float(found.mutual) == pytest.approx(bits(b))
     assert (found.null_mean_bits, found.null_spread_bits) == pytest.approx((null.mean(), null.std(ddof=1)))
-    assert found.z == pytest.approx((bits(classes_b) - null.mean()) / null.std(ddof=1))
-    assert found.p == pytest.approx((1 + np.count_nonzero(null >= bits(classes_b))) / 20)
-    assert (found.shuffles, found.block_px, found.blocks) == (19, side, 6 * 9)
+    assert found.z == pytest.approx((bits(b) - null.mean()) / null.std(ddof=1))
+    assert found.p == pytest.approx((1 + np.count_nonzero(null >= bits(b))) / 20)
+    assert (found.surrogates, found.length_px) == (19, correlation_length_px(a, b))
     assert found.share == pytest.approx(np.count_nonzero(classes_a >= 0) / a.size)
     assert found.mutual.quantiser == "5 classes of equal share"
     assert found.mutual.notes[-1] == "5 classes of equal share each"
 
 
-def test_note_on_blocks_has_side_and_correlation_length() -> None:
-    a = smooth_noise(9, (64, 64), 8.0)
-    found = picture_correlation(a, a)
-    length = correlation_length_px(a, a)
-    assert (
-        f"blocks of {found.block_px} pixels for a correlation length of {length:.3g}"
-        in found.mutual.notes[-2]
-    )
-    fitting = picture_correlation(
-        smooth_noise(9, (256, 128), 1.0), smooth_noise(8, (256, 128), 1.0), interval=False
-    )
-    length = correlation_length_px(smooth_noise(9, (256, 128), 1.0), smooth_noise(8, (256, 128), 1.0))
-    assert fitting.block_px / 2 < 4 * length <= fitting.block_px
-    assert not any("p is too small" in note for note in fitting.mutual.notes)
+def test_surrogates_have_the_correlation_of_the_picture_and_its_unknown_pixels() -> None:
+    picture = smooth_noise(13, (96, 80), 3.0)
+    picture[10:30, 40:70] = np.nan
+    length = correlation_length_px(picture, picture)
+    drawn = list(phase_surrogates(picture, 8))
+    for other in drawn:
+        assert np.array_equal(np.isnan(other), np.isnan(picture))
+        known = ~np.isnan(picture)
+        assert abs(np.corrcoef(other[known], picture[known])[0, 1]) < 0.5
+    assert np.mean([correlation_length_px(o, o) for o in drawn]) == pytest.approx(length, rel=0.35)

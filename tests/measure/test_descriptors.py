@@ -27,6 +27,7 @@ from touchfield.measure.descriptors import (
     thresholds_n,
 )
 from touchfield.measure.estimators import binary_entropy_bits
+from touchfield.measure.shells import DEGREE as SHELL_DEGREE, REACH, SHELLS, shell_power
 from touchfield.medium import ForceField, Grid, HapticMedium
 
 DEGREES = np.arange(1, 9)
@@ -153,6 +154,51 @@ def test_levels_finer_than_the_lattice_repeat() -> None:
     fractions, entropies = levels_of((8, 8, 1))
     assert fractions == pytest.approx([0.5, 0.25, 0.125, 0.125, 0.125])
     assert entropies == pytest.approx([binary_entropy_bits(p) for p in fractions])
+
+
+# -- shells ------------------------------------------------------------------------------------------------
+
+
+def cloud(seed: int, count: int = 40) -> tuple[Float64s, Float64s]:
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=(count, 3)) * (0.01, 0.02, 0.03), rng.uniform(0.05, 3, count)
+
+
+@given(seeds, st.floats(0.01, 100))
+def test_shells_are_invariant_to_pose_position_and_size(seed: int, factor: float) -> None:
+    points, amplitudes = cloud(seed)
+    plain = shell_power(points, amplitudes)
+    moved = factor * points @ rotation_of(seed).T + (0.1, -0.2, 0.05)
+    assert shell_power(moved, amplitudes) == pytest.approx(plain, abs=1e-9)
+    assert shell_power(points * (1, 1, -1), amplitudes) == pytest.approx(plain, abs=1e-9), "its mirror image"
+
+
+@given(seeds)
+def test_shell_power_is_a_sum_over_pairs(seed: int) -> None:
+    """The addition theorem, with all points on the sphere that is the middle of one shell."""
+    unit = cloud(seed)[0]
+    unit = np.concatenate([unit, -unit])
+    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    found = shell_power(unit, np.ones(len(unit))) ** 2
+    shell = SHELLS / REACH - 0.5  # of the radius 1
+    fractions = [1 - (shell - int(shell)), shell - int(shell)]
+    for degree in range(SHELL_DEGREE + 1):
+        mean = special.eval_legendre(degree, np.clip(unit @ unit.T, -1, 1)).mean()
+        expected = (2 * degree + 1) / (2 * SHELL_DEGREE + 1) * mean
+        for n, fraction in enumerate(fractions):
+            assert found[int(shell) + n, degree] == pytest.approx(fraction**2 * expected, abs=1e-9)
+
+
+def test_shells_see_the_skin_and_survive_strong_forces() -> None:
+    """A wall and a solid have one skin; forces far above SKIN_N have weights, too."""
+    points, amplitudes = cloud(1)
+    inside, deep = 0.3 * points, np.full(len(points), 12.0)
+    skin = shell_power(points, amplitudes)
+    solid = shell_power(np.concatenate([points, inside]), np.concatenate([amplitudes, deep]))
+    assert solid == pytest.approx(skin, abs=1e-3)
+    assert shell_power(points, amplitudes + 2000) == pytest.approx(skin, abs=1e-9)
+    one = shell_power(np.zeros((1, 3)), np.ones(1))
+    assert one[0, 0] == pytest.approx(13**-0.5) and np.count_nonzero(one) == 1
 
 
 # -- invariances of the whole ------------------------------------------------------------------------------

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from scipy.spatial.transform import Rotation
 from sklearn.metrics import average_precision_score
 
-from medium_corpus import corpus
+from medium_corpus import GRID, PROFILE, corpus
 from touchfield.codec.paper.decoder import PaperDecoder
 from touchfield.codec.paper.encoder import PaperEncoder
 from touchfield.codec.paper.spec import PaperSpec
@@ -29,9 +30,14 @@ from touchfield.measure.descriptors import (
 )
 from touchfield.measure.retrieval import (
     ANY_POSE,
+    WEIGHTS,
     MediumIndex,
+    OutdatedIndex,
+    distance,
 )
 from touchfield.medium import ForceField
+from touchfield.sources.shapes.analytic_scene import AnalyticScene
+from touchfield.sources.shapes.shapes import Box, Ellipsoid, Shape
 
 
 def random_descriptors(seed: int, count: int = 12) -> dict[str, Descriptor]:
@@ -59,12 +65,16 @@ def test_nearest_media_agree_with_brute_force(seed: int, count: int, weights: di
     query = random_descriptors(seed + 1, 1)["m0"]
     expected = []
     for name, entry in entries.items():
-        square = sum(weights.get(part, 1.0) * ((entry[part] - query[part]) ** 2).sum() for part in PARTS)
+        of_parts = {**dict.fromkeys(PARTS, 1.0), **WEIGHTS, **weights}
+        square = sum(of_parts[part] * ((entry[part] - query[part]) ** 2).sum() for part in PARTS)
         expected.append((math.sqrt(square), name))
     expected.sort()
     found = index_of(entries).query(query, count, weights)
     assert len(found) == min(count, len(entries))
     assert [m.distance for m in found] == pytest.approx([d for d, _ in expected[:count]], abs=1e-12)
+    assert [m.distance for m in found] == pytest.approx(
+        [distance(query, entries[m.name], weights) for m in found]
+    )
     assert {m.name for m in found[:1]} <= {n for d, n in expected if d == pytest.approx(expected[0][0])}
 
 
@@ -166,16 +176,19 @@ def test_other_archives_are_refused(tmp_path: Path) -> None:
     wrong: list[tuple[str, Any, dict[str, Any]]] = [
         ("head: found 'a table'", values_row, {"format": "a table"}),
         ("expected 'touchfield medium index'", values_row, {"names": "a"}),
-        ("descriptors of version 0 of", values_row, {"descriptor_version": 0}),
         ("'amplitude': 20", values_row, {"parts": {**PARTS, "amplitude": 20, "change": 2}}),
-        (r"values: found float32 \[1, 83\]", values_row.astype(np.float32), {}),
-        (r"values: found float64 \[1, 82\]; expected float64 \[1, 83\]", values_row[:, 1:], {}),
+        (r"values: found float32 \[1, 125\]", values_row.astype(np.float32), {}),
+        (r"values: found float64 \[1, 124\]; expected float64 \[1, 125\]", values_row[:, 1:], {}),
         (r"x\.npz, name: found 'a'", np.zeros((2, DESCRIPTOR_LENGTH)), {"names": ["a", "a"]}),
         (r"x\.npz, descriptor: found a number below 0", values_row - 1, {}),
     ]
     for message, values, changes in wrong:
         with pytest.raises(SourceError, match=message):
             MediumIndex.load(write_archive(values, **changes))
+    with pytest.raises(
+        OutdatedIndex, match=r"x\.npz: found descriptors of version 1; expected version 2.*index"
+    ):
+        MediumIndex.load(write_archive(descriptor_version=1))
     short = np.frombuffer(b'{"format": "touchfield medium index", "names": []}', np.uint8)
     for arrays in ({"values": values_row}, {"head": short, "values": values_row}, {"head": np.zeros(4)}):
         np.savez(tmp_path / "x.npz", **arrays)
@@ -220,6 +233,37 @@ def test_kinds_are_found_at_any_size_and_pose(entries: dict[str, Descriptor]) ->
     assert precision(entries, only_directions) < precision(entries, only_power) - 0.3, (
         "which turn with the body"
     )
+
+
+def random_solid(seed: int, scale: float = 1.0) -> AnalyticScene:
+    """Three boxes and lenses of random size and pose around the origin."""
+    rng = np.random.default_rng(seed)
+    shapes: list[Shape] = []
+    for n in range(3):
+        x, y, z = (scale * rng.uniform(-0.02, 0.02, 3)).tolist()
+        half = scale * rng.uniform(0.01, 0.03, 3)
+        a, b, c = rng.uniform(-180, 180, 3).tolist()
+        shapes.append((Box if n else Ellipsoid)((x, y, z), tuple(half.tolist()), (a, b, c)))
+    return AnalyticScene(shapes, "union")
+
+
+def test_a_solid_is_found_at_any_pose_position_and_size() -> None:
+    """The shells find it; without them the directions of another solid are nearer."""
+    solids = range(16)
+    index = MediumIndex()
+    for seed in solids:
+        index.add(str(seed), descriptor(random_solid(seed).field(0, GRID, PROFILE)))
+    found: dict[str, list[bool]] = {"default": [], "any pose": [], "without": []}
+    weights = {"default": {}, "any pose": ANY_POSE, "without": {"shells": 0.0}}
+    for seed in solids:
+        rng = np.random.default_rng([seed, 1])
+        scene = random_solid(seed, rng.uniform(0.8, 1.25))
+        moved = scene.moved(Rotation.random(rng=rng).as_matrix(), rng.uniform(-0.01, 0.01, 3))
+        query = descriptor(moved.field(0, GRID, PROFILE))
+        for way, of_parts in weights.items():
+            found[way].append(index.query(query, 1, of_parts)[0].name == str(seed))
+    assert sum(found["default"]) >= 14 and sum(found["any pose"]) >= 14
+    assert sum(found["without"]) <= 11
 
 
 def test_a_coded_medium_finds_its_original(

@@ -367,6 +367,15 @@ def test_each_level_of_detail_reports_its_bytes_and_error(stream: Path, tmp_path
         levels_of_detail(stream, stream, spec=EXACT)
 
 
+def test_a_level_that_is_worse_than_no_force_is_noted(tmp_path: Path) -> None:
+    """Between the kept samples there is the opposite force."""
+    dense = np.zeros((32, 32, 32, 3), np.float32)
+    dense[::2, ..., 0], dense[1::2, ..., 0] = 1, -1
+    tf.encode(tf.ForceField.from_dense(GRID, dense), tmp_path / "ripples.touch", EXACT)
+    notes = levels_of_detail(tmp_path / "ripples.touch", levels=1, spec=EXACT).notes
+    assert any(note.startswith("level 1: farther from the medium than no force") for note in notes)
+
+
 def test_interrupted_levels_leave_no_folder(stream: Path, tmp_path: Path) -> None:
     def interrupt(done: int, total: int) -> None:
         raise KeyboardInterrupt

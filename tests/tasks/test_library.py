@@ -21,7 +21,7 @@ import touchfield as tf
 from medium_corpus import GRID, PROFILE, shape
 from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument, SourceError
-from touchfield.measure.retrieval import ANY_POSE, MediumIndex
+from touchfield.measure.retrieval import ANY_POSE, WEIGHTS, MediumIndex
 from touchfield.sources.shapes.analytic_scene import AnalyticScene
 from touchfield.tasks import library as room
 from touchfield.tasks.library import Library, correlate, index_folder, library_path, search, similar
@@ -126,6 +126,24 @@ def test_only_changed_files_are_decoded_again(folder: Path, decoded: list[str]) 
     stored = Library.load(fourth.path)
     assert stored.entries == fresh.entries
     assert all(np.array_equal(stored.rows[name], fresh.rows[name]) for name in fresh.rows)
+
+
+def test_an_outdated_index_is_made_anew(
+    folder: Path, decoded: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr("touchfield.measure.retrieval.DESCRIPTOR_VERSION", 1)
+        index_folder(folder)
+    assert _exit_code(["search", str(folder), str(folder / "torus.touch")]) != 0
+    message = capsys.readouterr().err
+    assert "descriptors of version 1" in message and "Make it anew: touchfield index" in message
+    decoded.clear()
+    done = index_folder(folder)
+    assert len(decoded) == 8 and any("version 1" in note for note in done.notes)
+    assert not index_folder(folder).notes
+    assert (
+        search(folder, folder / "torus.touch", 1).figures["matches"][0]["name"] == "deeper/torus-large.touch"
+    )
 
 
 def test_a_file_that_could_not_be_opened_is_tried_again(
@@ -269,8 +287,9 @@ def test_a_medium_is_like_itself_and_less_like_others() -> None:
     assert same.figures["descriptor_distance"] == 0.0 and not same.notes
     assert other.figures["normalised"]["value"] < 0.5 and other.figures["jensen_shannon"]["value"] > 0.1
     assert other.figures["descriptor_distance"] > 0.2
-    parts = other.figures["descriptor_parts"].values()
-    assert other.figures["descriptor_distance"] == pytest.approx(sum(part**2 for part in parts) ** 0.5)
+    parts = other.figures["descriptor_parts"]
+    squares = [WEIGHTS.get(part, 1.0) * value**2 for part, value in parts.items()]
+    assert other.figures["descriptor_distance"] == pytest.approx(sum(squares) ** 0.5)
     assert set(other.figures["descriptor_parts"]) == set(tf.measure.descriptors.PARTS)
     assert json.dumps(other.summary())
 

@@ -273,7 +273,10 @@ def reduce(
     options: Options,
     medium: Medium,
     out: Annotated[Path | None, typer.Argument(help="File to write from the modes that were used.")] = None,
-    cull: Annotated[Path | None, "OUT.touch without what the hand can never reach."] = None,
+    cull: Annotated[
+        Path | None,
+        "OUT.touch without what is proved out of the hand's reach: of a smooth solid, not of a box.",
+    ] = None,
     plot: Annotated[Path | None, "PNG to draw: the error by modes, and a slice of what is left out."] = None,
 ) -> Answer:
     """Reduce MEDIUM to a few modes; report degrees of freedom, their entropy, and unreachable samples."""

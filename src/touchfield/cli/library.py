@@ -48,7 +48,7 @@ def search(
     folder: Folder,
     like: Annotated[Path, "A .touch file, in FOLDER or not."],
     count: Annotated[int, "How many are wanted."] = 10,
-    any_pose: Annotated[bool, "Leave out the directions, which turn with a body."] = False,
+    any_pose: Annotated[bool, "Leave out what turns with a body."] = False,
     weight: Annotated[
         list[str] | None, "PART=NUMBER, such as amplitude=2 or change=0; may be repeated."
     ] = None,
@@ -89,8 +89,8 @@ def similar(
     over: Annotated[str, "mu of NMI and VI: voxel, or object (where one has a force)."] = "object",
     looks: Annotated[int, "Frames that are compared, evenly spaced."] = 8,
 ) -> Answer:
-    """Tell how alike two media are: voxel by voxel, as histograms, to a compressor, and as `search` ranks
-    them.
+    """Tell how alike two media are: voxel by voxel, as histograms, to a compressor, and, in any pose, as
+    `search` ranks them.
     """
     from touchfield.tasks.library import similar as run
 
@@ -121,8 +121,8 @@ def correlate(
     ] = None,
     source_rate_hz: Annotated[float | None, "Pictures a second, where the video does not say."] = None,
 ) -> Answer:
-    """Tell how much pictures tell of their scene's touch: I(luma; |F|) in bits a pixel, and whether by
-    chance.
+    """Tell how much pictures tell of their scene's touch: I(luma; |F|) in bits a pixel, and, unless they are
+    too smooth, whether by chance.
     """
     from touchfield.tasks.library import correlate as run
 
@@ -156,7 +156,7 @@ def points(
         Path | None, "PNG to draw: the points, the field, the rebuilt field and its error."
     ] = None,
 ) -> Answer:
-    """Find the fewest points of IN that tell the rest, or where to measure next."""
+    """Find a few points of IN from which to rebuild the rest, with its error, or where to measure next."""
     from touchfield.tasks.reduction import fewest_points, next_points
 
     check_results((source,), out, plot=plot)

@@ -1,7 +1,7 @@
-"""Describes a haptic medium by a vector of 83 numbers, so that similar media can be found by the distance of
+"""Describes a haptic medium by a vector of 125 numbers, so that similar media can be found by the distance of
 their vectors (paper sections 4 and 5.1).
 
-The paper ("indexing") names no descriptor. This one has seven named parts of fixed lengths:
+The paper ("indexing") names no descriptor. This one has eight named parts of fixed lengths:
 
 ================  ====  ==================================================  ==============================
 part              size  contents                                            invariant to
@@ -13,8 +13,10 @@ directions          42  sqrt of the fraction of sum |F| around each of 42   posi
                         icosahedral directions                              to pose
 direction_power      8  sqrt(P_l), l = 1 .. 8: spherical-harmonic power of  position, size, stiffness, pose
                         the directions, weighted by |F|
-support              5  fraction of counted octree cells, levels 1 ..       position, size; pose by right
-                        5 of the cube around the counted voxels             angles
+shells              42  power of the spherical harmonics of the skin in     position, size, pose; nearly
+                        six shells, see `touchfield.measure.shells`         stiffness
+support              5  fraction of counted octree cells, levels 1 ..   position, size; pose by right
+                        5 of the cube around the counted voxels         angles
 level_entropy        5  entropy of the cells' classes of |F|, relative to   position, size; pose by right
                         its maximum                                         angles
 change               1  |F(t + 1/30 s) - F(t)| over |F|, root mean square   position, size, stiffness, pose;
@@ -32,8 +34,8 @@ Euclidean distances between square roots of fractions are Hellinger distances (t
 a length, so that Euclidean distances between parts are meaningful and are metrics.
 
 Of a medium with many frames a few are sampled, evenly spaced. Fractions are taken over all of them together;
-the octree levels and the changes are means over them. Friction and damping, which are metadata, are not
-described.
+the shells, the octree levels and the changes are means over them. Friction and damping, which are metadata,
+are not described.
 """
 
 from __future__ import annotations
@@ -51,6 +53,7 @@ from numpy.typing import ArrayLike
 from touchfield.arrays import EqualByValue, Float32s, Float64s, Int32s
 from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.measure.estimators import entropy_bits
+from touchfield.measure.shells import DEGREE as SHELL_DEGREE, SHELLS, harmonic_norms, shell_power
 from touchfield.medium import ForceField, HapticMedium
 from touchfield.medium.field import brick_keys, numbers_of
 from touchfield.medium.selection import evenly_spaced
@@ -88,7 +91,7 @@ class DirectionSums:
 
         forces, directions = np.ascontiguousarray(vectors_n, np.float64), icosahedral_directions()
         by_direction, coefficients = sums_by_direction(
-            forces, directions, 1 / SPREAD**2, _harmonic_norms(self.degree)
+            forces, directions, 1 / SPREAD**2, harmonic_norms(self.degree)
         )
         self.by_direction += by_direction
         self.coefficients += coefficients
@@ -102,20 +105,6 @@ class DirectionSums:
         factors = 4 * math.pi / (2 * np.arange(1, self.degree + 1) + 1)
         power: Float64s = np.clip(factors * of_degree / (total**2 or 1.0), 0.0, 1.0)
         return power
-
-
-@cache
-def _harmonic_norms(degree: int) -> Float64s:
-    """Norms of the real spherical harmonics by l and m.
-
-    float64 [degree + 1, degree + 1].
-    """
-    norms = np.zeros((degree + 1, degree + 1))
-    for order in range(degree + 1):
-        for m in range(order + 1):
-            ratio = math.factorial(order - m) / math.factorial(order + m)
-            norms[order, m] = math.sqrt((2 * order + 1) / (4 * math.pi) * ratio * (2 if m else 1))
-    return norms
 
 
 @cache
@@ -172,7 +161,7 @@ def octree_levels(
     return fractions, entropies
 
 
-DESCRIPTOR_VERSION: Final = 1
+DESCRIPTOR_VERSION: Final = 2
 """Incremented whenever a number of the vector changes its meaning."""
 
 DEGREE: Final = 8
@@ -190,6 +179,7 @@ PARTS: Final = MappingProxyType(
         "amplitude": 21,
         "directions": 42,
         "direction_power": DEGREE,
+        "shells": SHELLS * (SHELL_DEGREE + 1),
         "support": LEVELS,
         "level_entropy": LEVELS,
         "change": 1,
@@ -207,7 +197,7 @@ _BRICKS = 1 << 11  # at a time
 class Descriptor(EqualByValue):
     """A descriptor of a medium; see the module.
 
-    `values` float64 [83]: all parts one after the other, each number from 0 to 1; InvalidArgument otherwise.
+    `values` float64 [125]: all parts one after the other, each number from 0 to 1; InvalidArgument otherwise.
     """
 
     values: Float64s
@@ -248,7 +238,7 @@ def descriptor(medium: HapticMedium | ForceField, frames: int = 8) -> Descriptor
     starts = max(1, len(source) - lag)
     sampled = evenly_spaced(starts, frames)
     directions, classes = DirectionSums(DEGREE), np.zeros(PARTS["amplitude"])
-    levels, changes = [], []
+    levels, changes, shells = [], [], []
     for n in sampled:
         field = source[n]
         support = field.support()
@@ -257,9 +247,9 @@ def descriptor(medium: HapticMedium | ForceField, frames: int = 8) -> Descriptor
             amplitudes = support.amplitudes_n[is_counted]
             directions.add(field.vectors_n()[is_counted])
             classes += _level_weights(amplitudes)
-            levels.append(
-                octree_levels(field.grid, support.positions[is_counted], amplitudes, thresholds_n())
-            )
+            positions = support.positions[is_counted]
+            shells.append(shell_power(positions * np.asarray(field.grid.spacing_m), amplitudes))
+            levels.append(octree_levels(field.grid, positions, amplitudes, thresholds_n()))
         if n + lag < len(source):
             changes.append(_change(field, source[n + lag]))
     if not levels:
@@ -275,6 +265,7 @@ def descriptor(medium: HapticMedium | ForceField, frames: int = 8) -> Descriptor
         "amplitude": np.sqrt(classes / classes.sum()),
         "directions": np.sqrt(directions.by_direction / directions.by_direction.sum()),
         "direction_power": np.sqrt(directions.power()),
+        "shells": np.mean(shells, axis=0).ravel(),
         "support": fractions,
         "level_entropy": entropies / math.log2(len(classes) + 1),
         "change": [change],
@@ -320,8 +311,9 @@ def _change(before: ForceField, after: ForceField) -> tuple[float, float]:
     alone = either = 0
     for start in range(0, len(keys), _BRICKS):
         a, b = (f.forces_at(keys[start : start + _BRICKS]).astype(np.float64) for f in (before, after))
-        moved += float(((b - a) ** 2).sum())
-        power += float((a**2).sum() + (b**2).sum()) / 2
-        in_a, in_b = (np.sqrt((f**2).sum(axis=-1)) >= FORCES_N[0] for f in (a, b))
+        squares = [np.einsum("...i,...i->...", f, f) for f in (b - a, a, b)]
+        moved += float(squares[0].sum())
+        power += float(squares[1].sum() + squares[2].sum()) / 2
+        in_a, in_b = (np.sqrt(square) >= FORCES_N[0] for square in squares[1:])
         alone, either = alone + int((in_a ^ in_b).sum()), either + int((in_a | in_b).sum())
     return (math.sqrt(moved / power) / 2 if power else 0.0), (alone / either if either else 0.0)

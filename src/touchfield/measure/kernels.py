@@ -282,7 +282,39 @@ def curl_and_squares(start, stop, slots, spacing, forces, sums):
                     sums[n, 6] = max(sums[n, 6], abs(work))
 
 
-# -- directions: what a descriptor sums up of each force
+# -- spherical harmonics: what a descriptor sums up of each force
+
+
+@inner
+def _recurrence(degrees):
+    """Factors of the recurrence of Legendre derivatives by m and l, two tables [degrees, degrees]."""
+    factors, factors_before = np.zeros((degrees, degrees)), np.zeros((degrees, degrees))
+    for m in range(degrees):
+        for order in range(m, degrees):
+            factors[m, order] = (2 * order + 1) / (order + 1 - m)
+            factors_before[m, order] = (order + m) / (order + 1 - m)
+    return factors, factors_before
+
+
+@inner
+def _fill_harmonics(x, y, z, norms, factors, factors_before, values):
+    """Write the real harmonics of a unit vector to `values`, at index l (l + 1) + m.
+
+    A harmonic is (sin(theta) exp(i phi))^m times the m-th derivative of the Legendre polynomial of degree l,
+    computed upwards in l by the three-term recurrence (`_recurrence`).
+    """
+    real, imaginary, of_m = 1.0, 0.0, 1.0  # of_m: (-1)^m 1 3 .. (2 m - 1)
+    for m in range(len(norms)):
+        before, legendre = 0.0, of_m
+        for order in range(m, len(norms)):
+            middle, term = order * (order + 1), norms[order, m] * legendre
+            values[middle + m] = term * real
+            if m > 0:
+                values[middle - m] = term * imaginary
+            above = factors[m, order] * z * legendre - factors_before[m, order] * before
+            before, legendre = legendre, above
+        real, imaginary = real * x - imaginary * y, real * y + imaginary * x
+        of_m *= -(2 * m + 1)
 
 
 @kernel
@@ -290,31 +322,50 @@ def sums_by_direction(forces, directions, sharpness, norms):
     """Sum the lengths of forces [n, 3] by direction and by spherical harmonic.
 
     Returns the sums around `directions` [k, 3], float64 [k], and the coefficients of the harmonics. A force
-    is shared between the directions in proportion to exp(`sharpness` cos(angle)). A harmonic is (sin(theta)
-    exp(i phi))^m times the m-th derivative of the Legendre polynomial of degree l, computed upwards in l by
-    the three-term recurrence.
+    is shared between the directions in proportion to exp(`sharpness` cos(angle)).
     """
     by_direction, coefficients = np.zeros(len(directions)), np.zeros(len(norms) ** 2)
-    weights = np.empty(len(directions))
+    weights, values = np.empty(len(directions)), np.empty(len(norms) ** 2)
+    factors, factors_before = _recurrence(len(norms))
     for n in range(len(forces)):
         length = math.sqrt(forces[n, 0] ** 2 + forces[n, 1] ** 2 + forces[n, 2] ** 2)
         if length == 0:
             continue
         x, y, z = forces[n, 0] / length, forces[n, 1] / length, forces[n, 2] / length
+        total = 0.0
         for k in range(len(directions)):
             cosine = x * directions[k, 0] + y * directions[k, 1] + z * directions[k, 2]
             weights[k] = math.exp((cosine - 1) * sharpness)
-        by_direction += weights * (length / weights.sum())
-        real, imaginary, of_m = 1.0, 0.0, length  # of_m: length (-1)^m 1 3 .. (2 m - 1)
-        for m in range(len(norms)):
-            before, legendre = 0.0, of_m
-            for order in range(m, len(norms)):
-                middle, term = order * (order + 1), norms[order, m] * legendre
-                coefficients[middle + m] += term * real
-                if m > 0:
-                    coefficients[middle - m] += term * imaginary
-                above = ((2 * order + 1) * z * legendre - (order + m) * before) / (order + 1 - m)
-                before, legendre = legendre, above
-            real, imaginary = real * x - imaginary * y, real * y + imaginary * x
-            of_m *= -(2 * m + 1)
+            total += weights[k]
+        for k in range(len(directions)):
+            by_direction[k] += weights[k] * (length / total)
+        _fill_harmonics(x, y, z, norms, factors, factors_before, values)
+        for k in range(len(values)):
+            coefficients[k] += length * values[k]
     return by_direction, coefficients
+
+
+@kernel
+def sums_by_shell(points, weights, shells_per_m, shells, norms):
+    """Sum the weights of points [n, 3] by shell around the origin and by spherical harmonic.
+
+    Returns the coefficients, float64 [shells, len(norms)^2]. A weight is shared between the two shells whose
+    middles are nearest. A point at the origin has no direction, and counts for degree 0 only.
+    """
+    coefficients, values = np.zeros((shells, len(norms) ** 2)), np.empty(len(norms) ** 2)
+    factors, factors_before = _recurrence(len(norms))
+    for n in range(len(points)):
+        radius = math.sqrt(points[n, 0] ** 2 + points[n, 1] ** 2 + points[n, 2] ** 2)
+        depth = min(max(radius * shells_per_m - 0.5, 0.0), shells - 1.0)
+        lower = min(int(depth), shells - 2)
+        upper_weight = (depth - lower) * weights[n]
+        lower_weight = weights[n] - upper_weight
+        if radius == 0:
+            coefficients[0, 0] += weights[n] * norms[0, 0]
+            continue
+        x, y, z = points[n, 0] / radius, points[n, 1] / radius, points[n, 2] / radius
+        _fill_harmonics(x, y, z, norms, factors, factors_before, values)
+        for k in range(len(values)):
+            coefficients[lower, k] += lower_weight * values[k]
+            coefficients[lower + 1, k] += upper_weight * values[k]
+    return coefficients

@@ -7,8 +7,10 @@ distance::
 
     d(x, y)^2 = sum over the parts p of weight_p |x_p - y_p|^2
 
-which is a metric between descriptors. The search is exact, one pass over all entries. In 83 dimensions a k-d
-tree would visit nearly every entry, too, and building it takes longer than the few queries of a command.
+which is a metric between descriptors. The default weights (`WEIGHTS`) let the shells decide, so that a body
+is found whichever way it is turned and whatever its size (`bench/bench_retrieval.py`); the other parts
+separate media of like shape. The search is exact, one pass over all entries. In 125 dimensions a k-d tree
+would visit nearly every entry, too, and building it takes longer than the few queries of a command.
 """
 
 from __future__ import annotations
@@ -41,14 +43,28 @@ from touchfield.measure.descriptors import (
 )
 from touchfield.medium.stores.npz import NpzArchive
 
-ANY_POSE: Final[Mapping[str, float]] = MappingProxyType({"directions": 0.0})
-"""Weights that omit the pose-dependent directions; the octree levels depend on the pose, but far less."""
+WEIGHTS: Final[Mapping[str, float]] = MappingProxyType({"shells": 160.0})
+"""Default weights of the parts; 1 for those that are not named.
+
+The shells of two bodies differ by about a tenth of what their histograms do. With this weight they outweigh
+a rotation, which changes the directions and the octree levels, and the other parts still decide between media
+of one shape. Chosen on 150 solids that `bench/bench_retrieval.py` does not use.
+"""
+
+ANY_POSE: Final[Mapping[str, float]] = MappingProxyType(
+    {"directions": 0.0, "support": 0.0, "level_entropy": 0.0}
+)
+"""Weights that omit the parts that depend on the pose: the directions and, less, the octree levels."""
 
 MAX_MEDIA: Final = 1 << 20
 _MAX_NAME: Final = 1000  # characters
-_BLOCK: Final = 1 << 14  # number of media whose distances are computed at once
+_BLOCK: Final = 1 << 11  # number of media whose distances are computed at once, so that they stay in a cache
 _MAX_HEAD_BYTES: Final = 1 << 28
 _FORMAT: Final = "touchfield medium index"
+
+
+class OutdatedIndex(SourceError):
+    """An index file has descriptors of another version."""
 
 
 class Match(NamedTuple):
@@ -103,8 +119,9 @@ class MediumIndex:
         """Return the media nearest to a descriptor, the nearest first.
 
         Ties are in the order of addition. `count`: the number of matches; by default all. `weights`: weight
-        of each part by name, 0 or more; 1 for parts that are not named, as in `ANY_POSE`. InvalidArgument if
-        the index is empty, `count` is below 1, or a weight is out of range or of an unknown part.
+        of each part by name, 0 or more, as in `ANY_POSE`; those of `WEIGHTS` for parts that are not named.
+        InvalidArgument if the index is empty, `count` is below 1, or a weight is out of range or of an
+        unknown part.
         """
         if not self._rows:
             raise InvalidArgument("index", "no medium", "at least one", "Add some first.")
@@ -143,8 +160,8 @@ class MediumIndex:
     def load(cls, path: str | Path) -> MediumIndex:
         """Read an index that `save` wrote.
 
-        SourceError if the file is no such index, is truncated or damaged, or was written for another version
-        of the descriptor.
+        SourceError if the file is no such index, or is truncated or damaged; OutdatedIndex if it was written
+        for another version of the descriptor.
         """
         archive = NpzArchive(Path(path))
         names = _names(archive)
@@ -175,10 +192,24 @@ def _names(archive: NpzArchive) -> list[str]:
         ) from None
     if kind != _FORMAT or not isinstance(names, list):
         raise SourceError(where, f"{str(kind)[:80]!r}", repr(_FORMAT))
-    if (version, parts) != (DESCRIPTOR_VERSION, dict(PARTS)):
-        found = f"descriptors of version {str(version)[:20]} of {str(parts)[:200]}"
-        raise SourceError(where, found, f"{DESCRIPTOR_VERSION} of {dict(PARTS)}", "Describe the media anew.")
+    if version != DESCRIPTOR_VERSION:
+        found = f"descriptors of version {str(version)[:20]}"
+        raise OutdatedIndex(
+            str(archive.path), found, f"version {DESCRIPTOR_VERSION}", "Make it anew: touchfield index FOLDER"
+        )
+    if parts != dict(PARTS):
+        raise SourceError(where, f"descriptors of {str(parts)[:200]}", f"{dict(PARTS)}")
     return names
+
+
+def part_distances(first: Descriptor, second: Descriptor) -> dict[str, float]:
+    """Return the Euclidean distance of two descriptors in each part, without weights."""
+    return {name: float(np.linalg.norm(first[name] - second[name])) for name in PARTS}
+
+
+def distance(first: Descriptor, second: Descriptor, weights: Mapping[str, float] | None = None) -> float:
+    """Return the distance by which `MediumIndex.query` ranks, with the same weights."""
+    return float(np.linalg.norm((first.values - second.values) * _factors(weights or {})))
 
 
 def _factors(weights: Mapping[str, float]) -> Float64s:
@@ -187,7 +218,7 @@ def _factors(weights: Mapping[str, float]) -> Float64s:
         require_one_of("weights", name, PARTS)
     factors = np.ones(DESCRIPTOR_LENGTH)
     for name, slot in part_slots():
-        weight = float(weights.get(name, 1.0))
+        weight = float(weights.get(name, WEIGHTS.get(name, 1.0)))
         require_not_negative(**{f"weight of {name}": weight})
         factors[slot] = math.sqrt(weight)
     if not factors.any():

@@ -26,14 +26,14 @@ A picture is compared by I(V;A). V is the luma or depth of a pixel, and A the |F
 pixel's ray, both in classes of equal frequency; mu is uniform over the pixels where both are known. A pixel
 whose ray meets nothing is omitted, so that the outline of a body alone causes no correlation.
 
-The test against chance shuffles whole square blocks of the second picture, because pixels depend on their
-neighbours (P. Good, Permutation, Parametric, and Bootstrap Tests of Hypotheses, 2005). Blocks must be larger
-than the distance over which both pictures are correlated with themselves: by default their side is the
-smallest power of two of at least four times the shift at which the product of their autocorrelations (M. S.
-Bartlett, 1946) falls to 1/e. If the picture does not hold 16 such blocks, smaller ones are used, and a note
-says that p is then too small. Dependence across the borders of blocks is lost in any case: of 60 pairs of
-independent pictures (64 x 64, smoothed by 1.5 pixels) 7 % had p <= 0.05. A trend across both pictures is
-dependence in the sense of this test.
+The test against chance compares I with that of surrogates, which have the spatial correlation of one of the
+two pictures and nothing else in common with it: random phases in its Fourier spectrum (J. Theiler, S. Eubank,
+A. Longtin, B. Galdrikian and J. D. Farmer, Testing for nonlinearity in time series: the method of surrogate
+data, Physica D 58, 1992). The picture is mirrored at its borders before, lest its opposite borders count as
+neighbours, and its values are replaced by those of a normal distribution of the same order. If the picture
+holds fewer than `MIN_PATCHES` squares of the correlation length, p is refused, because the surrogates of very
+smooth pictures vary too little. `bench/bench_correlation.py` measures false alarms, also of the shuffling of
+blocks. A trend across both pictures is dependence in the sense of this test.
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ from __future__ import annotations
 import lzma
 import math
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
@@ -253,11 +254,11 @@ def _follow_rays(
     return best
 
 
-_MIN_BLOCKS: Final = 16  # minimum number of blocks in a picture
-BLOCK_LENGTHS: Final = 4
-"""Side of a block over the correlation length of both pictures."""
+MIN_PATCHES: Final = 25
+"""Minimum number of squares of the correlation length in a picture; with fewer, p is refused."""
 
-MAX_SHUFFLES: Final = 1 << 20
+_GROUPS: Final = 8, 64  # of pixels, for the interval of I
+MAX_SURROGATES: Final = 1 << 20
 _ESTIMATOR: Final = "miller-madow"  # plug-in is high by about (classes - 1)^2 / (2 n ln 2) bits
 
 
@@ -266,10 +267,10 @@ class Correlation(Report):
     """Information of a picture about a haptic medium.
 
     `mutual`: I(V;A), bits per pixel. `null_mean_bits`, `null_spread_bits`: mean and standard deviation of I
-    over the shuffles. `z`: (I - mean) / standard deviation; NaN if the shuffles do not differ. `p`: fraction
-    of the shuffles, including the picture itself, whose I is no less. `block_px`: side of a block; `blocks`:
-    number of blocks that were shuffled. `share`: fraction of all pixels where both are known, within whole
-    blocks.
+    over the surrogates. `z`: (I - mean) / standard deviation; NaN if the surrogates do not differ. `p`:
+    fraction of the surrogates, including the picture itself, whose I is no less. `z` and `p` are NaN if the
+    picture is too smooth for a test. `length_px`: correlation length of both pictures. `share`: fraction of
+    all pixels where both are known.
     """
 
     mutual: Quantity
@@ -277,9 +278,8 @@ class Correlation(Report):
     null_spread_bits: float
     z: float
     p: float
-    shuffles: int
-    block_px: int
-    blocks: int
+    surrogates: int
+    length_px: float
     share: float
 
 
@@ -288,8 +288,7 @@ def picture_correlation(
     touched: ArrayLike,
     *,
     classes: int = 8,
-    shuffles: int = 199,
-    block_px: int | None = None,
+    surrogates: int = 199,
     interval: bool = True,
     seed: int = 0,
 ) -> Correlation:
@@ -297,42 +296,78 @@ def picture_correlation(
 
     `picture` float [height, width]: luma, depth in metres, or any other number per pixel. `touched`, of the
     same shape: |F| in newtons, or another number of the medium. NaN if unknown or none. `classes`: number of
-    classes of equal frequency for each of the two, 2 to 256; equal values stay in one class. `shuffles`:
-    number of shuffles of blocks, 19 or more. `block_px`: side of a block, see the module. `interval`: whether
-    I gets one, over groups of these blocks. `seed`: of the shuffles. InvalidArgument if the shapes differ, no
-    pixel or fewer than four blocks hold both, or an option is out of range.
+    classes of equal frequency for each of the two, 2 to 256; equal values stay in one class. `surrogates`:
+    number of surrogates, 19 or more. `interval`: whether I gets one, over square groups of pixels. `seed`: of
+    the surrogates. InvalidArgument if the shapes differ, fewer than four groups of pixels hold both, or an
+    option is out of range.
     """
     v, a = _maps(picture, touched)
     require_between(2, 256, classes=classes)
-    require_between(19, MAX_SHUFFLES, shuffles=shuffles)
-    block, notes = _block_side(v, a, block_px)
-    x, y = (_in_blocks(quantile_classes(m, classes), block) for m in (v, a))
-    both = (x >= 0) & (y >= 0)
+    require_between(19, MAX_SURROGATES, surrogates=surrogates)
+    x, y = (quantile_classes(m, classes) for m in (v, a))
+    mutual = _mutual(x, y, interval)
+    notes: tuple[str, ...] = (f"{classes} classes of equal share each",)
+    if np.isnan(v).sum() > np.isnan(a).sum():  # surrogates of the one of which more is known
+        v, x, y = a, y, x
+    drawn = phase_surrogates(v, surrogates, seed)
+    null = np.array([_bits(quantile_classes(other, classes), y, classes) for other in drawn])
+    value, mean, spread = float(mutual), float(null.mean()), float(null.std(ddof=1))
+    both, length_px = (x >= 0) & (y >= 0), correlation_length_px(picture, touched)
+    patches = both.sum() / length_px**2 if length_px else math.inf
+    z = (value - mean) / spread if spread > 0 else math.nan
+    p = (1 + int((null >= value - 1e-12).sum())) / (1 + surrogates)
+    if patches < MIN_PATCHES:
+        z = p = math.nan
+        found = (
+            f"the pictures hold {patches:.3g} squares of their correlation length of {length_px:.3g} pixels"
+        )
+        notes = (f"no p and no z: {found}, and a test needs {MIN_PATCHES}", *notes)
+    mutual = mutual.of(
+        name="I(V;A)", quantiser=f"{classes} classes of equal share", notes=(*mutual.notes, *notes)
+    )
+    return Correlation(mutual, mean, spread, z, p, surrogates, length_px, float(both.mean()))
+
+
+def _mutual(x: Int64s, y: Int64s, interval: bool) -> Quantity:
+    """Return I of two pictures of classes, -1 where unknown; the interval is over square groups of pixels."""
+    side = max(1, math.isqrt(x.size // _GROUPS[1]))
+    grouped = [_in_groups(symbols, side) for symbols in (x, y)]
+    both = (grouped[0] >= 0) & (grouped[1] >= 0)
     if int(both.any(axis=1).sum()) < 4:
-        found = f"{int(both.any(axis=1).sum())} blocks of {block} pixels with both known"
-        raise InvalidArgument("picture", found, "4 or more", "Give a smaller block_px, or larger pictures.")
+        found = f"{int(both.any(axis=1).sum())} groups of {side} x {side} pixels with both known"
+        raise InvalidArgument("picture", found, "4 or more", "Give larger pictures, or look at the medium.")
+    groups = max(_GROUPS[0], min(_GROUPS[1], len(both)))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FewSamplesWarning)  # reported in its note
-        blocks = max(8, min(64, len(x)))
-        mutual = mutual_information(x[both], y[both], estimator=_ESTIMATOR, interval=interval, blocks=blocks)
-    rng = np.random.default_rng(seed)
-    null = np.array([_bits(x, y[rng.permutation(len(y))], classes) for _ in range(shuffles)])
-    value, mean, spread = float(mutual), float(null.mean()), float(null.std(ddof=1))
-    no_less = int((null >= value - 1e-12).sum())
-    notes += (f"{classes} classes of equal share each",)
-    return Correlation(
-        mutual.of(
-            name="I(V;A)", quantiser=f"{classes} classes of equal share", notes=(*mutual.notes, *notes)
-        ),
-        mean,
-        spread,
-        (value - mean) / spread if spread > 0 else math.nan,
-        (1 + no_less) / (1 + shuffles),
-        shuffles,
-        block,
-        len(x),
-        float(both.sum() / v.size),
-    )
+        return mutual_information(
+            grouped[0][both], grouped[1][both], estimator=_ESTIMATOR, interval=interval, blocks=groups
+        )
+
+
+def phase_surrogates(values: ArrayLike, count: int, seed: int = 0) -> Iterator[Float64s]:
+    """Yield pictures with the spatial correlation of one and random phases, float64 of its shape.
+
+    `values` float [height, width]: NaN where unknown, and there in the surrogates. Their values are about
+    normal; the correlation is that of the ranks. Unknown pixels take the value of the nearest known one.
+    """
+    from scipy.ndimage import distance_transform_edt
+    from scipy.special import ndtri
+    from scipy.stats import rankdata
+
+    numbers, rng = np.asarray(values, np.float64), np.random.default_rng(seed)
+    is_unknown = np.isnan(numbers)
+    if is_unknown.any():
+        nearest = distance_transform_edt(is_unknown, return_distances=False, return_indices=True)
+        numbers = numbers[tuple(nearest)]
+    normal = ndtri((rankdata(numbers).reshape(numbers.shape) - 0.5) / numbers.size)
+    mirrored = np.pad(normal, [(0, side) for side in normal.shape], mode="symmetric")
+    amplitudes = np.abs(np.fft.rfft2(mirrored - mirrored.mean()))
+    height, width = normal.shape
+    for _ in range(count):
+        noise = np.fft.rfft2(rng.normal(size=mirrored.shape))
+        phases = noise / np.maximum(np.abs(noise), 1e-300)
+        drawn = np.fft.irfft2(amplitudes * phases, mirrored.shape)[:height, :width]
+        yield np.where(is_unknown, np.nan, drawn)
 
 
 def quantile_classes(values: ArrayLike, count: int) -> Int64s:
@@ -353,7 +388,7 @@ def quantile_classes(values: ArrayLike, count: int) -> Int64s:
 def correlation_length_px(first: ArrayLike, second: ArrayLike) -> float:
     """Return the shift at which the product of two autocorrelations falls to 1/e.
 
-    Pixels, the larger of both axes. Unknown pixels (NaN) count as the mean. The result is 0 if one of the
+    Pixels, the larger of both axes, over the pairs of known pixels (not NaN). The result is 0 if one of the
     pictures does not vary, and a whole side if the product never falls so far.
     """
     maps = [np.asarray(m, np.float64) for m in (first, second)]
@@ -377,10 +412,13 @@ def _autocorrelation(values: Float64s, axis: int) -> Float64s:
     if not is_known.any() or np.ptp(values[is_known]) == 0:
         return np.zeros(side)
     centred = np.where(is_known, values - values[is_known].mean(), 0.0)
-    spectrum = np.abs(np.fft.rfft(centred, 2 * side, axis=axis)) ** 2
-    products = np.fft.irfft(spectrum.sum(axis=1 - axis), 2 * side)[:side]
-    of_pairs: Float64s = np.clip(products / np.arange(side, 0, -1) * side / products[0], 0.0, None)
-    return of_pairs
+    sums, pairs = (
+        np.fft.irfft((np.abs(np.fft.rfft(m, 2 * side, axis=axis)) ** 2).sum(axis=1 - axis), 2 * side)[:side]
+        for m in (centred, is_known.astype(np.float64))
+    )
+    means = np.divide(sums, pairs, out=np.zeros(side), where=pairs > 0.5)  # pairs are whole numbers
+    correlation: Float64s = np.clip(means / means[0], 0.0, None)
+    return correlation
 
 
 def _maps(picture: ArrayLike, touched: ArrayLike) -> tuple[Float64s, Float64s]:
@@ -401,35 +439,12 @@ def _maps(picture: ArrayLike, touched: ArrayLike) -> tuple[Float64s, Float64s]:
     return maps[0], maps[1]
 
 
-def _block_side(v: Float64s, a: Float64s, requested_px: int | None) -> tuple[int, tuple[str, ...]]:
-    """Return the side of a block, and notes on it."""
-    if requested_px is not None:
-        if not 1 <= requested_px <= min(v.shape):
-            raise InvalidArgument("block_px", f"{requested_px}", f"1 to {min(v.shape)}, the shorter side")
-        return requested_px, ()
-    length = correlation_length_px(v, a)
-    ideal = 1
-    while ideal < BLOCK_LENGTHS * length:
-        ideal *= 2
-    block = ideal
-    while block > 1 and (v.shape[0] // block) * (v.shape[1] // block) < _MIN_BLOCKS:
-        block //= 2
-    if block == ideal:
-        return block, ()
-    note = (
-        f"blocks of {block} pixels for a correlation length of {length:.3g}: p is too small, and z too large"
-    )
-    return block, (note,)
-
-
-def _in_blocks(symbols: Int64s, side: int) -> Int64s:
-    """Return the pixels of each whole block, int64 [blocks, side^2].
-
-    Partial blocks are omitted.
-    """
-    rows, columns = (n // side for n in symbols.shape)
-    trimmed = symbols[: rows * side, : columns * side].reshape(rows, side, columns, side)
-    return np.ascontiguousarray(trimmed.transpose(0, 2, 1, 3)).reshape(rows * columns, side * side)
+def _in_groups(symbols: Int64s, side: int) -> Int64s:
+    """Return the pixels of each square, int64 [squares, side^2]; -1 beyond the picture."""
+    rows, columns = (-(-n // side) for n in symbols.shape)
+    beyond = [(0, rows * side - symbols.shape[0]), (0, columns * side - symbols.shape[1])]
+    padded = np.pad(symbols, beyond, constant_values=-1).reshape(rows, side, columns, side)
+    return np.ascontiguousarray(padded.transpose(0, 2, 1, 3)).reshape(rows * columns, side * side)
 
 
 def _bits(x: Int64s, y: Int64s, classes: int) -> float:

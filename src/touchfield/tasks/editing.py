@@ -294,6 +294,10 @@ def levels_of_detail(
         notes = (f"no level takes {max_bytes} bytes or less",)
     elif max_bytes is not None:
         notes = (f"level {best} is the finest that fits",)
+    lost = [str(row["level"]) for row in rows if row["nmse_db"] is not None and row["nmse_db"] > 0]
+    if lost:
+        numbers = f"level {lost[0]}" if len(lost) == 1 else f"levels {', '.join(lost)}"
+        notes += (f"{numbers}: farther from the medium than no force at all; it is finer than this lattice",)
     if medium.vibration is not None and last_level > 0:
         notes += ("levels from 1 on: the vibration is left out",)
     return Result({"level": best, "levels": rows}, notes)

@@ -28,9 +28,9 @@ from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.compute.executors import in_order
 from touchfield.compute.threads import Progress, silent
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError, as_source_error, with_notes
-from touchfield.measure.descriptors import DESCRIPTOR_LENGTH, Descriptor, descriptor, part_slots
+from touchfield.measure.descriptors import Descriptor, descriptor
 from touchfield.measure.quantity import FewSamplesWarning
-from touchfield.measure.retrieval import MediumIndex
+from touchfield.measure.retrieval import MediumIndex, OutdatedIndex, distance, part_distances
 from touchfield.measure.similarity import (
     contact_along_rays,
     picture_correlation,
@@ -167,7 +167,7 @@ def index_folder(
     """
     start_s, folder = time.perf_counter(), Path(folder)
     target = library_path(folder, path)
-    before = Library.load(target) if target.exists() else Library()
+    before, notes = _library_before(target)
     files = _files(folder)
     changed = sorted(
         name
@@ -206,7 +206,7 @@ def index_folder(
     deleted = before.entries.keys() - files.keys()
     for name in deleted:
         library.forget(name)
-    if changed or deleted or not target.exists():
+    if changed or deleted or notes or not target.exists():
         library.save(target)
     described_count = sum(not library.entries[name].fault for name in new_names)
     counts = {"described": described_count, "kept": len(files) - len(new_names), "gone": len(deleted)}
@@ -217,8 +217,18 @@ def index_folder(
         **counts,
         "seconds": time.perf_counter() - start_s,
     }
-    notes = () if files else (f"no .touch file in {folder} or the folders in it",)
+    notes += () if files else (f"no .touch file in {folder} or the folders in it",)
     return Indexed(figures, notes, path=target, library=library)
+
+
+def _library_before(path: Path) -> tuple[Library, tuple[str, ...]]:
+    """Return the library to continue, and notes: an empty one without a file, or for an outdated one."""
+    if not path.exists():
+        return Library(), ()
+    try:
+        return Library.load(path), ()
+    except OutdatedIndex as error:
+        return Library(), (f"{error.where} has {error.found}: every file is described again",)
 
 
 def describe_file(path: Path) -> tuple[Float64s | None, str]:
@@ -322,10 +332,10 @@ def similar(
         raise InvalidArgument("frames to look at", f"{frames}", "1 or more")
     prepared = [prepare(source, spec) for source in (first, second)]
     first_medium, second_medium = (item.medium for item in prepared)
-    values = [np.zeros(DESCRIPTOR_LENGTH)] * 2
+    described: list[Descriptor] = []
     for n, medium in enumerate((first_medium, second_medium)):
         try:
-            values[n] = descriptor(medium, frames).values
+            described.append(descriptor(medium, frames))
         except InvalidArgument as error:
             raise with_notes(error, prepared[n].notes) from None
         report(n + 1, 3)
@@ -347,9 +357,11 @@ def similar(
             measured = similarity(first_symbols, second_symbols, over, compressed=False)
             notes = (*notes, f"no NCD: {error}")
     report(3, 3)
-    parts = {name: float(np.linalg.norm(values[0][slot] - values[1][slot])) for name, slot in part_slots()}
-    distance = math.sqrt(sum(d * d for d in parts.values()))
-    figures = {"descriptor_distance": distance, "descriptor_parts": parts, "frames": len(indices)}
+    figures = {
+        "descriptor_distance": distance(described[0], described[1]),
+        "descriptor_parts": part_distances(described[0], described[1]),
+        "frames": len(indices),
+    }
     return Result({**measured.summary(), **figures}, notes)
 
 

@@ -142,7 +142,8 @@ def reduce_medium(
     )
     if not reach.stopped_n:
         notes += (
-            "nothing is proved to stop such a hand: less push, a lower speed or a finer lattice may help",
+            "no sample is out of reach, as nothing is proved to stop such a hand: at edges, such as those "
+            "of a box, forces turn too fast; less push, a lower speed or a finer lattice may help",
         )
     if spec.device:
         excluded["outside_workspace"] = _outside(medium, target)
