@@ -20,8 +20,8 @@ export function prepareSaving(head: Head): void {
   for (const id of ["save-from", "save-to"]) input(id).max = String(head.frames - 1);
   input("save-from").value = "0";
   input("save-to").value = String(head.frames - 1);
-  input("save-k").value = String(+(100 * (head.weber > 0 ? head.weber : 0.1)).toPrecision(12));
-  input("save-f0").value = String(head.weber > 0 || head.threshold > 0 ? head.threshold : 0.05);
+  input("save-k").value = String(+(100 * (head.weber > 0 ? head.weber : 0.1)).toPrecision(7));
+  input("save-f0").value = String(+(head.weber > 0 || head.threshold > 0 ? head.threshold : 0.05).toPrecision(7));
   (document.getElementById("save-range") as HTMLButtonElement).hidden = head.frames < 2;
   document.getElementById("saving")!.hidden = false;
   message(head.objects ? "Cannot be saved: the file has the coder objects, and the page saves fields of coder touch." : "");

@@ -13,7 +13,7 @@ import type { Away, Cut, Head, Mesh as Surface, Ray, Shown, Triple } from "./eng
 const ACCENT = 0xe8590c;
 const CONES = 30;
 const UP = new Vector3(0, 1, 0);
-const PIN_ARRAYS = /dot|pin|graphiti|braille/i;
+export const PIN_ARRAYS = /dot|pin|graphiti|braille/i;
 
 interface Label {
   element: HTMLSpanElement;
@@ -21,6 +21,7 @@ interface Label {
 }
 
 export class View {
+  readonly isFlat = false;
   readonly camera = new PerspectiveCamera(32, 1, 0.01, 60);
   isOpen = true;
   triangles = 0;
@@ -49,16 +50,25 @@ export class View {
   private readonly strongest = new Int32Array((CONES + 1) ** 2);
   private readonly sheet = new MeshBasicMaterial({ transparent: true, side: DoubleSide, depthWrite: false, vertexColors: true });
   private readonly rim = line(0x0f172a);
+  private readonly ink = new MeshBasicMaterial({ depthTest: false, transparent: true });
   private readonly white = new MeshLambertMaterial({ color: 0xffffff, emissive: 0x333333 });
   private readonly lit = new MeshLambertMaterial({ vertexColors: true, side: DoubleSide, clippingPlanes: [this.clip] });
   onDrawn: (() => void) | null = null;
 
-  constructor(private readonly canvas: HTMLCanvasElement, private readonly overlay: HTMLElement) {
-    this.renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true });
+  constructor(private readonly canvas: HTMLCanvasElement, private readonly overlay: HTMLElement, context: WebGL2RenderingContext) {
+    this.renderer = new WebGLRenderer({ canvas, context, alpha: true });
     this.renderer.localClippingEnabled = true;
     this.scene.add(new AmbientLight(0xffffff, 0.9), this.light, this.root);
     new ResizeObserver(() => this.resize()).observe(canvas);
+    this.recolour();
     this.resize();
+  }
+
+  /** Draw lines with the colours of the page, which have changed. */
+  recolour(): void {
+    const isDark = getComputedStyle(document.documentElement).colorScheme.includes("dark");
+    for (const { color } of [this.rim, this.ink]) color.setHex(isDark ? 0xe6e9ef : 0x0f172a);
+    this.due();
   }
 
   /** Geometries, textures and programs that the graphics card stores. */
@@ -126,6 +136,15 @@ export class View {
     const isPinned = this.isPins();
     this.turn = this.head?.type === 2 ? { across: 0.3, height: isPinned ? 0.6 : 0.25, distance: isPinned ? 3.9 : 5 } : { across: isFront ? 0.5 : 0.9, height: isFront ? 0.3 : 0.55, distance: 3.9 };
     this.due();
+  }
+
+  /** From where the camera looks. */
+  seenFrom(): string {
+    const degrees = Math.round((this.turn.across * 180) / Math.PI / 5) * 5;
+    const side = ((((degrees + 180) % 360) + 360) % 360) - 180;
+    const around = side === 0 ? "the front" : side === -180 ? "behind" : `${Math.abs(side)} degrees to the ${side > 0 ? "right" : "left"} of the front`;
+    const height = Math.round((this.turn.height * 180) / Math.PI);
+    return `Seen from ${around}, ${Math.abs(height)} degrees ${height < 0 ? "below" : "above"}.`;
   }
 
   /** Turn the camera, radians, and come nearer by a factor. */
@@ -370,9 +389,9 @@ export class View {
     const [sphere, rod] = [new SphereGeometry(1, 24, 16), new CylinderGeometry(1, 1, 1, 12).translate(0, 0.5, 0)];
     const cone = new ConeGeometry(1.1 * radius, 2.6 * radius, 16).translate(0, 1.3 * radius, 0);
     const over = { depthTest: false, transparent: true };
-    const [orange, white, dark] = [ACCENT, 0xffffff, 0x0f172a].map((color) => new MeshBasicMaterial({ ...over, color })) as [MeshBasicMaterial, MeshBasicMaterial, MeshBasicMaterial];
-    const [ball, rim, edge, proxy] = [new Mesh(sphere, orange), new Mesh(sphere, white), new Mesh(sphere, dark), new Mesh(sphere, white)];
-    const [shaft, tip, string] = [new Mesh(rod, orange), new Mesh(cone, orange), new Mesh(rod, dark)];
+    const [orange, white] = [ACCENT, 0xffffff].map((color) => new MeshBasicMaterial({ ...over, color })) as [MeshBasicMaterial, MeshBasicMaterial];
+    const [ball, rim, edge, proxy] = [new Mesh(sphere, orange), new Mesh(sphere, white), new Mesh(sphere, this.ink), new Mesh(sphere, white)];
+    const [shaft, tip, string] = [new Mesh(rod, orange), new Mesh(cone, orange), new Mesh(rod, this.ink)];
     for (const [mesh, size] of [[ball, 1], [rim, 1.35], [edge, 0.9], [proxy, 0.7]] as const) mesh.scale.setScalar(size * radius);
     string.renderOrder = 10;
     edge.renderOrder = 11;
@@ -417,6 +436,11 @@ export class View {
   }
 
   // -- screen -------------------------------------------------------------------------------------------------------
+
+  /** The view has no plane of its own: the page asks for the ray. */
+  pointAt(_x: number, _y: number): Triple | null {
+    return null;
+  }
 
   /** The ray through a position on the screen, metres. */
   ray(x: number, y: number): Ray {
