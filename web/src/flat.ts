@@ -6,6 +6,9 @@ import type { Away, Cut, Head, Ray, Shown, Triple } from "./engine";
 
 const ARROWS = 24;
 const MARGIN = 44; // pixels around the box, for the names of its axes
+const LEGEND = 130; // pixels to the left of it, where the legend lies on the picture
+const CAPTION = 90; // and below
+const NARROW = 760; // pixels; below, legend and caption lie under the picture
 const FIRST_RAYS = 90;
 
 /** An axis of the picture: that of the file, and 1 where it grows to the right or up. */
@@ -120,8 +123,9 @@ export class FlatView {
   private frame(across: Side, up: Side): [number, number, number] {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     const [w, h] = [this.length(across[0]), this.length(up[0])];
-    const pixels = Math.max(Math.min((width - 2 * MARGIN) / w, (height - 4 * MARGIN) / h), 1);
-    return [(width - pixels * w) / 2, (height - pixels * h) / 2, pixels];
+    const [beside, below] = innerWidth > NARROW ? [LEGEND, CAPTION] : [0, 0];
+    const pixels = Math.max(Math.min((width - 2 * MARGIN - beside) / w, (height - 2 * MARGIN - below) / h), 1);
+    return [(width + beside - pixels * w) / 2, (height - below - pixels * h) / 2, pixels];
   }
 
   /** Where a point is drawn. */
@@ -266,10 +270,13 @@ export class FlatView {
     this.arrow([x + (far * dx) / 2, y + (far * dy) / 2], dx, dy, far);
     this.disc(x, y, 7, accent);
     if (proxy) this.disc(...this.toPicture(proxy), 4, "#fff");
-    this.paint.lineWidth = 1;
     this.paint.textAlign = "left";
+    this.paint.lineWidth = 4;
+    this.paint.strokeStyle = getComputedStyle(this.canvas).getPropertyValue("--ground");
     this.paint.fillStyle = getComputedStyle(this.canvas).color;
-    this.paint.fillText(text, x + 14, y + 22);
+    this.paint.strokeText(text, x + 14, y + 24);
+    this.paint.fillText(text, x + 14, y + 24);
+    this.paint.lineWidth = 1;
   }
 
   private disc(x: number, y: number, radius: number, colour: string): void {

@@ -121,14 +121,18 @@ const marks: Record<string, number> = {};
 /** The view in three dimensions, or where there is no WebGL a slice in two. */
 function viewOf(canvas: HTMLCanvasElement, labels: HTMLElement): View | FlatView {
   const context = canvas.getContext("webgl2", { antialias: true });
-  if (!context) {
-    notice(WITHOUT_WEBGL);
-    byId("open-cut").hidden = true;
-    return new FlatView(canvas, labels);
-  }
   canvas.addEventListener("webglcontextlost", () => notice(LOST_WEBGL));
   canvas.addEventListener("webglcontextrestored", () => notice(""));
-  return new View(canvas, labels, context);
+  try {
+    if (context) return new View(canvas, labels, context);
+  } catch {
+    // a driver may give a context that cannot be used: the canvas is then of no use, either
+  }
+  notice(WITHOUT_WEBGL);
+  byId("open-cut").hidden = true;
+  const flat = canvas.cloneNode() as HTMLCanvasElement;
+  canvas.replaceWith(flat);
+  return new FlatView(flat, labels);
 }
 
 /** What the page lacks here. */
@@ -322,7 +326,7 @@ function describe(): void {
   text("summary", `${what}${head.frames > 1 ? ` over ${((head.frames / head.rate)).toPrecision(2)} s` : ""}, for ${records.device || "a device"}`);
   byId("fields").hidden = !state!.hasSource;
   scaleNow();
-  figuresOf(byId("figures"), byId("provenance"), opened, given);
+  figuresOf(byId("figures"), byId("provenance"), opened, given, isPins());
   surfaces = materialsOf(opened.records.provenance.find(([key]) => key === "materials.json")?.[1]);
   prepareSaving(head);
   jumps();
@@ -416,6 +420,7 @@ async function showNow(time: number, isFirst = false): Promise<void> {
   if (reading) await fetched(own.time);
   if (own !== state) return;
   if (isFirst) {
+    walked = null;
     const met = await decoder.request<Met | null>({ do: "contact", time: 0, rays: view.raysFromMiddle(), depth: depth(), away: view.away() });
     marks.felt = performance.now();
     entry = met?.entry ?? null;
@@ -684,9 +689,17 @@ function stepOf(axis: number, isFine: boolean): number {
   return (high - low) * (isFine ? FINE : COARSE);
 }
 
+/** The actuator of an array that is nearest to a point; in a field the point itself. */
+function snapped(point: Triple): Triple {
+  const { type, origin, spacing, shape } = state!.opened.head;
+  if (type !== 2) return point;
+  return point.map((v, n) => origin[n]! + spacing[n]! * Math.min(Math.max(Math.round((v - origin[n]!) / spacing[n]!), 0), shape[n]! - 1)) as Triple;
+}
+
 /** Put the probe on the surface in front of or behind a point, with its heights. */
-async function walkTo(at: Triple): Promise<void> {
+async function walkTo(point: Triple): Promise<void> {
   const own = state!;
+  const at = snapped(point);
   const { outward, right, ahead } = own.directions;
   if (extremesOf?.[0] !== own.opened || extremesOf[1] !== own.time) {
     extremesOf = [own.opened, own.time];

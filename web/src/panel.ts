@@ -54,7 +54,7 @@ export function differenceText(given: Given, hasBodies: boolean): string {
   return `${scale} Cones point where the decoded field pushes more. ${source}${bodies}`;
 }
 
-export function figuresOf(list: HTMLElement, provenance: HTMLElement, opened: Opened, given: Given): void {
+export function figuresOf(list: HTMLElement, provenance: HTMLElement, opened: Opened, given: Given, isPins: boolean): void {
   const { head, records } = opened;
   list.replaceChildren();
   const samples = head.shape.reduce((a, b) => a * b, 1) * head.frames;
@@ -62,7 +62,7 @@ export function figuresOf(list: HTMLElement, provenance: HTMLElement, opened: Op
   row(list, "as plain numbers", `${bytes(12 * samples)}, 1 : ${Math.round((12 * samples) / records.size).toLocaleString("en")}`);
   const isExact = given?.mode === "lossless";
   const around = typeof given?.masking === "number" ? `, and ${percent(given.masking, 3)} of the mean force around` : "";
-  const threshold = `${short(head.threshold)} N`;
+  const threshold = isPins ? `${percent(head.threshold / head.peak, 2)} of the travel` : `${short(head.threshold)} N`;
   const absolute = head.threshold > 0 ? `error ≤ ${threshold}` : "none";
   const relative = `error ≤ ${percent(head.weber, 3)} or ${threshold}${around}`;
   row(list, "error bound", isExact ? "exact, to the bit" : head.weber > 0 ? relative : absolute);
@@ -72,7 +72,7 @@ export function figuresOf(list: HTMLElement, provenance: HTMLElement, opened: Op
   if (given) information(list, given);
   if (typeof given?.source_bytes === "number") row(list, "embedded source", bytes(given.source_bytes));
   row(list, "device", records.device || "–");
-  row(list, "largest force", `${short(head.peak)} N`);
+  row(list, isPins ? "a pin is fully up at" : "largest force", `${short(head.peak)} N`);
   row(list, "lattice", head.shape.join(" × "));
   row(list, "spacing", `${head.spacing.map((m) => +(1000 * m).toPrecision(3)).join(" × ")} mm`);
   if (head.frames > 1) row(list, "frames", `${head.frames} at ${short(head.rate)} Hz`);

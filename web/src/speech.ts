@@ -33,9 +33,9 @@ export function slopeText({ around }: Walked, directions: Directions): string {
 /** The height of a place, and how high the highest is. */
 export function heightText({ height }: Walked, extremes: Extremes | null, isPins: boolean): string {
   if (Number.isNaN(height)) return "no surface here";
-  if (isPins) return `height ${percent(height)}${extremes ? ` of at most ${percent(extremes.highest)}` : ""} percent`;
-  const above = height - (extremes?.lowest ?? 0);
-  return `height ${millimetres(above)}${extremes ? ` of at most ${millimetres(extremes.highest - extremes.lowest)}` : ""} millimetres`;
+  if (!extremes) return "";
+  if (isPins) return `height ${percent(height)} percent, the highest ${percent(extremes.highest)}`;
+  return `height ${millimetres(height - extremes.lowest)} millimetres, the highest ${millimetres(extremes.highest - extremes.lowest)}`;
 }
 
 const percent = (fraction: number): string => (100 * fraction).toFixed(0);
