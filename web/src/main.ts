@@ -360,7 +360,7 @@ function scaleNow(): void {
   if (view.isFlat && !isArray) return text("caption", "The slice goes through the probe: its colour is the force inside, arrows point where it pushes. Orange: your probe, and the force on a hand that holds it; white: the proxy, which stays on the surface.");
   text("caption", isArray
     ? "Each disc or pin is an actuator: the higher and the brighter it is, the stronger it pushes."
-    : "Surface: where a hand first feels a force; its colour: the force once it is pressed in by the length set on the right. Slice: the force inside, with cones that point where it pushes. Orange: your probe, and the force on a hand that holds it; white: the proxy, which stays on the surface.");
+    : "Surface: where a hand first feels a force; its colour: the force once it is pressed in by the length that “Pressed in” sets. Slice: the force inside, with cones that point where it pushes. Orange: your probe, and the force on a hand that holds it; white: the proxy, which stays on the surface.");
 }
 
 const setWhat = latest(async (what: What) => {

@@ -77,7 +77,7 @@ export function figuresOf(list: HTMLElement, provenance: HTMLElement, opened: Op
   row(list, "spacing", `${head.spacing.map((m) => +(1000 * m).toPrecision(3)).join(" × ")} mm`);
   if (head.frames > 1) row(list, "frames", `${head.frames} at ${short(head.rate)} Hz`);
   if (head.objects) row(list, "bodies", records.objects.slice(0, 12).join(", ") + (records.objects.length > 12 ? ", …" : ""));
-  row(list, "1 m of the scene", `${short(head.scale)} m of the hand`);
+  row(list, "1 m of the scene", `${head.scale < 1e-4 ? `${short(1e6 * head.scale)} µm` : millimetres(head.scale)} of the hand`);
   if (head.friction) row(list, "friction", short(head.friction));
   row(list, "axes", records.axes || "–");
   row(list, "coder", records.coder);

@@ -536,15 +536,17 @@ export class View {
     this.setClip();
     this.renderer.render(this.scene, this.camera);
     const { clientWidth: width, clientHeight: height } = this.canvas;
-    for (const { element, position } of this.labels) {
+    const halves = this.labels.map(({ element }) => element.offsetWidth / 2); // read before anything is written
+    this.labels.forEach(({ element, position }, n) => {
       const at = position();
       element.hidden = !at || !element.textContent;
-      if (!at) continue;
+      if (!at) return;
       const p = this.toScreen(at);
       const lift = element.classList.contains("probe") ? 26 : 0;
-      element.style.left = `${Math.min(Math.max((width * (p.x + 1)) / 2 + lift, 50), width - 50)}px`;
+      const half = halves[n]! + 4;
+      element.style.left = `${Math.min(Math.max((width * (p.x + 1)) / 2 + lift, half), Math.max(width - half, half))}px`;
       element.style.top = `${Math.min(Math.max((height * (1 - p.y)) / 2 + lift, 14), height - 14)}px`;
-    }
+    });
     if (this.head) this.onDrawn?.();
   }
 }
