@@ -136,7 +136,7 @@ def test_pins_speak_of_heights(pins: Path, page: str, tmp_path: Path, flags: tup
     up, right, scale, unit, state, size, figures = (result.answers[n] for n in (4, 7, 8, 9, 10, 11, 12))
     places = [[int(n) for n in re.findall(r"\d+", said)] for said in (up, right)]
     assert "newton" not in up and "rises up and right" in right and "rises" in up
-    assert places[0][:2] != places[1][:2] and places[0][1] == 100
+    assert places[0][:2] != places[1][:2] and places[0][1] in (99, 100)
     assert places[1][2:] == [places[0][2] + 1, 60, places[0][4], 40], "one pin to the right"
     assert scale == "Height, percent" and unit == "% of the travel"
     share = np.linalg.norm(state["force"][:3]) / state["head"]["peak"]
