@@ -510,7 +510,7 @@ function setPlaying(on: boolean): void {
   } else movie?.pause();
   press("play", on);
   text("play", on ? "Pause" : "Play");
-  if (!on && state && walks()) feel(state.point);
+  if (!on && state && walks() && document.documentElement.dataset.state === "ready") feel(state.point);
   if (!on || !state) return;
   let before = performance.now();
   const tick = async (): Promise<void> => {
@@ -585,7 +585,7 @@ function showField(field: Float64Array): void {
   if (braille.isOpen) showLine();
   const wait = SPOKEN_MS - (performance.now() - spokenAt);
   window.clearTimeout(spokenLater);
-  spokenLater = window.setTimeout(speak, Math.max(wait, 250));
+  spokenLater = window.setTimeout(() => speak(), Math.max(wait, 250));
 }
 
 /** A line of the field through the probe, from the left to the right, on the Braille display. */
@@ -651,8 +651,8 @@ function showHand(): void {
 }
 
 /** A sentence for those who do not see, at most one in a while. */
-function speak(): void {
-  if (!state || playing) return;
+function speak(isRequested = false): void {
+  if (!state || (playing && !isRequested)) return;
   spokenAt = performance.now();
   const { point, force, directions, opened } = state;
   const parts = [forceText(force, directions), placeText(point, opened.head, directions)];
@@ -675,7 +675,7 @@ let isOnSurface = false;
 /** The place of the surface that the probe is on, and the surface's lowest and highest heights; null: it is not. */
 let walked: Walked | null = null;
 let extremes: Extremes | null = null;
-let extremesOf: [Opened, number] | null = null;
+let extremesOf = "";
 let isFineStep = false;
 
 const COARSE = 0.02; // steps of keys, fractions of the box
@@ -701,15 +701,19 @@ async function walkTo(point: Triple): Promise<void> {
   const own = state!;
   const at = snapped(point);
   const { outward, right, ahead } = own.directions;
-  if (extremesOf?.[0] !== own.opened || extremesOf[1] !== own.time) {
-    extremesOf = [own.opened, own.time];
+  const shown = [opening, own.time, own.what].join();
+  if (extremesOf !== shown) {
+    extremesOf = shown;
     extremes = await decoder.request<Extremes | null>({ do: "extremes", directions: { outward, right, ahead } });
   }
   const steps = [right, ahead].map((direction) => stepOf(along(direction)[0], isFineStep)) as [number, number];
   const found = await decoder.request<Walked & { field: Float64Array }>({ do: "walk", walk: { outward, right, ahead, at, depth: depth(), steps } });
   if (own !== state) return;
   walked = found;
-  moveProbe(found.point, found.field);
+  const [axis, sign] = along(outward);
+  const before = [...found.point] as Triple; // over a long way the hand is lifted, and put down in front of the surface
+  before[axis] = before[axis]! + 1.5 * sign * depth();
+  moveProbe(found.point, found.field, before);
 }
 
 function setOnSurface(on: boolean): void {
@@ -808,8 +812,9 @@ let shifts: Triple = [0, 0, 0];
 
 /** Move the probe by what keys and sticks have asked for since it last moved. */
 const applyShifts = latest(async () => {
-  const by = shifts;
-  shifts = [0, 0, 0];
+  const { type, spacing } = state!.opened.head;
+  const by = shifts.map((metres, n) => (type === 2 ? spacing[n]! * Math.round(metres / spacing[n]!) : metres)) as Triple;
+  shifts = shifts.map((metres, n) => metres - by[n]!) as Triple; // of an array what is less than a step waits
   await feelAt(state!.point.map((v, n) => v + by[n]!) as Triple);
 });
 
@@ -840,6 +845,7 @@ function along(direction: Triple): [number, number] {
 /** A stick moves the probe by fractions of the box, over a surface as over a map. */
 function movePad(right: number, up: number, towards: number): void {
   if (!state) return;
+  isFineStep = false;
   const { directions } = state;
   const isFromAbove = walks() && along(directions.up)[0] === along(directions.outward)[0];
   for (const [direction, part] of [[directions.right, right], [isFromAbove ? directions.ahead : directions.up, up], [directions.towards, walks() ? 0 : towards]] as const)
@@ -928,8 +934,8 @@ async function openLink(): Promise<void> {
 function showBraille(report: string): void {
   press("braille", braille.isOpen);
   message(report);
-  say(report);
-  if (braille.isOpen && state) feel(state.point);
+  if (!state) return say(report); // the status line is not shown yet
+  if (braille.isOpen) feel(state.point);
 }
 
 const WHATS: What[] = ["decoded", "source", "difference"];
@@ -943,7 +949,7 @@ const ACTS: Record<string, (event: KeyboardEvent) => void> = {
   x: () => setAxis(0),
   y: () => setAxis(1),
   z: () => setAxis(2),
-  c: () => byId("open-cut").click(),
+  c: () => (view.isFlat ? say(WITHOUT_WEBGL) : byId("open-cut").click()),
   "+": () => turn(0, 0, 1.15),
   "=": () => turn(0, 0, 1.15),
   "-": () => turn(0, 0, 1 / 1.15),
@@ -969,7 +975,7 @@ const ACTS: Record<string, (event: KeyboardEvent) => void> = {
   h: () => setContrast(!document.documentElement.classList.contains("contrast")),
   o: () => byId("file").click(),
   p: () => void saveFrames(false),
-  t: () => state && void decoder.request({ do: "feel", points: [] }).then(speak), // after the moves that are under way
+  t: () => state && void decoder.request({ do: "feel", points: [] }).then(() => speak(true)), // after the moves that are under way
   "?": () => toggleHelp(),
   Escape: () => toggleHelp(true),
 };
