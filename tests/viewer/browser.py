@@ -48,9 +48,7 @@ WITHOUT_WEBGL = ("--disable-gpu", "--disable-3d-apis")
 """Flags of a Chromium that has no WebGL."""
 
 
-def drive(
-    folder: Path, *steps: dict[str, Any], flags: tuple[str, ...] = (), **context: Any
-) -> Result:
+def drive(folder: Path, *steps: dict[str, Any], flags: tuple[str, ...] = (), **context: Any) -> Result:
     """Run steps in a browser without a network."""
     input_path, output_path = folder / "steps.json", folder / "answers.json"
     seconds = SECONDS + sum(step.get("ms", 0) for step in steps) / 1000

@@ -1,4 +1,4 @@
-"""The page in a browser without WebGL: a slice in place of the surface, and all that is not seen as before."""
+"""The page in a browser without WebGL: a slice in place of the surface, and all else as before."""
 
 from __future__ import annotations
 
@@ -63,5 +63,5 @@ def test_highest_point_is_found_by_keys_and_speech(
     middle_m = np.array(head["origin"][:2]) + 0.5 * np.array(head["spacing"][:2]) * (
         np.array(head["shape"][:2]) - 1
     )
-    np.testing.assert_allclose(middle_m + [x_mm / 1e3, y_mm / 1e3], highest_m, rtol=0, atol=0.0025)
+    np.testing.assert_allclose(middle_m + np.array([x_mm, y_mm]) / 1e3, highest_m, rtol=0, atol=0.0025)
     np.testing.assert_allclose(state["point"][:2], highest_m, rtol=0, atol=0.002)

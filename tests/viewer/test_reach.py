@@ -18,48 +18,14 @@ MOVING = ROOT / "conformance" / "v1" / "objects-touch.touch"
 ODD = tf.codec.TouchSpec(k=1 / 70, f0_n=0.1 / 3)
 """An error bound of many digits."""
 
-SMALL_TARGETS = """[...document.querySelectorAll("button, input, select, summary")]
-  .filter((e) => e.checkVisibility()).map((e) => [e.id || e.tagName, e.getBoundingClientRect()])
-  .filter(([, box]) => box.width < 24 || box.height < 24).map(([name]) => name)"""
-OVERLAPS = """(() => {
-  const names = ["header", "#view", "#legend", "#caption", "aside", "#time", "#fields"];
-  const boxes = names.map((n) => [n, document.querySelector(n)]).filter(([, e]) => e.checkVisibility())
-    .map(([n, e]) => [n, e.getBoundingClientRect()]);
-  const isApart = (a, b) => a.right <= b.left + 1 || b.right <= a.left + 1 || a.bottom <= b.top + 1 || b.bottom <= a.top + 1;
-  return boxes.flatMap(([n, a], i) => boxes.slice(i + 1).filter(([m, b]) => !isApart(a, b)).map(([m]) => [n, m]));
-})()"""
-CONTRASTS = """(() => {
-  const style = getComputedStyle(document.documentElement);
-  const light = (name) => {
-    const hex = style.getPropertyValue(name).trim().slice(1);
-    const [r, g, b] = [0, 2, 4].map((n) => parseInt(hex.slice(n, n + 2), 16) / 255)
-      .map((c) => (c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4));
-    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
-  };
-  const ratio = (a, b) => (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
-  const pairs = [["--ink", "--ground"], ["--ink", "--view"], ["--soft", "--panel"], ["--accent", "--panel"], ["--alarmed", "--alarm"]];
-  return [light("--ground"), ...pairs.map(([a, b]) => ratio(light(a), light(b)))];
-})()"""
-TEXTS = """[document.body.innerText, document.querySelector("#provenance").textContent, document.querySelector("#spoken").textContent,
-  ...[...document.querySelectorAll("input")].map((e) => e.getAttribute("aria-valuetext") ?? e.value)].join("\\n")"""
-PAD = """window.effects = []; window.axes = [0, 0, 0, 0]; window.buttons = Array.from({ length: 17 }, () => ({ pressed: false }));
-  const vibrationActuator = { effects: ["dual-rumble", "trigger-rumble"], reset: () => Promise.resolve("complete"),
-    playEffect: (kind, effect) => { effects.push({ kind, at: performance.now(), ...effect }); return Promise.resolve("complete"); } };
-  Object.defineProperty(navigator, "getGamepads", { value: () => [null, { axes, buttons, vibrationActuator }] });
-  dispatchEvent(new Event("gamepadconnected")); 0"""
-DISPLAY = """(() => {
-  window.reports = [];
-  const item = (usage, reportSize, reportCount) => ({ usages: [usage], reportSize, reportCount });
-  const outputReports = [{ reportId: 3, items: [item(0x410007, 8, 1), item(0x410003, 8, 12)] }];
-  const row = { usagePage: 0x41, usage: 2, children: [], outputReports };
-  const device = Object.assign(new EventTarget(), { productName: "Cells of twelve", opened: false,
-    collections: [{ usagePage: 0x41, usage: 1, outputReports, children: [row] }],
-    open: async () => { device.opened = true; }, close: async () => { device.opened = false; },
-    sendReport: async (id, data) => { reports.push([id, [...data]]); } });
-  Object.defineProperty(navigator, "hid", { value: Object.assign(new EventTarget(), { requestDevice: async () => [device] }) });
-})()"""
+LOOKS = (ROOT / "tests" / "viewer" / "looks.js").read_text(encoding="utf-8")
 BARS = np.array([[0x40, 0x80], [0x44, 0xA0], [0x46, 0xB0], [0x47, 0xB8]])
 """Dots of a bar of one to four dots, in the left and the right column of a cell."""
+
+
+def _look(name: str) -> dict[str, Any]:
+    """Call a function of looks.js."""
+    return step("run", code=f"looks.{name}()")
 
 
 def _spoken(key: str) -> list[dict[str, Any]]:
@@ -92,12 +58,11 @@ def test_first_paint_is_that_of_a_page_that_loads() -> None:
 @needs_browser
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_small_screen(pins: Path, tmp_path: Path, page: str, scheme: str) -> None:
-    looks = [step("run", code=code) for code in (SMALL_TARGETS, OVERLAPS, CONTRASTS, TEXTS)]
-    looks.append(step("run", code="document.documentElement.scrollWidth"))
-    looks.append(step("run", code="['loading', 'empty'].map((n) => document.getElementById(n).checkVisibility())"))
+    looks = [_look(name) for name in ("smallTargets", "overlaps", "contrasts", "texts", "width", "shown")]
     result = drive(
         tmp_path,
         step("goto", url=page),
+        step("run", code=LOOKS),
         looks[-1],
         step("open", file=MOVING),
         *looks,
@@ -106,10 +71,10 @@ def test_small_screen(pins: Path, tmp_path: Path, page: str, scheme: str) -> Non
         viewport={"width": 390, "height": 844},
         colorScheme=scheme,
     )
-    assert result.errors == [] and result.answers[1] == [False, True]
+    assert result.errors == [] and result.answers[2] == [False, True]
     for small, overlaps, (ground, *contrasts), texts, width, shown in (
-        result.answers[3:9],
-        result.answers[10:16],
+        result.answers[4:10],
+        result.answers[11:17],
     ):
         assert small == [] and overlaps == [] and width == 390 and shown == [False, False]
         assert (ground < 0.1) == (scheme == "dark") and min(contrasts) >= 4.5
@@ -149,27 +114,28 @@ def test_pad_moves_the_probe_and_rumbles_without_gaps(page: str, tmp_path: Path)
     result = drive(
         tmp_path,
         step("goto", url=page),
-        step("run", code=PAD),
+        step("run", code=LOOKS),
+        _look("plugPad"),
         step("open", file=SOLID),
         step("press", key="j"),
         step("state"),
-        step("run", code="axes[0] = 0.1; 0"),
+        step("run", code="pad.axes[0] = 0.1"),
         step("wait", ms=300),
         step("state"),
         step("click", id="rumble"),
         step("wait", ms=1500),
-        step("run", code="effects.splice(0)"),
-        step("run", code="axes[0] = 1; 0"),
+        step("run", code="pad.effects.splice(0)"),
+        step("run", code="pad.axes[0] = 1"),
         step("wait", ms=400),
-        step("run", code="axes[0] = 0; 0"),
+        step("run", code="pad.axes[0] = 0"),
         step("wait", ms=200),
         step("state"),
-        step("run", code="buttons[3].pressed = true; 0"),
+        step("run", code="pad.buttons[3].pressed = true"),
         step("wait", ms=300),
         step("state"),
     )
     assert result.errors == []
-    first, idle, effects, moved, back = (result.answers[n] for n in (4, 7, 10, 15, 18))
+    first, idle, effects, moved, back = (result.answers[n] for n in (5, 8, 11, 16, 19))
     assert idle["point"] == first["point"], "a stick has play around its middle"
     assert moved["point"][0] > first["point"][0] and moved["point"][1:] == pytest.approx(first["point"][1:])
     assert back["point"] == pytest.approx(first["point"]), "Y goes to the strongest force"
@@ -188,7 +154,8 @@ def test_braille_display_shows_a_line_of_heights(pins: Path, page: str, tmp_path
     result = drive(
         tmp_path,
         step("goto", url=page),
-        step("run", code=DISPLAY),
+        step("run", code=LOOKS),
+        _look("plugBraille"),
         step("open", file=pins),
         step("click", id="braille"),
         step("until", code="reports.length > 0"),
@@ -201,9 +168,9 @@ def test_braille_display_shows_a_line_of_heights(pins: Path, page: str, tmp_path
         step("run", code="document.getElementById('braille').getAttribute('aria-pressed')"),
     )
     assert result.errors == []
-    report, state, (number, data) = result.answers[6:9]
+    report, state, (number, data) = result.answers[7:10]
     assert report == "Cells of twelve: 1 row of 12 cells." and number == 3
-    assert len(data) == 13 and data[0] == 0 and result.answers[11] == "false"
+    assert len(data) == 13 and data[0] == 0 and result.answers[12] == "false"
     row = round((state["point"][1] + 0.04875) / 0.0025)
     columns = np.floor((np.arange(24) + 0.5) / 24 * 60 - 0.5 + 1e-9)  # between two pins the page interpolates
     levels = 4 * np.clip(1 - np.hypot(columns + 0.5 - 39, row - 30) / 60, 0, 1)
@@ -244,7 +211,8 @@ def test_marks_and_links_lead_back(page: str, tmp_path: Path) -> None:
     for found, expected in ((back, marked), (again, other)):
         assert found["time"] == pytest.approx(expected["time"])
         np.testing.assert_allclose(found["point"], expected["point"], atol=1e-9)
-    linked = drive(tmp_path, step("goto", url=url + first.answers[12]), step("wait", ms=500), step("state")).answers[2]
+    steps = [step("goto", url=url + first.answers[12]), step("wait", ms=500), step("state")]
+    linked = drive(tmp_path, *steps).answers[2]
     assert linked["time"] == pytest.approx(marked["time"], abs=1e-4)
     np.testing.assert_allclose(linked["point"], marked["point"], atol=1e-5)
     assert first.errors == []
