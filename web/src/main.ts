@@ -405,6 +405,7 @@ function jumps(): void {
 let strongest: Triple = [0, 0, 0];
 
 async function jump(position: Triple, time = state!.time): Promise<void> {
+  shifts = [0, 0, 0];
   if (time !== state!.time) await showNow(time);
   state!.cut = position[state!.axis]!;
   cutNow();
