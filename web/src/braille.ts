@@ -33,7 +33,11 @@ interface Hid extends EventTarget {
   requestDevice(options: { filters: { usagePage: number }[] }): Promise<Device[]>;
 }
 
-const hidOf = (): Hid | undefined => (navigator as unknown as { hid?: Hid }).hid;
+/** WebHID, where this browser has it and this frame may use it. */
+function hidOf(): Hid | undefined {
+  const { featurePolicy } = document as unknown as { featurePolicy?: { allowsFeature(name: string): boolean } };
+  return featurePolicy?.allowsFeature("hid") === false ? undefined : (navigator as unknown as { hid?: Hid }).hid;
+}
 
 /** A row of cells within a report of so many bytes. */
 interface Row {
@@ -52,8 +56,7 @@ function rowsOf(collections: Collection[]): Row[] {
     for (const { reportId, items = [] } of collection.outputReports ?? []) {
       if (seen.has(reportId)) continue; // a collection lists what those within it list
       seen.add(reportId);
-      const own = rowsOfReport(reportId, items);
-      rows.push(...own);
+      rows.push(...rowsOfReport(reportId, items));
     }
     for (const child of collection.children ?? []) visit(child);
   };
@@ -80,11 +83,7 @@ export class BrailleDisplay {
   private sent = "";
 
   /** `report` gets what happened to the connection, in words. */
-  constructor(private readonly report: (text: string) => void) {
-    hidOf()?.addEventListener("disconnect", (event) => {
-      if ((event as Event & { device?: Device }).device === this.device) this.lose("is disconnected");
-    });
-  }
+  constructor(private readonly report: (text: string) => void) {}
 
   static get isSupported(): boolean {
     return hidOf() !== undefined;
@@ -108,6 +107,7 @@ export class BrailleDisplay {
       if (!rows.length) return this.report(`${device.productName} declares no Braille cells of eight or six dots (usages 3 and 4 of page 0x41).`);
       if (!device.opened) await device.open();
       [this.device, this.rows, this.sent] = [device, rows, ""];
+      hidOf()!.addEventListener("disconnect", this.onDisconnect);
       this.report(`${device.productName}: ${rows.length} ${rows.length > 1 ? "rows" : "row"} of ${this.columns / 2} cells.`);
     } catch (error) {
       this.lose(`cannot be opened (${(error as Error).message}); a screen reader may be using it`);
@@ -140,6 +140,10 @@ export class BrailleDisplay {
     }
     this.isBusy = false;
   }
+
+  private readonly onDisconnect = (event: Event & { device?: Device }): void => {
+    if (this.device && event.device === this.device) this.lose("is disconnected");
+  };
 
   private lose(what: string): void {
     const name = this.device?.productName ?? "The Braille display";
