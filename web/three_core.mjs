@@ -1,5 +1,5 @@
-// What the page needs of three.js: basic and Lambert materials to the screen. Modules for what it has not (shadows,
-// environments, XR, effects, other materials) are replaced by what their callers find when there is none.
+// What the page needs of three.js: basic and Lambert materials to the screen, coloured by their vertices. Modules for what it has
+// not (textures, shadows, environments, XR, effects, other materials) are replaced by what their callers find when there is none.
 import { readFileSync } from "node:fs";
 import { basename, join } from "node:path";
 
@@ -13,11 +13,22 @@ const NONE = {
   "FrustumArray.js": "export class FrustumArray {}",
   "PMREMGenerator.js": "export class PMREMGenerator {}",
   "Ray.js": "export class Ray {}",
+  "WebGLTextures.js": "export class WebGLTextures { resetTextureUnits() {} getTextureUnits() {} setTextureUnits() {} dispose() {} }",
+  "WebGLUtils.js": "export class WebGLUtils {}",
+  "TextureUtils.js": "export const TextureUtils = {}, getByteLength = () => 0;",
+  "WebGLRenderTarget.js": "export class WebGLRenderTarget {}",
+  "Texture.js": "export class Texture {}",
+  "DataTexture.js": "export class DataTexture {}",
+  "DataArrayTexture.js": "export class DataArrayTexture {}",
+  "Data3DTexture.js": "export class Data3DTexture {}",
+  "CubeTexture.js": "export class CubeTexture {}",
+  "DepthTexture.js": "export class DepthTexture {}",
+  "DirectionalLightShadow.js": "export class DirectionalLightShadow { dispose() {} }",
   "DFGLUTData.js": "export const getDFGLUT = () => null;",
 };
 
 /** Pieces of shader for what no material of the page has: they stand behind an #ifdef that never holds. */
-const UNUSED = /batching|morph|skin|shadow|fog|envmap|alphahash|alphamap|alphatest|aomap|lightmap|bumpmap|displacementmap|emissivemap|lightprobe|iridescence|transmission|physical|toon|phong|tonemapping|dithering|clearcoat|packing|cube_uv|logdepthbuf|roughness|metalness|gradientmap|normal_fragment_maps|normalmap_pars|lights_fragment_maps/;
+const UNUSED = /^uv_|^map_|batching|morph|skin|shadow|fog|envmap|alphahash|alphamap|alphatest|aomap|lightmap|bumpmap|displacementmap|emissivemap|lightprobe|iridescence|transmission|physical|toon|phong|tonemapping|dithering|clearcoat|packing|cube_uv|logdepthbuf|roughness|metalness|gradientmap|normal_fragment_maps|normalmap_pars|lights_fragment_maps/;
 const SHADERS = /^(meshbasic|meshlambert)\.glsl\.js$/;
 
 const plain = (code) => code.replaceAll(/\/\*[^*]*\*\/|\/\/.*$/gm, "").replaceAll(/^[ \t]+|[ \t]+$/gm, "").replaceAll(/\n{2,}/g, "\n");
@@ -41,6 +52,6 @@ export const threeCore = {
     const three = join(build.initialOptions.absWorkingDir, "node_modules/three/src");
     build.onResolve({ filter: /^three$/ }, () => ({ path: join(three, "Three.js"), sideEffects: false }));
     build.onLoad({ filter: /three\/src\/renderers\/shaders\/(ShaderLib\.js|.*\.glsl\.js)$/ }, ({ path }) => ({ contents: made(path) }));
-    build.onLoad({ filter: new RegExp(`three/src/.*/(${Object.keys(NONE).join("|").replaceAll(".", "\\.")})$`) }, ({ path }) => ({ contents: NONE[basename(path)] }));
+    build.onLoad({ filter: new RegExp(`three/src/(?:.*/)?(${Object.keys(NONE).join("|").replaceAll(".", "\\.")})$`) }, ({ path }) => ({ contents: NONE[basename(path)] }));
   },
 };

@@ -44,11 +44,15 @@ def step(do: str, **arguments: Any) -> dict[str, Any]:
     return {"do": do, **arguments}
 
 
-def drive(folder: Path, *steps: dict[str, Any], **context: Any) -> Result:
+WITHOUT_WEBGL = ("--disable-gpu", "--disable-3d-apis")
+"""Flags of a Chromium that has no WebGL."""
+
+
+def drive(folder: Path, *steps: dict[str, Any], flags: tuple[str, ...] = (), **context: Any) -> Result:
     """Run steps in a browser without a network."""
     input_path, output_path = folder / "steps.json", folder / "answers.json"
     seconds = SECONDS + sum(step.get("ms", 0) for step in steps) / 1000
-    input_path.write_text(json.dumps({"steps": steps, "context": context}, default=str))
+    input_path.write_text(json.dumps({"steps": steps, "context": context, "flags": flags}, default=str))
     command = [
         str(NODE),
         str(ROOT / "tests" / "viewer" / "drive.mjs"),

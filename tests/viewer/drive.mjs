@@ -2,11 +2,12 @@
 import { readFileSync, writeFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { basename, join } from "node:path";
+import { climbToTheTop } from "./climb.mjs";
 
 const { chromium } = createRequire(join(process.cwd(), "package.json"))("playwright-core");
 const [, , executablePath, given, out] = process.argv;
-const { steps, context = {} } = JSON.parse(readFileSync(given, "utf8"));
-const args = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist", "--autoplay-policy=no-user-gesture-required", "--js-flags=--expose-gc", "--enable-precise-memory-info"];
+const { steps, context = {}, flags = [] } = JSON.parse(readFileSync(given, "utf8"));
+const args = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist", "--autoplay-policy=no-user-gesture-required", "--js-flags=--expose-gc", "--enable-precise-memory-info", ...flags];
 const browser = await chromium.launch({ executablePath, args });
 const frame = await browser.newContext({ viewport: { width: 1280, height: 800 }, offline: true, ...context });
 const page = await frame.newPage();
@@ -87,6 +88,7 @@ const actions = {
       await page.waitForTimeout(100);
     }
   },
+  climb: () => climbToTheTop(page),
   shot: async ({ path }) => { await page.screenshot({ path }); },
   state,
 };

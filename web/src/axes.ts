@@ -11,6 +11,9 @@ export interface Directions {
   right: Triple;
   up: Triple;
   towards: Triple;
+  /** Where a finger comes from to the surface, and what lies ahead of it there: of a map from above, and north. */
+  outward: Triple;
+  ahead: Triple;
   names: [string, string, string];
 }
 
@@ -19,6 +22,14 @@ const unit = (axis: number, sign: number): Triple => [0, 1, 2].map((n) => (n ===
 const cross = (a: Triple, b: Triple): Triple => [
   a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0],
 ];
+
+const negative = (a: Triple): Triple => a.map((n) => -n || 0) as Triple;
+
+/** Directions with those of a finger: from the camera of a picture and to an array from the front, to all else from above. */
+function withFinger(directions: Omit<Directions, "outward" | "ahead">, isFromFront: boolean): Directions {
+  const { up, towards } = directions;
+  return isFromFront ? { ...directions, outward: towards, ahead: up } : { ...directions, outward: up, ahead: negative(towards) };
+}
 
 /** Directions of the axes; y of an array, whose lattice hangs before the viewer, is up unless the text says down. */
 export function directionsOf(text: string, isArray: boolean): Directions {
@@ -34,13 +45,13 @@ export function directionsOf(text: string, isArray: boolean): Directions {
   }
   if (isArray) {
     const up = /y\s+down/i.test(text) ? unit(1, -1) : unit(1, 1);
-    return { right: unit(0, 1), up, towards: /z\s+forward/i.test(text) ? unit(2, -1) : unit(2, 1), names };
+    return withFinger({ right: unit(0, 1), up, towards: /z\s+forward/i.test(text) ? unit(2, -1) : unit(2, 1), names }, true);
   }
   const up = found[1] ?? unit(1, 1);
   let right = found[0] ?? unit(up[0] ? 1 : 0, 1);
   if (right.some((n, k) => n && up[k])) right = unit(up[0] ? 1 : 0, 1);
   const towards = found[2] && !found[2].some((n, k) => n && (up[k] || right[k])) ? found[2] : cross(right, up);
-  return { right, up, towards, names };
+  return withFinger({ right, up, towards, names }, names.some((name) => /^forwards?$/i.test(name))); // as a camera saw it
 }
 
 /** Text of a direction as the viewer sees it: "up and left". */

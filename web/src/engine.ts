@@ -5,6 +5,7 @@ import { Fault, faultOf, readRecords, type Records, provenanceBytes, provenanceO
 import { Difference } from "./difference";
 import { PAGE_MATH } from "./hand";
 import { DEFAULT_BOUND, type Relief } from "./relief";
+import { type Outward, ReliefMap, type Walk } from "./relief_map";
 
 interface Exports {
   memory: WebAssembly.Memory;
@@ -418,7 +419,8 @@ export class Engine {
     return { axis, at, across: count[a]!, up: count[b]!, forces: this.forces(from, a, b, step, count) };
   }
 
-  private forces(from: Triple, a: number, b: number, step: Triple, count: Triple): Float32Array {
+  /** Forces on a part of a plane along two axes, from a point on. */
+  forces(from: Triple, a: number, b: number, step: Triple, count: Triple): Float32Array {
     const along = [0, 0, 0];
     const up = [0, 0, 0];
     along[a] = step[a]!;
@@ -426,6 +428,21 @@ export class Engine {
     const at = this.wasm.plane(...from, ...along, ...up, count[a]!, count[b]!);
     if (!at) throw new Fault("too large", "a plane larger than the memory of the page", null);
     return new Float32Array(this.wasm.memory.buffer, at, 3 * count[a]! * count[b]!).slice();
+  }
+
+  /** Size of a force of many, newtons. */
+  sizeAt(forces: Float32Array, n: number): number {
+    return Math.hypot(forces[3 * n]!, forces[3 * n + 1]!, forces[3 * n + 2]!);
+  }
+
+  /** Whether a force of many counts as one that a hand meets. */
+  isForce(forces: Float32Array, n: number): boolean {
+    return this.sizeAt(forces, n) > this.threshold();
+  }
+
+  hasForce(point: Triple): boolean {
+    const [x, y, z] = this.feel(point);
+    return Math.hypot(x!, y!, z!) > this.threshold();
   }
 
   private threshold(): number {
@@ -476,6 +493,9 @@ export type EngineRequest =
   | { do: "record"; recording: Recording }
   | { do: "cut"; axis: number; at: number }
   | { do: "feel"; points: number[] }
+  | { do: "walk"; walk: Walk }
+  | { do: "extremes"; directions: Outward }
+  | { do: "profile"; directions: Outward; points: number[] }
   | { do: "contact"; time: number | null; rays: Ray[]; depth: number; away: Away | null };
 
 let module: WebAssembly.Module;
@@ -495,6 +515,9 @@ function open(data: Uint8Array, source: Uint8Array | null): Opened {
   }
   return opened;
 }
+
+/** The field whose surface a probe follows: the one that is shown, or in a difference the decoded one. */
+const solid = (): Engine => (engine instanceof Engine ? engine : decoded!);
 
 /** The answer to a request; a fault is an answer, too. */
 export function answer(request: EngineRequest): unknown {
@@ -532,6 +555,12 @@ export function answer(request: EngineRequest): unknown {
     }
     if (request.do === "cut") return engine.cut(request.axis, request.at);
     if (request.do === "feel") return engine.feel(request.points);
+    if (request.do === "walk") {
+      const walked = new ReliefMap(solid(), request.walk).walk(request.walk);
+      return { ...walked, field: engine.feel(walked.point) };
+    }
+    if (request.do === "profile") return new ReliefMap(solid(), request.directions).profile(request.points);
+    if (request.do === "extremes") return new ReliefMap(solid(), request.directions).extremes();
     if (request.time !== null) engine.seek(request.time);
     let met: Met | null = null;
     for (const { from, direction } of request.rays) {

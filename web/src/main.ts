@@ -1,18 +1,23 @@
 // Entry point of the page of `touchfield view`: opens a file, plays it, and lets a user probe its forces by
 // pointer, keyboard, sound and game pad.
 import { directionText, directionsOf, type Directions } from "./axes";
+import { BrailleDisplay } from "./braille";
 import { colourOf } from "./colour";
 import { Fault, firstSegment, indexOffset } from "./container";
 import type { EngineRequest, Cut, Met, Opened, Piece, Recorded, Shown, Triple, What } from "./engine";
+import { FlatView } from "./flat";
 import { Hand } from "./hand";
 import { differenceText, figuresOf, type Given, keyList, millimetres } from "./panel";
 import { materialsOf, slidOver } from "./material";
+import { Pads } from "./pads";
 import { isPicture, readPicture } from "./picture";
 import { reliefOf } from "./relief";
+import type { Extremes, Walked } from "./relief_map";
 import { message, prepareSaving, save } from "./saving";
 import { Sound } from "./sound";
+import { heightText, LOST_WEBGL, placeText, say, slopeText, WITHOUT_WEBGL } from "./speech";
 import { Trace } from "./trace";
-import { View } from "./view";
+import { PIN_ARRAYS, View } from "./view";
 
 const MAX_BYTES = 1 << 29;
 const SPOKEN_MS = 1200;
@@ -101,7 +106,8 @@ interface State {
 }
 
 const sound = new Sound();
-const view = new View(byId("view"), byId("labels"));
+const view = viewOf(byId<HTMLCanvasElement>("view"), byId("labels"));
+const braille = new BrailleDisplay((report) => showBraille(report));
 const trace = new Trace(byId<HTMLCanvasElement>("trace"));
 let decoder: Decoder;
 let hand: Hand; // from `start` on, as the decoder
@@ -111,6 +117,35 @@ let playing = false;
 let pace = 1;
 let opening = 0;
 const marks: Record<string, number> = {};
+
+/** The view in three dimensions, or where there is no WebGL a slice in two. */
+function viewOf(canvas: HTMLCanvasElement, labels: HTMLElement): View | FlatView {
+  const context = canvas.getContext("webgl2", { antialias: true });
+  canvas.addEventListener("webglcontextlost", () => notice(LOST_WEBGL));
+  canvas.addEventListener("webglcontextrestored", () => notice(""));
+  try {
+    if (context) return new View(canvas, labels, context);
+  } catch {
+    // a driver may give a context that cannot be used: the canvas is then of no use, either
+  }
+  notice(WITHOUT_WEBGL);
+  byId("open-cut").hidden = true;
+  const flat = canvas.cloneNode() as HTMLCanvasElement;
+  canvas.replaceWith(flat);
+  return new FlatView(flat, labels);
+}
+
+/** What the page lacks here. */
+function notice(sentence: string): void {
+  text("notice", sentence);
+  byId("notice").hidden = !sentence;
+}
+
+/** What the page waits for; empty: for nothing. */
+function waitFor(what: string): void {
+  if (what) text("waits", what);
+  byId("loading").hidden = !what;
+}
 
 const range = (axis: number): [number, number] => {
   const { origin, spacing, shape } = state!.opened.head;
@@ -150,6 +185,8 @@ function reportFault(error: unknown, name = state?.name ?? "the file"): void {
   text("saved", `Cannot be saved: ${name} cannot be shown.`);
   document.documentElement.dataset.state = "fault";
   playing = false;
+  waitFor("");
+  byId("empty").hidden = state !== null;
 }
 
 // -- opening ------------------------------------------------------------------------------------------------------------
@@ -187,6 +224,8 @@ async function openAs(name: string, figures: Given, hasSource: boolean, read: Re
   hand.close();
   marks.open = performance.now();
   document.documentElement.dataset.state = "opening";
+  byId("empty").hidden = true;
+  waitFor(`Decoding ${name}`);
   setPlaying(false);
   byId("fault").hidden = true;
   try {
@@ -198,17 +237,30 @@ async function openAs(name: string, figures: Given, hasSource: boolean, read: Re
     const isArray = opened.head.type === 2;
     const directions = directionsOf(opened.records.axes, isArray);
     const middle = opened.head.origin.map((o, n) => o + 0.5 * opened.head.spacing[n]! * (opened.head.shape[n]! - 1)) as Triple;
-    const axis = [0, 1, 2].find((n) => directions.right[n]) ?? 0;
+    const axis = view.isFlat ? view.firstAxis(directions) : directions.right.findIndex((n) => n !== 0);
     state = { name, opened, directions, time: 0, point: middle, field: new Float64Array(5), force: new Float64Array(5), memory: opened.memory, axis, cut: middle[axis]!, hasSource, what: "decoded" };
     given = figures;
     text("name", name);
     describe();
+    marks.described = performance.now();
     await showNow(0, true);
+    if (own !== opening) return;
     document.documentElement.dataset.state = "ready";
-    if (own === opening) startHand(data);
+    waitFor("");
+    startHand(data);
+    prompt();
   } catch (error) {
     if (own === opening) reportFault(error, name);
   }
+}
+
+/** Say what is open, and how it is explored. */
+function prompt(): void {
+  window.clearTimeout(spokenLater);
+  spokenAt = performance.now();
+  const lengths = [0, 1, 2].map((n) => millimetres(range(n)[1] - range(n)[0])).join(" by ");
+  const keys = "Arrow keys and Page Up and Down move the probe, f follows the surface, t says what is under it, question mark lists all keys.";
+  say(`${state!.name} is open: ${byId("summary").textContent}, ${lengths}. ${keys}${view.isFlat ? ` ${WITHOUT_WEBGL}` : ""}`);
 }
 
 // -- a remote file, of which only what is played is read -------------------------------------------------------------
@@ -225,6 +277,7 @@ async function openParts(size: number, name: string, read: Read): Promise<void> 
   pending.clear();
   await openAs(name, null, false, read, async (own) => {
     if (size > MAX_BYTES) throw TOO_LARGE;
+    waitFor(`Fetching ${name}`);
     await decoder.request({ do: "room", size });
     const bring = async (from: number, to: number): Promise<Uint8Array> => {
       const data = await read(from, to);
@@ -261,7 +314,6 @@ const fetchAhead = latest(fetched);
 function describe(): void {
   const { opened, directions, name } = state!;
   const { head, records } = opened;
-  byId("empty").hidden = true;
   byId("legend").hidden = false;
   byId("time").hidden = head.frames < 2;
   byId("slicing").hidden = head.type === 2;
@@ -274,7 +326,7 @@ function describe(): void {
   text("summary", `${what}${head.frames > 1 ? ` over ${((head.frames / head.rate)).toPrecision(2)} s` : ""}, for ${records.device || "a device"}`);
   byId("fields").hidden = !state!.hasSource;
   scaleNow();
-  figuresOf(byId("figures"), byId("provenance"), opened, given);
+  figuresOf(byId("figures"), byId("provenance"), opened, given, isPins());
   surfaces = materialsOf(opened.records.provenance.find(([key]) => key === "materials.json")?.[1]);
   prepareSaving(head);
   jumps();
@@ -283,9 +335,11 @@ function describe(): void {
   const whole = head.frames / head.rate;
   byId<HTMLSelectElement>("speed").value = whole < 0.1 ? "0.01" : whole < 0.6 ? "0.1" : "1";
   byId<HTMLInputElement>("at").max = String(seconds());
-  text("depth-value", millimetres(depth()));
+  showDepth();
 }
 
+/** Whether the file is for pins, which have heights. */
+const isPins = (): boolean => state?.opened.head.type === 2 && PIN_ARRAYS.test(state.opened.records.device);
 const isError = (): boolean => state?.what === "difference";
 /** What the brightest colour stands for: newtons, or in a difference the error bound. */
 const top = (): number => (isError() ? 1 : state!.opened.head.peak);
@@ -298,13 +352,15 @@ function scaleNow(): void {
   trace.start(top());
   legend(top());
   for (const button of document.querySelectorAll<HTMLElement>("[data-what]")) button.setAttribute("aria-pressed", String(button.dataset.what === what));
-  text("scale", isError() ? "Error / bound" : "Force, newtons");
-  text("unit", isError() ? "of the error bound" : "N");
-  text("traced", isError() ? "2 s of it" : "2 s of |F|");
+  text("scale", isError() ? "Error / bound" : isPins() ? "Height, percent" : "Force, newtons");
+  text("unit", isError() ? "of the error bound" : isPins() ? "% of the travel" : "N");
+  text("traced", isError() ? "2 s of it" : isPins() ? "2 s of the height" : "2 s of |F|");
   if (isError()) return text("caption", differenceText(given, !!opened.head.objects));
+  if (isPins()) return text("caption", "Each pin is as high as a finger from above meets the surface: the higher and the brighter, the higher the surface.");
+  if (view.isFlat && !isArray) return text("caption", "The slice goes through the probe: its colour is the force inside, arrows point where it pushes. Orange: your probe, and the force on a hand that holds it; white: the proxy, which stays on the surface.");
   text("caption", isArray
     ? "Each disc or pin is an actuator: the higher and the brighter it is, the stronger it pushes."
-    : "Surface: where a hand first feels a force; its colour: the force once it is pressed in by the length set on the right. Slice: the force inside, with cones that point where it pushes. Orange: your probe, and the force on a hand that holds it; white: the proxy, which stays on the surface.");
+    : "Surface: where a hand first feels a force; its colour: the force once it is pressed in by the length that “Pressed in” sets. Slice: the force inside, with cones that point where it pushes. Orange: your probe, and the force on a hand that holds it; white: the proxy, which stays on the surface.");
 }
 
 const setWhat = latest(async (what: What) => {
@@ -324,7 +380,7 @@ function legend(peak: number): void {
   }
   byId("ticks").replaceChildren(...[4, 3, 2, 1, 0].map((n) => {
     const item = document.createElement("li");
-    item.textContent = ((peak * n) / 4).toPrecision(2).replace(/^0\.0$/, "0");
+    item.textContent = isPins() && !isError() ? String(25 * n) : ((peak * n) / 4).toPrecision(2).replace(/^0\.0$/, "0");
     return item;
   }));
 }
@@ -349,6 +405,7 @@ function jumps(): void {
 let strongest: Triple = [0, 0, 0];
 
 async function jump(position: Triple, time = state!.time): Promise<void> {
+  shifts = [0, 0, 0];
   if (time !== state!.time) await showNow(time);
   state!.cut = position[state!.axis]!;
   cutNow();
@@ -364,12 +421,13 @@ async function showNow(time: number, isFirst = false): Promise<void> {
   if (reading) await fetched(own.time);
   if (own !== state) return;
   if (isFirst) {
+    walked = null;
     const met = await decoder.request<Met | null>({ do: "contact", time: 0, rays: view.raysFromMiddle(), depth: depth(), away: view.away() });
     marks.felt = performance.now();
     entry = met?.entry ?? null;
     moveProbe(met?.point ?? own.point, met?.force ?? new Float64Array(5), entry);
   }
-  const shown = await decoder.request<Shown>({ do: "show", time: own.time, axis: own.axis, at: isFirst ? null : own.cut, depth: depth() });
+  const shown = await decoder.request<Shown>({ do: "show", time: own.time, axis: own.axis, at: isFirst && !view.isFlat ? null : own.cut, depth: depth() });
   if (own !== state) return;
   if (shown.cut) own.cut = shown.cut.at;
   own.memory = shown.memory;
@@ -388,9 +446,19 @@ async function showNow(time: number, isFirst = false): Promise<void> {
   };
   marks.shown = performance.now();
   byId<HTMLInputElement>("at").value = String(own.time);
-  text("clock", `${own.time.toFixed(seconds() < 0.5 ? 4 : 2)} of ${seconds().toFixed(seconds() < 0.5 ? 4 : 2)} s`);
+  showClock();
   showCut();
+  if (walks() && !playing) return walkTo(own.point);
+  walked = null;
   if (!isFirst) showField(await decoder.request<Float64Array>({ do: "feel", points: own.point }));
+}
+
+function showClock(): void {
+  const { rate, frames } = state!.opened.head;
+  const digits = seconds() < 0.5 ? 4 : 2;
+  const clock = `${state!.time.toFixed(digits)} of ${seconds().toFixed(digits)} s, frame ${Math.floor(state!.time * rate + 1e-6)} of ${frames - 1}`;
+  text("clock", clock);
+  byId("at").setAttribute("aria-valuetext", clock);
 }
 
 const show = latest(async (time: number) => showNow(time));
@@ -404,10 +472,16 @@ const cutNow = latest(async () => {
   showCut();
 });
 
+function showDepth(): void {
+  text("depth-value", millimetres(depth()));
+  byId("depth").setAttribute("aria-valuetext", millimetres(depth()));
+}
+
 function showCut(): void {
   const [low, high] = range(state!.axis);
   byId<HTMLInputElement>("cut").value = String((1000 * (state!.cut - low)) / (high - low));
   text("cut-value", `${"xyz"[state!.axis]} ${millimetres(state!.cut)}`);
+  byId("cut").setAttribute("aria-valuetext", byId("cut-value").textContent!);
 }
 
 // a movie that is shown with the touch is the clock of both
@@ -437,6 +511,7 @@ function setPlaying(on: boolean): void {
   } else movie?.pause();
   press("play", on);
   text("play", on ? "Pause" : "Play");
+  if (!on && state && walks() && document.documentElement.dataset.state === "ready") feel(state.point);
   if (!on || !state) return;
   let before = performance.now();
   const tick = async (): Promise<void> => {
@@ -498,16 +573,40 @@ function moveProbe(point: Triple, field: Float64Array, from: Triple | null = nul
   state!.point = point;
   hand.move(point, isJump ? from : null);
   showField(field);
+  if (view.isFlat && state!.cut !== point[state!.axis]) {
+    state!.cut = point[state!.axis]!;
+    cutNow();
+  }
 }
 
 /** The field at the probe has changed. */
 function showField(field: Float64Array): void {
   state!.field = field;
   if (!isHand()) showForce();
+  if (braille.isOpen) showLine();
   const wait = SPOKEN_MS - (performance.now() - spokenAt);
   window.clearTimeout(spokenLater);
-  spokenLater = window.setTimeout(speak, Math.max(wait, 250));
+  spokenLater = window.setTimeout(() => speak(), Math.max(wait, 250));
 }
+
+/** A line of the field through the probe, from the left to the right, on the Braille display. */
+const showLine = latest(async () => {
+  const own = state!;
+  const [axis, sign] = along(own.directions.right);
+  const [low, high] = range(axis);
+  const points = Array.from({ length: braille.columns }, (_, n) => {
+    const fraction = (n + 0.5) / braille.columns;
+    return own.point.map((v, k) => (k !== axis ? v : sign > 0 ? low + fraction * (high - low) : high - fraction * (high - low)));
+  });
+  const { outward, right, ahead } = own.directions;
+  if (walked && extremes) {
+    const { lowest, highest } = isPins() ? { lowest: 0, highest: 1 } : extremes;
+    const heights = await decoder.request<Float64Array>({ do: "profile", directions: { outward, right, ahead }, points: points.flat() });
+    return braille.show(Array.from(heights, (height) => (Number.isNaN(height) ? 0 : (height - lowest) / (highest - lowest || 1))));
+  }
+  const forces = await decoder.request<Float64Array>({ do: "feel", points: points.flat() });
+  return braille.show(points.map((_, n) => Math.hypot(forces[5 * n]!, forces[5 * n + 1]!, forces[5 * n + 2]!) / top()));
+});
 
 function showForce(): void {
   const own = state!;
@@ -515,11 +614,14 @@ function showForce(): void {
   const force = (own.force = rendered ? Float64Array.of(...rendered.force, ...own.field.subarray(3)) : own.field);
   const size = Math.hypot(force[0]!, force[1]!, force[2]!);
   const vibration = isError() ? 0 : force[3]!;
-  text("size", size.toFixed(2));
+  text("size", isPins() && !isError() ? ((100 * size) / top()).toFixed(0) : size.toFixed(2));
+  text("height", walked ? `${heightText(walked, extremes, isPins())}, ${slopeText(walked, own.directions)}` : "");
   if (isError()) text("parts", `${(1000 * size * force[3]!).toFixed(1)} of ${(1000 * force[3]!).toFixed(1)} mN`);
+  else if (isPins()) text("parts", placeText(own.point, own.opened.head, own.directions));
   else text("parts", `x ${force[0]!.toFixed(2)}   y ${force[1]!.toFixed(2)}   z ${force[2]!.toFixed(2)} N`);
   text("vibrates", vibration > 0 ? `vibrates ${vibration.toFixed(2)} N at ${force[4]!.toFixed(0)} Hz` : "");
-  view.setProbe(own.point, force, `${size.toFixed(2)} ${isError() ? "of bound" : "N"}`, rendered?.isInContact ? rendered.proxy : null);
+  const label = isPins() && !isError() ? `${((100 * size) / top()).toFixed(0)} %` : `${size.toFixed(2)} ${isError() ? "of bound" : "N"}`;
+  view.setProbe(own.point, force, label, rendered?.isInContact ? rendered.proxy : null);
   trace.add(size);
   const side = own.directions.right.reduce((sum, direction, n) => sum + direction * force[n]!, 0) / (size || 1);
   const [texture, hertz] = slidOver(surfaces, own.point, slideSpeed(), isError() ? 0 : size);
@@ -550,24 +652,84 @@ function showHand(): void {
 }
 
 /** A sentence for those who do not see, at most one in a while. */
-function speak(): void {
-  if (!state || playing) return;
+function speak(isRequested = false): void {
+  if (!state || (playing && !isRequested)) return;
   spokenAt = performance.now();
-  const { point, force, directions } = state;
+  const { point, force, directions, opened } = state;
+  const parts = [forceText(force, directions), placeText(point, opened.head, directions)];
+  if (walked) parts.unshift(`${heightText(walked, extremes, isPins())}, ${slopeText(walked, directions)}`);
+  say(parts.filter(Boolean).join("; "));
+}
+
+/** The force under the probe; of pins, whose heights are spoken, nothing. */
+function forceText(force: Float64Array, directions: Directions): string {
   const size = Math.hypot(force[0]!, force[1]!, force[2]!);
-  const position = point.map((m, n) => {
-    const [low, high] = range(n);
-    return `${"xyz"[n]} ${Math.round(1000 * (m - (low + high) / 2))}`;
-  });
-  const unit = isError() ? "of the error bound" : "newtons";
-  const what = size > 0.002 * top() ? `${size.toFixed(2)} ${unit}, ${directionText(force, directions)}` : isError() ? "no difference" : "no force";
+  if (isPins() && !isError()) return "";
+  if (!(size > 0.002 * top())) return isError() ? "no difference" : "no force";
   const vibration = !isError() && force[3]! > 0 ? `, vibrates at ${force[4]!.toFixed(0)} hertz` : "";
-  text("spoken", `${what}${vibration}; ${position.join(", ")} millimetres from the middle`);
+  return `${size.toFixed(2)} ${isError() ? "of the error bound" : "newtons"}, ${directionText(force, directions)}${vibration}`;
+}
+
+// -- the surface --------------------------------------------------------------------------------------------------------
+
+let isOnSurface = false;
+/** The place of the surface that the probe is on, and the surface's lowest and highest heights; null: it is not. */
+let walked: Walked | null = null;
+let extremes: Extremes | null = null;
+let extremesOf = "";
+let isFineStep = false;
+
+const COARSE = 0.02; // steps of keys, fractions of the box
+const FINE = 0.004;
+const walks = (): boolean => isOnSurface || isPins();
+
+/** Metres of a key's step along an axis; of an array the way to the next actuator. */
+function stepOf(axis: number, isFine: boolean): number {
+  if (state!.opened.head.type === 2) return state!.opened.head.spacing[axis]!;
+  const [low, high] = range(axis);
+  return (high - low) * (isFine ? FINE : COARSE);
+}
+
+/** The actuator of an array that is nearest to a point; in a field the point itself. */
+function snapped(point: Triple): Triple {
+  const { type, origin, spacing, shape } = state!.opened.head;
+  if (type !== 2) return point;
+  return point.map((v, n) => origin[n]! + spacing[n]! * Math.min(Math.max(Math.round((v - origin[n]!) / spacing[n]!), 0), shape[n]! - 1)) as Triple;
+}
+
+/** Put the probe on the surface in front of or behind a point, with its heights. */
+async function walkTo(point: Triple): Promise<void> {
+  const own = state!;
+  const at = snapped(point);
+  const { outward, right, ahead } = own.directions;
+  const shown = [opening, own.time, own.what].join();
+  if (extremesOf !== shown) {
+    extremesOf = shown;
+    extremes = await decoder.request<Extremes | null>({ do: "extremes", directions: { outward, right, ahead } });
+  }
+  const steps = [right, ahead].map((direction) => stepOf(along(direction)[0], isFineStep)) as [number, number];
+  const found = await decoder.request<Walked & { field: Float64Array }>({ do: "walk", walk: { outward, right, ahead, at, depth: depth(), steps } });
+  if (own !== state) return;
+  walked = found;
+  const [axis, sign] = along(outward);
+  const before = [...found.point] as Triple; // over a long way the hand is lifted, and put down in front of the surface
+  before[axis] = before[axis]! + 1.5 * sign * depth();
+  moveProbe(found.point, found.field, before);
+}
+
+function setOnSurface(on: boolean): void {
+  isOnSurface = on;
+  press("follow", on);
+  if (!on) walked = null;
+  if (state) feel(state.point);
+  say(on ? "The probe follows the surface: arrow keys move over it as over a map." : "The probe moves freely.");
 }
 
 const feelAt = async (point: Triple, isFollowed = false, isLifted = false): Promise<void> => {
   const bounded = point.map((m, n) => Math.min(Math.max(m, range(n)[0]), range(n)[1])) as Triple;
   isFollowing = isFollowed;
+  if (walks() && !isFollowed) return walkTo(bounded);
+  walked = null;
   moveProbe(bounded, await decoder.request<Float64Array>({ do: "feel", points: bounded }), isLifted ? bounded : null);
 };
 const feel = latest(feelAt);
@@ -580,10 +742,15 @@ const followHand = latest(async (at: Triple, time: number) => {
 });
 
 const point = latest(async (x: number, y: number, pressure: number) => {
+  const inSlice = view.pointAt(x, y);
+  if (inSlice) return feelAt(inSlice);
   const ray = view.ray(x, y);
   const met = await decoder.request<Met | null>({ do: "contact", time: null, rays: [ray], depth: depth() * pressure, away: view.away() });
   isFollowing = false;
-  if (met) moveProbe(met.point, met.force, met.entry);
+  if (met && !isPins()) {
+    walked = null;
+    moveProbe(met.point, met.force, met.entry);
+  } else if (met) await feelAt(met.point);
   else await feelAt(view.facing(ray, state!.point));
 });
 
@@ -618,7 +785,7 @@ function wirePointer(): void {
       const other = [...fingers].find(([id]) => id !== event.pointerId)![1];
       const spread = Math.hypot(x - other[0], y - other[1]) / Math.max(Math.hypot(before[0] - other[0], before[1] - other[1]), 1);
       view.orbit(-dx * 0.004, dy * 0.004, spread);
-    } else if (event.pointerType === "mouse") view.orbit(-dx * 0.007, dy * 0.007);
+    } else if (event.pointerType === "mouse" && !view.isFlat) view.orbit(-dx * 0.007, dy * 0.007);
     else point(x, y, event.pointerType === "pen" ? 2 * event.pressure : 1);
     fingers.set(event.pointerId, [x, y]);
   });
@@ -642,18 +809,48 @@ function nudge(id: string, by: number): void {
 
 // -- keys, buttons ------------------------------------------------------------------------------------------------------
 
-function move(axis: number, sign: number, isFine: boolean): void {
+let shifts: Triple = [0, 0, 0];
+
+/** Move the probe by what keys and sticks have asked for since it last moved. */
+const applyShifts = latest(async () => {
+  const { type, spacing } = state!.opened.head;
+  const by = shifts.map((metres, n) => (type === 2 ? spacing[n]! * Math.round(metres / spacing[n]!) : metres)) as Triple;
+  shifts = shifts.map((metres, n) => metres - by[n]!) as Triple; // of an array what is less than a step waits
+  await feelAt(state!.point.map((v, n) => v + by[n]!) as Triple);
+});
+
+/** Move the probe along one of the viewer's directions, metres. */
+function shift(direction: Triple, metres: number): void {
+  direction.forEach((v, n) => (shifts[n]! += v * metres));
+  applyShifts();
+}
+
+/** A step of a key. On a surface seen from above, up is ahead; on one seen from the front, away is deeper. */
+function step(direction: Triple, sign: number, isFine: boolean): void {
   if (!state) return;
-  const [low, high] = range(axis);
-  const next = [...state.point] as Triple;
-  next[axis] = next[axis]! + sign * (high - low) * (isFine ? 0.004 : 0.02);
-  feel(next);
+  isFineStep = isFine;
+  const { outward, ahead } = state.directions;
+  const [axis, own] = along(direction);
+  const isOutward = walks() && axis === along(outward)[0];
+  const isFromAbove = along(state.directions.up)[0] === along(outward)[0];
+  if (isOutward && !isFromAbove) return nudge("depth", own * sign === along(outward)[1] ? -4 : 4);
+  shift(isOutward ? ahead : direction, sign * stepOf(isOutward ? along(ahead)[0] : axis, isFine));
 }
 
 /** The axis and sign of one of the viewer's directions. */
 function along(direction: Triple): [number, number] {
   const axis = direction.findIndex((n) => n !== 0);
   return [axis, direction[axis]!];
+}
+
+/** A stick moves the probe by fractions of the box, over a surface as over a map. */
+function movePad(right: number, up: number, towards: number): void {
+  if (!state) return;
+  isFineStep = false;
+  const { directions } = state;
+  const isFromAbove = walks() && along(directions.up)[0] === along(directions.outward)[0];
+  for (const [direction, part] of [[directions.right, right], [isFromAbove ? directions.ahead : directions.up, up], [directions.towards, walks() ? 0 : towards]] as const)
+    if (part) shift(direction, part * (range(along(direction)[0])[1] - range(along(direction)[0])[0]));
 }
 
 let scanning = 0;
@@ -687,6 +884,59 @@ async function setSound(on: boolean): Promise<void> {
 function setContrast(on: boolean): void {
   document.documentElement.classList.toggle("contrast", on);
   press("contrast", on);
+  view.recolour();
+}
+
+/** Turn the view, and say from where it is seen. */
+function turn(across: number, height: number, nearer = 1): void {
+  if (view.isFlat) return say(WITHOUT_WEBGL);
+  view.orbit(across, height, nearer);
+  say(view.seenFrom());
+}
+
+/** A place that a key goes back to, from where it goes there again: two places are compared by hand. */
+let marked: { point: Triple; time: number } | null = null;
+
+function mark(): void {
+  if (!state) return;
+  marked = { point: state.point, time: state.time };
+  say("This place is marked: b goes back to it.");
+}
+
+function backToMark(): void {
+  if (!state) return;
+  if (!marked) return say("No place is marked: n marks one.");
+  const { point, time } = marked;
+  marked = { point: state.point, time: state.time };
+  void jump(point, time);
+}
+
+/** Put time and place into the address, which then opens the page there. */
+function linkHere(): void {
+  if (!state) return;
+  const place = state.point.map((m) => (1000 * m).toFixed(2)).join();
+  try {
+    history.replaceState(null, "", `#t=${state.time.toFixed(4)}&p=${place}`);
+    say("The address of the page now names this time and place.");
+  } catch {
+    say("The address cannot change within this frame.");
+  }
+}
+
+/** The time and place that the address names. */
+async function openLink(): Promise<void> {
+  const link = new URLSearchParams(location.hash.slice(1));
+  const place = (link.get("p") ?? "").split(",").map((mm) => Number(mm) / 1000);
+  const time = Number(link.get("t") ?? 0);
+  if (!state || !link.has("p") || place.length !== 3 || ![...place, time].every(Number.isFinite)) return;
+  await jump(place as Triple, Math.min(Math.max(time, 0), seconds()));
+}
+
+function showBraille(report: string): void {
+  press("braille", braille.isOpen);
+  message(report);
+  if (!state) return say(report); // the status line is not shown yet
+  if (braille.isOpen) feel(state.point);
 }
 
 const WHATS: What[] = ["decoded", "source", "difference"];
@@ -700,15 +950,21 @@ const ACTS: Record<string, (event: KeyboardEvent) => void> = {
   x: () => setAxis(0),
   y: () => setAxis(1),
   z: () => setAxis(2),
-  c: () => byId("open-cut").click(),
-  "+": () => view.orbit(0, 0, 1.15),
-  "=": () => view.orbit(0, 0, 1.15),
-  "-": () => view.orbit(0, 0, 1 / 1.15),
-  a: () => view.orbit(-0.12, 0),
-  d: () => view.orbit(0.12, 0),
-  w: () => view.orbit(0, 0.1),
-  q: () => view.orbit(0, -0.1),
-  r: () => view.reset(),
+  c: () => (view.isFlat ? say(WITHOUT_WEBGL) : byId("open-cut").click()),
+  "+": () => turn(0, 0, 1.15),
+  "=": () => turn(0, 0, 1.15),
+  "-": () => turn(0, 0, 1 / 1.15),
+  a: () => turn(-0.12, 0),
+  d: () => turn(0.12, 0),
+  w: () => turn(0, 0.1),
+  q: () => turn(0, -0.1),
+  r: () => (view.isFlat ? say(WITHOUT_WEBGL) : view.reset()),
+  f: () => setOnSurface(!isOnSurface),
+  n: mark,
+  b: backToMark,
+  l: linkHere,
+  Home: () => state && show(0),
+  End: () => state && show(seconds()),
   "<": () => nudge("depth", -4),
   ">": () => nudge("depth", 4),
   j: () => byId("jumps").querySelector("button")?.click(),
@@ -720,7 +976,7 @@ const ACTS: Record<string, (event: KeyboardEvent) => void> = {
   h: () => setContrast(!document.documentElement.classList.contains("contrast")),
   o: () => byId("file").click(),
   p: () => void saveFrames(false),
-  t: () => ((spokenAt = 0), speak()),
+  t: () => state && void decoder.request({ do: "feel", points: [] }).then(() => speak(true)), // after the moves that are under way
   "?": () => toggleHelp(),
   Escape: () => toggleHelp(true),
 };
@@ -744,8 +1000,7 @@ function wireKeys(): void {
       };
       const direction = moves[event.key];
       if (direction) {
-        const [axis, sign] = along(direction[0]);
-        move(axis, sign * direction[1], event.shiftKey);
+        step(...direction, event.shiftKey);
         return event.preventDefault();
       }
     }
@@ -794,6 +1049,14 @@ function wireControls(): void {
     press("rumble", sound.isRumbling);
   };
   byId("scan").onclick = scan;
+  byId("follow").onclick = (): void => setOnSurface(!isOnSurface);
+  byId("braille").hidden = !BrailleDisplay.isSupported;
+  byId("braille").onclick = (): void => void (braille.isOpen ? braille.close() : braille.connect());
+  byId<HTMLInputElement>("gain").oninput = (event): void => {
+    sound.gain = Number((event.target as HTMLInputElement).value) / 100;
+    text("gain-value", `${Math.round(100 * sound.gain)} %`);
+    if (state) showForce();
+  };
   for (const button of document.querySelectorAll<HTMLButtonElement>("[data-what]")) button.onclick = (): void => setWhat(button.dataset.what as What);
   byId("open-cut").onclick = (): void => {
     view.isOpen = !view.isOpen;
@@ -809,7 +1072,7 @@ function wireControls(): void {
   };
   byId<HTMLInputElement>("depth").oninput = (): void => {
     if (!state) return;
-    text("depth-value", millimetres(depth()));
+    showDepth();
     show(state.time);
   };
   byId<HTMLInputElement>("at").oninput = (event): void => {
@@ -830,6 +1093,7 @@ function wireControls(): void {
     const file = event.dataTransfer?.files[0];
     if (file) void openFile(file);
   });
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => view.recolour());
   keyList(byId("help"));
 }
 
@@ -875,18 +1139,24 @@ async function start(): Promise<void> {
   wireControls();
   wirePointer();
   wireKeys();
+  new Pads(movePad, (key) => document.body.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true })));
   const packed = new Blob([bytesOf("decoder")]).stream().pipeThrough(new DecompressionStream("gzip"));
   const module = await WebAssembly.compile(await new Response(packed).arrayBuffer());
   const script = URL.createObjectURL(new Blob([byId("worker").textContent!], { type: "text/javascript" }));
   decoder = new Decoder(module, script);
   hand = new Hand(module, script, showHand);
   const medium = byId("given-medium");
+  if (!medium.textContent!.trim()) {
+    waitFor("");
+    byId("empty").hidden = false;
+  }
   document.documentElement.dataset.state = "empty";
   if (!medium.textContent!.trim()) return void (await decoder.request({ do: "warm", data: bytesOf("sample"), times: 14 }));
   openMovie();
   const figures = JSON.parse(byId("given-figures").textContent!) as Given;
   const source = byId("given-source").textContent!.trim() ? bytesOf("given-source") : null;
   await openBytes(bytesOf("given-medium"), medium.dataset.name ?? "medium.touch", figures, source);
+  await openLink();
 }
 
 /** For tests, and for a page that has this one in a frame: what is open, and forces at points, newtons. */
@@ -907,4 +1177,7 @@ Object.assign(window, {
   },
 });
 
-void start();
+start().catch((error: unknown) => {
+  reportFault(error, "The page");
+  byId("empty").hidden = true;
+});

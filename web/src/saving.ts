@@ -15,13 +15,19 @@ export const message = (text: string): void => void (document.getElementById("sa
 
 const bytes = (n: number): string => (n < 10000 ? `${n} bytes` : n < 1e7 ? `${(n / 1000).toFixed(1)} kB` : `${(n / 1e6).toFixed(1)} MB`);
 
+/** A bound in four digits, never above it; a number that is a rounding error off one of four digits is that. */
+function roundedDown(bound: number): number {
+  const unit = 10 ** (Math.floor(Math.log10(bound)) - 3);
+  return bound > 0 ? +(unit * Math.floor((bound / unit) * (1 + 1e-9))).toPrecision(4) : 0;
+}
+
 /** The fields of the form for a file: all frames, and the bound of the file if it has one. */
 export function prepareSaving(head: Head): void {
   for (const id of ["save-from", "save-to"]) input(id).max = String(head.frames - 1);
   input("save-from").value = "0";
   input("save-to").value = String(head.frames - 1);
-  input("save-k").value = String(+(100 * (head.weber > 0 ? head.weber : 0.1)).toPrecision(12));
-  input("save-f0").value = String(head.weber > 0 || head.threshold > 0 ? head.threshold : 0.05);
+  input("save-k").value = String(roundedDown(100 * (head.weber > 0 ? head.weber : 0.1)));
+  input("save-f0").value = String(roundedDown(head.weber > 0 || head.threshold > 0 ? head.threshold : 0.05));
   (document.getElementById("save-range") as HTMLButtonElement).hidden = head.frames < 2;
   document.getElementById("saving")!.hidden = false;
   message(head.objects ? "Cannot be saved: the file has the coder objects, and the page saves fields of coder touch." : "");

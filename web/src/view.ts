@@ -1,9 +1,9 @@
 // Draws the three-dimensional view of the page (three.js): the surface where a hand first meets a force, a
 // slice with cones for forces, bodies, arrays of actuators, the workspace and the probe.
 import {
-  AmbientLight, BoxGeometry, BufferAttribute, BufferGeometry, Color, ConeGeometry, CylinderGeometry, DataTexture,
-  DirectionalLight, DoubleSide, EdgesGeometry, Group, InstancedMesh, LinearFilter, LineBasicMaterial, LineSegments, Matrix4, Mesh,
-  MeshBasicMaterial, MeshLambertMaterial, PerspectiveCamera, Plane, PlaneGeometry, Quaternion, RGBAFormat, Scene,
+  AmbientLight, BoxGeometry, BufferAttribute, BufferGeometry, Color, ConeGeometry, CylinderGeometry, DirectionalLight,
+  DoubleSide, EdgesGeometry, Group, InstancedMesh, LineBasicMaterial, LineSegments, Matrix4, Mesh, MeshBasicMaterial,
+  MeshLambertMaterial, PerspectiveCamera, Plane, PlaneGeometry, Quaternion, Scene,
   SphereGeometry, SRGBColorSpace, Vector3, WebGLRenderer, type Object3D,
 } from "three";
 import { type Directions } from "./axes";
@@ -13,7 +13,7 @@ import type { Away, Cut, Head, Mesh as Surface, Ray, Shown, Triple } from "./eng
 const ACCENT = 0xe8590c;
 const CONES = 30;
 const UP = new Vector3(0, 1, 0);
-const PIN_ARRAYS = /dot|pin|graphiti|braille/i;
+export const PIN_ARRAYS = /dot|pin|graphiti|braille/i;
 
 interface Label {
   element: HTMLSpanElement;
@@ -21,6 +21,7 @@ interface Label {
 }
 
 export class View {
+  readonly isFlat = false;
   readonly camera = new PerspectiveCamera(32, 1, 0.01, 60);
   isOpen = true;
   triangles = 0;
@@ -46,19 +47,28 @@ export class View {
   private isDue = false;
   private array: InstancedMesh | null = null;
   private cutAt: { axis: number; at: number } | null = null;
-  private texture: DataTexture | null = null;
-  private readonly sheet = new MeshBasicMaterial({ transparent: true, side: DoubleSide, depthWrite: false });
+  private readonly strongest = new Int32Array((CONES + 1) ** 2);
+  private readonly sheet = new MeshBasicMaterial({ transparent: true, side: DoubleSide, depthWrite: false, vertexColors: true });
   private readonly rim = line(0x0f172a);
+  private readonly ink = new MeshBasicMaterial({ depthTest: false, transparent: true });
   private readonly white = new MeshLambertMaterial({ color: 0xffffff, emissive: 0x333333 });
   private readonly lit = new MeshLambertMaterial({ vertexColors: true, side: DoubleSide, clippingPlanes: [this.clip] });
   onDrawn: (() => void) | null = null;
 
-  constructor(private readonly canvas: HTMLCanvasElement, private readonly overlay: HTMLElement) {
-    this.renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true });
+  constructor(private readonly canvas: HTMLCanvasElement, private readonly overlay: HTMLElement, context: WebGL2RenderingContext) {
+    this.renderer = new WebGLRenderer({ canvas, context, alpha: true });
     this.renderer.localClippingEnabled = true;
     this.scene.add(new AmbientLight(0xffffff, 0.9), this.light, this.root);
     new ResizeObserver(() => this.resize()).observe(canvas);
+    this.recolour();
     this.resize();
+  }
+
+  /** Draw lines with the colours of the page, which have changed. */
+  recolour(): void {
+    const isDark = getComputedStyle(document.documentElement).colorScheme.includes("dark");
+    for (const { color } of [this.rim, this.ink]) color.setHex(isDark ? 0xe6e9ef : 0x0f172a);
+    this.due();
   }
 
   /** Geometries, textures and programs that the graphics card stores. */
@@ -105,6 +115,7 @@ export class View {
     const edges = new LineSegments(new EdgesGeometry(new BoxGeometry(...this.side.toArray())), line(0x8a94a6));
     edges.position.copy(this.low).addScaledVector(this.side, 0.5);
     this.slice.clear();
+    this.slice.userData.key = "";
     this.probe.clear();
     this.root.add(edges, this.slice, this.probe);
     this.makeProbe();
@@ -125,6 +136,15 @@ export class View {
     const isPinned = this.isPins();
     this.turn = this.head?.type === 2 ? { across: 0.3, height: isPinned ? 0.6 : 0.25, distance: isPinned ? 3.9 : 5 } : { across: isFront ? 0.5 : 0.9, height: isFront ? 0.3 : 0.55, distance: 3.9 };
     this.due();
+  }
+
+  /** From where the camera looks. */
+  seenFrom(): string {
+    const degrees = Math.round((this.turn.across * 180) / Math.PI / 5) * 5;
+    const side = ((((degrees + 180) % 360) + 360) % 360) - 180;
+    const around = side === 0 ? "the front" : side === -180 ? "behind" : `${Math.abs(side)} degrees to the ${side > 0 ? "right" : "left"} of the front`;
+    const height = Math.round((this.turn.height * 180) / Math.PI);
+    return `Seen from ${around}, ${Math.abs(height)} degrees ${height < 0 ? "below" : "above"}.`;
   }
 
   /** Turn the camera, radians, and come nearer by a factor. */
@@ -184,19 +204,19 @@ export class View {
     for (const child of [...group.children]) dispose(child, false), group.remove(child);
     const count = mesh.vertex.length / 7;
     if (!count) return;
-    const [positions, normals, colours] = [new Float32Array(3 * count), new Float32Array(3 * count), new Uint8Array(3 * count)];
+    const [positions, normals, colours] = [new Float32Array(3 * count), new Float32Array(3 * count), new Float32Array(3 * count)];
     for (let i = 0; i < count; i++) {
       for (let k = 0; k < 3; k++) {
         positions[3 * i + k] = mesh.vertex[7 * i + k]!;
         normals[3 * i + k] = mesh.vertex[7 * i + 3 + k]!;
       }
       const at = rowOf(mesh.vertex[7 * i + 6]! / this.top, this.limit);
-      for (let k = 0; k < 3; k++) colours[3 * i + k] = TABLE[at + k]!;
+      for (let k = 0; k < 3; k++) colours[3 * i + k] = LINEAR[at + k]!;
     }
     const geometry = new BufferGeometry();
     geometry.setAttribute("position", new BufferAttribute(positions, 3));
     geometry.setAttribute("normal", new BufferAttribute(normals, 3));
-    geometry.setAttribute("color", new BufferAttribute(linear(colours), 3));
+    geometry.setAttribute("color", new BufferAttribute(colours, 3));
     geometry.setIndex(new BufferAttribute(mesh.index, 1));
     group.add(new Mesh(geometry, this.lit));
     this.triangles = this.parts.reduce((sum, p) => sum + p.children.reduce((n, c) => n + triangles(c), 0), 0);
@@ -244,50 +264,65 @@ export class View {
 
   /** The slice: |F| as colours, cones where the force points, and what is in front of it cut open. */
   cut(cut: Cut): void {
-    const [a, b] = [(cut.axis + 1) % 3, (cut.axis + 2) % 3] as [number, number];
     this.cutAt = { axis: cut.axis, at: cut.at };
-    for (const child of [...this.slice.children]) dispose(child, false), this.slice.remove(child);
-    const pixels = new Uint8Array(4 * cut.across * cut.up);
-    for (let i = 0; i < cut.across; i++)
-      for (let j = 0; j < cut.up; j++) {
-        const n = 3 * (i * cut.up + j);
-        const size = Math.hypot(cut.forces[n]!, cut.forces[n + 1]!, cut.forces[n + 2]!) / this.top;
-        const at = 4 * (j * cut.across + i);
-        const row = rowOf(size, this.limit);
-        for (let k = 0; k < 3; k++) pixels[at + k] = size > 1e-3 ? TABLE[row + k]! : 255;
-        pixels[at + 3] = size > 1e-3 ? 255 : 18;
-      }
-    this.paint(pixels, cut.across, cut.up);
-    const [wide, high] = [this.side.getComponent(a), this.side.getComponent(b)];
-    const sheet = new Mesh(new PlaneGeometry(wide, high), this.sheet);
-    const basis = new Matrix4().makeBasis(axisVector(a), axisVector(b), axisVector(cut.axis));
-    const middle = this.low.clone().addScaledVector(this.side, 0.5).setComponent(cut.axis, cut.at);
-    sheet.applyMatrix4(basis);
-    sheet.position.copy(middle);
-    const frame = new LineSegments(new EdgesGeometry(new PlaneGeometry(wide, high)), this.rim);
-    frame.applyMatrix4(basis);
-    frame.position.copy(middle);
-    this.slice.add(sheet, frame, this.arrows(cut, a, b));
-    this.slice.visible = true;
+    const key = [cut.axis, cut.across, cut.up].join();
+    if (this.slice.userData.key !== key) this.makeSlice(cut);
+    this.slice.userData.key = key;
+    const [sheet, , cones] = this.slice.children as [Mesh, LineSegments, InstancedMesh];
+    this.slice.position.setComponent(cut.axis, cut.at);
+    const colours = sheet.geometry.getAttribute("color") as BufferAttribute;
+    this.paint(cut, colours.array as Float32Array);
+    colours.needsUpdate = true;
+    this.arrows(cut, cones);
     this.setClip();
     if (!this.labels.some((l) => l.element.classList.contains("handle")))
       this.label("↔ drag the slice", () => this.handle(), "handle");
     this.due();
   }
 
-  /** The picture of the slice; its memory is reused while its size stays. */
-  private paint(pixels: Uint8Array<ArrayBuffer>, across: number, up: number): void {
-    const old = this.texture?.image as { data: Uint8Array; width: number; height: number } | undefined;
-    if (old?.width === across && old.height === up) old.data.set(pixels);
-    else {
-      this.texture?.dispose();
-      this.texture = new DataTexture(pixels, across, up, RGBAFormat);
-      this.texture.colorSpace = SRGBColorSpace;
-      this.texture.magFilter = LinearFilter;
-      this.sheet.map = this.texture;
-      this.sheet.needsUpdate = true;
-    }
-    this.texture!.needsUpdate = true;
+  /** The objects of a slice, which stay until its axis or its number of samples changes. */
+  private makeSlice(cut: Cut): void {
+    for (const child of [...this.slice.children]) dispose(child, false), this.slice.remove(child);
+    const [a, b] = [(cut.axis + 1) % 3, (cut.axis + 2) % 3] as [number, number];
+    const sheet = new Mesh(this.sheetOf(cut, a, b), this.sheet);
+    const frame = new LineSegments(new EdgesGeometry(new PlaneGeometry(this.side.getComponent(a), this.side.getComponent(b))), this.rim);
+    frame.applyMatrix4(new Matrix4().makeBasis(axisVector(a), axisVector(b), axisVector(cut.axis)));
+    frame.position.copy(this.low).addScaledVector(this.side, 0.5).setComponent(cut.axis, 0);
+    const cones = new InstancedMesh(new ConeGeometry(0.2, 1, 10).translate(0, 0.5, 0), this.white, (CONES + 1) ** 2);
+    cones.frustumCulled = false;
+    this.slice.position.set(0, 0, 0);
+    this.slice.add(sheet, frame, cones);
+  }
+
+  /** A sheet with a vertex at each sample; those at its rim lie on the rim of the box. */
+  private sheetOf(cut: Cut, a: number, b: number): BufferGeometry {
+    const [m, n] = [Math.max(cut.across, 2), Math.max(cut.up, 2)];
+    const along = (i: number, count: number, axis: number): number =>
+      this.low.getComponent(axis) + this.side.getComponent(axis) * (i === 0 ? 0 : i === count - 1 ? 1 : (i + 0.5) / count);
+    const positions = new Float32Array(3 * m * n);
+    const index: number[] = [];
+    for (let i = 0; i < m; i++)
+      for (let j = 0; j < n; j++) {
+        const at = i * n + j;
+        positions[3 * at + a] = along(i, m, a);
+        positions[3 * at + b] = along(j, n, b);
+        if (i && j) index.push(at, at - 1, at - n, at - 1, at - n - 1, at - n);
+      }
+    const geometry = new BufferGeometry().setIndex(index);
+    geometry.setAttribute("position", new BufferAttribute(positions, 3));
+    return geometry.setAttribute("color", new BufferAttribute(new Float32Array(4 * m * n), 4));
+  }
+
+  /** The colours of the vertices of a sheet, as the light adds them up; where there is no force, it is nearly clear. */
+  private paint(cut: Cut, colours: Float32Array): void {
+    const [m, n] = [Math.max(cut.across, 2), Math.max(cut.up, 2)];
+    for (let i = 0, to = 0; i < m; i++)
+      for (let j = 0; j < n; j++, to += 4) {
+        const size = sizeAt(cut.forces, Math.min(i, cut.across - 1) * cut.up + Math.min(j, cut.up - 1)) / this.top;
+        const row = rowOf(size, this.limit);
+        for (let k = 0; k < 3; k++) colours[to + k] = size > 1e-3 ? LINEAR[row + k]! : 1;
+        colours[to + 3] = size > 1e-3 ? 1 : 0.07;
+      }
   }
 
   /** Where the slice is dragged: the corner of it that lies highest, to the right, on the screen. */
@@ -307,32 +342,31 @@ export class View {
     return best;
   }
 
-  private arrows(cut: Cut, a: number, b: number): Object3D {
+  /** Turn and place the cones of a slice: in each cell the largest force. */
+  private arrows(cut: Cut, cones: InstancedMesh): void {
+    const [a, b] = [(cut.axis + 1) % 3, (cut.axis + 2) % 3] as [number, number];
     const cell = Math.max(this.side.getComponent(a), this.side.getComponent(b)) / CONES;
     const step = [this.side.getComponent(a) / cut.across, this.side.getComponent(b) / cut.up];
-    const strongest = new Map<string, number>();
-    for (let i = 0; i < cut.across; i++)
-      for (let j = 0; j < cut.up; j++) {
-        const key = `${Math.floor((i * step[0]!) / cell)},${Math.floor((j * step[1]!) / cell)}`;
-        const n = i * cut.up + j;
-        const old = strongest.get(key);
-        if (sizeAt(cut.forces, n) > 0.01 * this.top && (old === undefined || sizeAt(cut.forces, n) > sizeAt(cut.forces, old))) strongest.set(key, n);
-      }
-    this.cones = strongest.size;
-    const cones = new InstancedMesh(new ConeGeometry(0.2, 1, 10).translate(0, 0.5, 0), this.white, strongest.size);
-    const matrix = new Matrix4();
-    let at = 0;
-    for (const n of strongest.values()) {
-      const force = new Vector3().fromArray(cut.forces, 3 * n);
-      const size = force.length();
-      const position = this.low.clone().setComponent(cut.axis, cut.at);
-      position.setComponent(a, position.getComponent(a) + (Math.floor(n / cut.up) + 0.5) * step[0]!);
-      position.setComponent(b, position.getComponent(b) + ((n % cut.up) + 0.5) * step[1]!);
-      const length = cell * (0.55 + 0.75 * Math.min(size / this.top, 1));
-      matrix.compose(position, new Quaternion().setFromUnitVectors(UP, force.divideScalar(size)), new Vector3().setScalar(length));
-      cones.setMatrixAt(at++, matrix);
+    this.strongest.fill(-1);
+    for (let n = 0; n < cut.across * cut.up; n++) {
+      const at = (CONES + 1) * Math.floor((Math.floor(n / cut.up) * step[0]!) / cell) + Math.floor(((n % cut.up) * step[1]!) / cell);
+      const old = this.strongest[at]!;
+      if (sizeAt(cut.forces, n) > (old < 0 ? 0.01 * this.top : sizeAt(cut.forces, old))) this.strongest[at] = n;
     }
-    return cones;
+    const [matrix, force, position, turn, scale] = [new Matrix4(), new Vector3(), new Vector3(), new Quaternion(), new Vector3()];
+    this.cones = 0;
+    for (const n of this.strongest) {
+      if (n < 0) continue;
+      force.fromArray(cut.forces, 3 * n);
+      const size = force.length();
+      position.setComponent(cut.axis, 0);
+      position.setComponent(a, this.low.getComponent(a) + (Math.floor(n / cut.up) + 0.5) * step[0]!);
+      position.setComponent(b, this.low.getComponent(b) + ((n % cut.up) + 0.5) * step[1]!);
+      const length = cell * (0.55 + 0.75 * Math.min(size / this.top, 1));
+      cones.setMatrixAt(this.cones++, matrix.compose(position, turn.setFromUnitVectors(UP, force.divideScalar(size)), scale.setScalar(length)));
+    }
+    cones.count = this.cones;
+    cones.instanceMatrix.needsUpdate = true;
   }
 
   setClip(): void {
@@ -355,9 +389,9 @@ export class View {
     const [sphere, rod] = [new SphereGeometry(1, 24, 16), new CylinderGeometry(1, 1, 1, 12).translate(0, 0.5, 0)];
     const cone = new ConeGeometry(1.1 * radius, 2.6 * radius, 16).translate(0, 1.3 * radius, 0);
     const over = { depthTest: false, transparent: true };
-    const [orange, white, dark] = [ACCENT, 0xffffff, 0x0f172a].map((color) => new MeshBasicMaterial({ ...over, color })) as [MeshBasicMaterial, MeshBasicMaterial, MeshBasicMaterial];
-    const [ball, rim, edge, proxy] = [new Mesh(sphere, orange), new Mesh(sphere, white), new Mesh(sphere, dark), new Mesh(sphere, white)];
-    const [shaft, tip, string] = [new Mesh(rod, orange), new Mesh(cone, orange), new Mesh(rod, dark)];
+    const [orange, white] = [ACCENT, 0xffffff].map((color) => new MeshBasicMaterial({ ...over, color })) as [MeshBasicMaterial, MeshBasicMaterial];
+    const [ball, rim, edge, proxy] = [new Mesh(sphere, orange), new Mesh(sphere, white), new Mesh(sphere, this.ink), new Mesh(sphere, white)];
+    const [shaft, tip, string] = [new Mesh(rod, orange), new Mesh(cone, orange), new Mesh(rod, this.ink)];
     for (const [mesh, size] of [[ball, 1], [rim, 1.35], [edge, 0.9], [proxy, 0.7]] as const) mesh.scale.setScalar(size * radius);
     string.renderOrder = 10;
     edge.renderOrder = 11;
@@ -402,6 +436,11 @@ export class View {
   }
 
   // -- screen -------------------------------------------------------------------------------------------------------
+
+  /** The view has no plane of its own: the page asks for the ray. */
+  pointAt(_x: number, _y: number): Triple | null {
+    return null;
+  }
 
   /** The ray through a position on the screen, metres. */
   ray(x: number, y: number): Ray {
@@ -497,15 +536,17 @@ export class View {
     this.setClip();
     this.renderer.render(this.scene, this.camera);
     const { clientWidth: width, clientHeight: height } = this.canvas;
-    for (const { element, position } of this.labels) {
+    const halves = this.labels.map(({ element }) => element.offsetWidth / 2); // read before anything is written
+    this.labels.forEach(({ element, position }, n) => {
       const at = position();
       element.hidden = !at || !element.textContent;
-      if (!at) continue;
+      if (!at) return;
       const p = this.toScreen(at);
       const lift = element.classList.contains("probe") ? 26 : 0;
-      element.style.left = `${Math.min(Math.max((width * (p.x + 1)) / 2 + lift, 50), width - 50)}px`;
+      const half = halves[n]! + 4;
+      element.style.left = `${Math.min(Math.max((width * (p.x + 1)) / 2 + lift, half), Math.max(width - half, half))}px`;
       element.style.top = `${Math.min(Math.max((height * (1 - p.y)) / 2 + lift, 14), height - 14)}px`;
-    }
+    });
     if (this.head) this.onDrawn?.();
   }
 }
@@ -532,11 +573,8 @@ function triangles(child: Object3D): number {
   return ((child as Mesh).geometry?.index?.count ?? 0) / 3;
 }
 
-/** Colours as the light adds them up. */
-function linear(colours: Uint8Array): Float32Array {
-  const table = Float32Array.from({ length: 256 }, (_, n) => new Color().setRGB(n / 255, 0, 0, SRGBColorSpace).r);
-  return Float32Array.from(colours, (n) => table[n]!);
-}
+/** The colours of TABLE as the light adds them up. */
+const LINEAR = Float32Array.from(TABLE, (n) => new Color().setRGB(n / 255, 0, 0, SRGBColorSpace).r);
 
 /** Give back what the graphics card stores of a thing; materials that others share are left. */
 function dispose(child: Object3D, withMaterials = true): void {
