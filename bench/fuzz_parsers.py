@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import re
-import shutil
 import sys
 import tempfile
 import time
@@ -55,82 +54,82 @@ class Tally:
 
 
 class Child:
-    """A process that runs cases of one format."""
+    """A process that runs cases, and is started anew after one that ended it."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self) -> None:
+        self.name, self.pipe, self.process = "", *self._started()
+
+    def _started(self) -> tuple[Any, Any]:
         context = multiprocessing.get_context("spawn")
-        self.pipe, other = context.Pipe()
-        self.process = context.Process(target=serve, args=(other, name), daemon=True)
-        self.process.start()
+        pipe, other = context.Pipe()
+        process = context.Process(target=serve, args=(other,), daemon=True)
+        process.start()
         other.close()
-        self.is_alive = self._answer(START_SECONDS) == "ready"
+        return pipe, process
 
-    def run(self, seed: int, number: int) -> Outcome:
+    def prepare(self, name: str) -> None:
+        """Warm a format up; RuntimeError if a valid input cannot be read."""
+        if not self.process.is_alive():
+            self.pipe, self.process = self._started()
+        self.name = name
+        answer = self._answer((name,), START_SECONDS)
+        if answer != "ready":
+            raise RuntimeError(answer or f"{name}: the process ended while it read valid inputs")
+
+    def run(self, name: str, seed: int, number: int) -> Outcome:
         """Run a case; its outcome if the process dies or hangs."""
-        try:
-            self.pipe.send((seed, number))
-            found = self._answer(WAIT_SECONDS)
-        except OSError:
-            found = None
+        if name != self.name or not self.process.is_alive():
+            self.prepare(name)
+        found = self._answer((name, seed, number), WAIT_SECONDS)
         if isinstance(found, Outcome):
             return found
-        self.end()
+        self.process.join(0.5)
         code = self.process.exitcode
-        return Outcome("FAULT", "the process hung" if code in (None, -9, -15) else f"the process died, status {code}")
+        self.end()
+        return Outcome("FAULT", "the process hung" if code is None else f"the process died, status {code}")
 
-    def _answer(self, patience_s: float) -> Any:
+    def save(self, name: str, seed: int, number: int, folder: Path) -> None:
+        """Write the input of a case below `folder`."""
+        if name != self.name or not self.process.is_alive():
+            self.prepare(name)
+        folder.mkdir(parents=True, exist_ok=True)
+        target = folder.resolve() / f"{name} {seed} {number}".replace(" ", "-")
+        self._answer((name, seed, number, target), WAIT_SECONDS)
+
+    def _answer(self, message: tuple[Any, ...], patience_s: float) -> Any:
         try:
+            self.pipe.send(message)
             return self.pipe.recv() if self.pipe.poll(patience_s) else None
         except (EOFError, OSError):
             return None
 
     def end(self) -> None:
         """End the process."""
-        self.is_alive = False
-        self.process.join(0.5)
         self.process.kill()
         self.process.join()
 
 
 def fuzz(
-    name: str, runs: int, seconds: float, seed: int = 0, first: int = 0, folder: Path | None = None
+    child: Child,
+    name: str,
+    runs: int,
+    seconds: float,
+    seed: int = 0,
+    first: int = 0,
+    folder: Path | None = None,
 ) -> Tally:
     """Run cases of a format, and save the first input of each fault below `folder`."""
-    tally, number, child = Tally(name), first, Child(name)
+    tally, number = Tally(name), first
+    child.prepare(name)
     end_s = time.monotonic() + seconds
-    if not child.is_alive:
-        child.end()
-        raise RuntimeError(f"{name}: a valid input cannot be read; see --replay")
-    while number < first + runs and (time.monotonic() < end_s or number == first):
-        if not child.is_alive:
-            child = Child(name)
-        outcome = child.run(seed, number)
+    while number < first + runs and time.monotonic() < end_s:
+        outcome = child.run(name, seed, number)
         if tally.add(number, outcome):
             print(f"{name} {seed} {number}: {outcome.text} ({outcome.site})", flush=True)
             if folder is not None:
-                save(name, seed, number, folder)
+                child.save(name, seed, number, folder)
         number += 1
-    child.end()
     return tally
-
-
-def save(name: str, seed: int, number: int, folder: Path) -> None:
-    """Write the input of a case below `folder`."""
-    target = folder / f"{name} {seed} {number}".replace(" ", "-")
-    shutil.rmtree(target, ignore_errors=True)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    context = multiprocessing.get_context("spawn")
-    process = context.Process(target=_save, args=(name, seed, number, target))
-    process.start()
-    process.join()
-
-
-def _save(name: str, seed: int, number: int, target: Path) -> None:
-    with tempfile.TemporaryDirectory() as root:
-        bench, chosen = Bench(Path(root).resolve()), _format(name)
-        _, path, damaged, content, _ = bench.damage(chosen, seed, number)
-        damaged.unlink() if content is None else damaged.write_bytes(content)
-        shutil.copytree(bench.folder / damaged.relative_to(bench.folder).parts[0], target)
 
 
 def _format(name: str) -> Any:
@@ -163,16 +162,17 @@ def main() -> int:
     if options.replay:
         replay(options.replay[0], int(options.replay[1]), int(options.replay[2]))
         return 0
-    faults = 0
+    faults, child = 0, Child()
     for name in options.only or [entry.name for entry in formats()]:
         start_s = time.monotonic()
-        tally = fuzz(name, options.runs, options.seconds, options.seed, options.first, options.folder)
+        tally = fuzz(child, name, options.runs, options.seconds, options.seed, options.first, options.folder)
         faults += tally.counts["FAULT"]
         print(
             f"{name}: {dict(tally.counts)}, {len(tally.faults)} distinct faults, slowest {tally.slowest_s:.2f} s, "
             f"peak {tally.peak_mib:.0f} MiB, {time.monotonic() - start_s:.0f} s",
             flush=True,
         )
+    child.end()
     return int(faults > 0)
 
 

@@ -11,7 +11,6 @@ import json
 import random
 import re
 import struct
-import zlib
 from collections.abc import Callable, Iterator
 from copy import deepcopy
 from typing import Any, Final
@@ -29,7 +28,16 @@ OUTSIDE: Final = "../outside/secret"
 """Path of the files that no reader may open, without the ending; `fuzz_parsers` lays them there."""
 ODD_TEXTS: Final = (
     *("", " ", "\0", "a\0b", "x" * 5000, "../..", "/", "/etc/passwd", OUTSIDE, "C:\\x", "a/" * 40),
-    *("\x1b[2J", "\u202etxt.exe", "é\ud800", "%s%n", "{0}", "NaN", "file:///etc/passwd", "http://127.0.0.1:9/x"),
+    *(
+        "\x1b[2J",
+        "\u202etxt.exe",
+        "é\ud800",
+        "%s%n",
+        "{0}",
+        "NaN",
+        "file:///etc/passwd",
+        "http://127.0.0.1:9/x",
+    ),
     *("data:,", "data:;base64,!!!!", "..", ".", "~", "-", "1" * 5000),
 )
 ODD_INTEGERS: Final = (0, 1, 2, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 1 << 24, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF)
@@ -213,7 +221,9 @@ def _change_element(element: Any, root: Any, rng: random.Random) -> None:
 
 
 def _xml_value(text: str, rng: random.Random) -> str:
-    changed = rng.choice((changed_tokens(text, rng), rng.choice(ODD_TEXTS), rng.choice(ODD_NUMBERS), "@entity@"))
+    changed = rng.choice(
+        (changed_tokens(text, rng), rng.choice(ODD_TEXTS), rng.choice(ODD_NUMBERS), "@entity@")
+    )
     return re.sub("[\0-\x08\x0b-\x1f\ud800]", "?", changed)  # these would make it no XML
 
 

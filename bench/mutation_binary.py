@@ -6,6 +6,7 @@ import io
 import random
 import re
 import struct
+import warnings
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -62,7 +63,9 @@ def parts_of(split: Split, join: Join, inner: Callable[[bytes], Mutator | None])
                 other = rng.randrange(len(parts))
                 parts[at], parts[other] = parts[other], parts[at]
             case 3:
-                parts[at] = part._replace(tag=rng.choice((rng.choice(parts).tag, rng.randbytes(len(part.tag)))))
+                parts[at] = part._replace(
+                    tag=rng.choice((rng.choice(parts).tag, rng.randbytes(len(part.tag))))
+                )
             case 4:
                 off[at] = rng.choice((*WIDE_INTEGERS, -1, -4, 5))
             case _:
@@ -108,7 +111,11 @@ def _png_head(data: bytes, at: int) -> tuple[int, bytes, int, int]:
 
 def _png_part(part: Part, off: int) -> bytes:
     check = zlib.crc32(part.tag + part.data)
-    return struct.pack(">I4s", (len(part.data) + off) & 0xFFFFFFFF, part.tag) + part.data + struct.pack(">I", check)
+    return (
+        struct.pack(">I4s", (len(part.data) + off) & 0xFFFFFFFF, part.tag)
+        + part.data
+        + struct.pack(">I", check)
+    )
 
 
 def _deflated(data: bytes, rng: random.Random) -> bytes:
@@ -125,9 +132,7 @@ def _words(data: bytes, rng: random.Random, order: str = ">") -> bytes:
     return data[:at] + struct.pack(order + "I", rng.choice(ODD_INTEGERS)) + data[at + 4 :]
 
 
-png = parts_of(
-    split_by(_png_head, 8), _png_part, {b"IDAT": _deflated, b"IHDR": one_of(raw, _words)}.get
-)
+png = parts_of(split_by(_png_head, 8), _png_part, {b"IDAT": _deflated, b"IHDR": one_of(raw, _words)}.get)
 
 
 def _glb_head(data: bytes, at: int) -> tuple[int, bytes, int, int]:
@@ -171,9 +176,7 @@ def boxes(data: bytes, rng: random.Random) -> bytes:
 
 _NESTED: Final = frozenset((b"moov", b"trak", b"mdia", b"minf", b"stbl", b"edts", b"mvex", b"moof", b"traf"))
 _box_content: Final = one_of(raw, _words, _words)
-_boxes = parts_of(
-    split_by(_box_head, 0), _box, lambda tag: boxes if tag in _NESTED else _box_content
-)
+_boxes = parts_of(split_by(_box_head, 0), _box, lambda tag: boxes if tag in _NESTED else _box_content)
 
 
 def _element_head(data: bytes, at: int) -> tuple[int, bytes, int, int]:
@@ -222,7 +225,9 @@ def packets(data: bytes, rng: random.Random, size: int = 188) -> bytes:
             each[at] = each[at][: rng.randrange(1, size)]
         case 4:  # header, adaptation field and PES header
             head = bytearray(each[at])
-            head[rng.randrange(1, 30) % len(head)] = rng.choice((0, 1, 0x47, 0x80, 0xB7, 0xFF, rng.randrange(256)))
+            head[rng.randrange(1, 30) % len(head)] = rng.choice(
+                (0, 1, 0x47, 0x80, 0xB7, 0xFF, rng.randrange(256))
+            )
             each[at] = bytes(head)
         case _:
             each[at] = raw(each[at], rng)
@@ -253,7 +258,11 @@ def _chunk(data: bytes, rng: random.Random) -> bytes:
 
 
 _text_or_words = one_of(raw, _words, lambda data, rng: columns(data, rng))
-_RECORD_KINDS: Final[dict[bytes, Mutator]] = {b"\x06": _chunk, b"\x03": _text_or_words, b"\x04": _text_or_words}
+_RECORD_KINDS: Final[dict[bytes, Mutator]] = {
+    b"\x06": _chunk,
+    b"\x03": _text_or_words,
+    b"\x04": _text_or_words,
+}
 _mcap_records = parts_of(split_by(_record_head, 0), _record, _RECORD_KINDS.get)
 mcap = parts_of(split_by(_record_head, 8), _record, _RECORD_KINDS.get)
 
@@ -342,7 +351,9 @@ def tiff(data: bytes, rng: random.Random) -> bytes:
     out, start = bytearray(data), rng.choice(starts)
     count = struct.unpack_from(order + "H", data, start)[0]
     entry = start + 2 + 12 * rng.randrange(count or 1)
-    where, form = rng.choice(((entry, "H"), (entry + 2, "H"), (entry + 4, "I"), (entry + 8, "I"), (start, "H")))
+    where, form = rng.choice(
+        ((entry, "H"), (entry + 2, "H"), (entry + 4, "I"), (entry + 8, "I"), (start, "H"))
+    )
     width = struct.calcsize(form)
     if where + width > len(out):
         raise Malformed
@@ -353,7 +364,16 @@ def tiff(data: bytes, rng: random.Random) -> bytes:
     return bytes(out)
 
 
-_SHAPES: Final = ("()", "(0,)", "(1,)", "(-1,)", "(1000000000000,)", "(3, 3)", "(2, 3, 4, 5, 6)", "(99999999,)")
+_SHAPES: Final = (
+    "()",
+    "(0,)",
+    "(1,)",
+    "(-1,)",
+    "(1000000000000,)",
+    "(3, 3)",
+    "(2, 3, 4, 5, 6)",
+    "(99999999,)",
+)
 _TYPES: Final = ("<f8", ">f4", "<i2", "|u1", "|O", "<U9", "|S3", "<c16", "<M8[ns]", "|V0", "|b1", "<f2", "x")
 
 
@@ -417,7 +437,8 @@ def _zipped(members: list[tuple[str, bytes]], rng: random.Random) -> bytes:
     file = io.BytesIO()
     method = rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_DEFLATED, zipfile.ZIP_LZMA))
     try:
-        with zipfile.ZipFile(file, "w", method) as target:
+        with warnings.catch_warnings(), zipfile.ZipFile(file, "w", method) as target:
+            warnings.simplefilter("ignore")  # two members of one name
             for name, content in members:
                 target.writestr(zipfile.ZipInfo(name.replace("\ud800", "?") or "x"), content, method)
     except (ValueError, UnicodeError, struct.error):

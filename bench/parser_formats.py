@@ -82,12 +82,12 @@ def encode(path: Path, out: Path, options: dict[str, Any]) -> object:
 
 def read_effect(path: Path, out: Path, options: dict[str, Any]) -> object:
     """Read an effect as `touchfield import` does, and make its medium; nothing is encoded."""
-    from touchfield.filters.device_spec import device_grid
     from touchfield.exchange.ahap import read_ahap
     from touchfield.exchange.haptic_read import read_haptic
     from touchfield.exchange.hjif_import import read_hjif_array
     from touchfield.exchange.symbolic import effect_device, effect_medium
     from touchfield.exchange.tact_read import read_tact
+    from touchfield.filters.device_spec import device_grid
 
     readers = {".ahap": read_ahap, ".haptic": read_haptic, ".tact": read_tact}
     pattern = readers.get(path.suffix, read_hjif_array)(path)
@@ -116,7 +116,7 @@ def decode(path: Path, out: Path, options: dict[str, Any]) -> object:
         for i in range(len(medium)):
             medium[i]
             _ = vibration and vibration(i)
-        return stored_materials(opened.head.provenance)
+        return stored_materials(medium.provenance)
 
 
 def load_index(path: Path, out: Path, options: dict[str, Any]) -> object:
@@ -224,13 +224,23 @@ def stream() -> bytes:
         return (Path(folder) / "a.touch").read_bytes()
 
 
+def whole_file() -> bytes:
+    """Return `stream` with the record of its start, as an attachment has it."""
+    from touchfield.container import TouchReader
+    from touchfield.network.touch_track import with_sync
+
+    with TouchReader(BytesIO(stream())) as reader:
+        first, last = reader.segments[0], reader.segments[-1]
+    return with_sync(stream()[: last.offset + last.length], first.offset, 0.021)
+
+
 def movie_bytes(maker: str, **options: Any) -> bytes:
     """Return a movie with the touch of `stream`, of a function of `movie_makers`."""
     import movie_makers as movies
 
     samples = movies.samples_of(stream(), 0.021, 0.021)
     if maker == "matroska":
-        return movies.matroska([samples[0][1], stream()], **options)
+        return movies.matroska([b"a font", whole_file()], **options)
     if maker == "klv":
         samples = [(at_s, movies.triplet(data)) for at_s, data in samples]
         maker = "transport_stream"
@@ -283,7 +293,10 @@ def effect_files() -> dict[str, tuple[Seed, ...]]:
     curve = {
         "ParameterID": "HapticIntensityControl",
         "Time": 0,
-        "ParameterCurveControlPoints": [{"Time": 0, "ParameterValue": 0.5}, {"Time": 0.2, "ParameterValue": 1}],
+        "ParameterCurveControlPoints": [
+            {"Time": 0, "ParameterValue": 0.5},
+            {"Time": 0.2, "ParameterValue": 1},
+        ],
     }
     tap = {"Event": {"Time": 0.2, "EventType": "HapticTransient", "EventParameters": []}}
     pattern = {"Version": 1.0, "Pattern": [tap, {"ParameterCurve": curve}]}
@@ -370,8 +383,13 @@ def write_wav(folder: Path) -> Path:
     return folder / "oak 100mm_s 1.0n.wav"
 
 
-TRACE: Final = "t_s,x_m,y_m,z_m\n" + "".join(f"{0.01 * i:g},{0.001 * i:g},0.0,{-0.002 * i:g}\n" for i in range(20))
-FORCES: Final = "x_m,y_m,z_m,fx_n,fy_n,fz_n\n" + "".join(f"{i % 3},{i % 4},{i % 5},0.1,0,{i}\n" for i in range(20))
+TRACE: Final = "t_s,x_m,y_m,z_m\n" + "".join(
+    f"{0.01 * i:g},{0.001 * i:g},0.0,{-0.002 * i:g}\n" for i in range(20)
+)
+TAPS: Final = "t_s,a_m_s2\n" + "".join(f"{0.001 * i:.3f},{i % 7 - 3}\n" for i in range(300))
+FORCES: Final = "x_m,y_m,z_m,fx_n,fy_n,fz_n\n" + "".join(
+    f"{i % 3},{i % 4},{i % 5},0.1,0,{i}\n" for i in range(20)
+)
 
 
 # -- mutators of files, by ending --------------------------------------------------------------------------
@@ -467,7 +485,7 @@ def formats() -> tuple[Format, ...]:
         Format("tact", read_effect, effects["tact"]),
         Format("CSV of contacts", encode, (fewer(scenes.write_contacts, 60),)),
         Format("CSV of a hand", read_trace, (file_of("hand.csv", TRACE), file_of("felt.csv", FORCES))),
-        Format("recording", read_recording, (Seed(write_wav), file_of("oak 100mm_s 1n.csv", TRACE))),
+        Format("recording", read_recording, (Seed(write_wav), file_of("oak 100mm_s 1n.csv", TAPS))),
         Format("MCAP", encode, seeds("mcap")),
         Format("ROS 1 bag", encode, seeds("ros 1 bag")),
         Format("ROS 2 bag", encode, seeds("ros 2 bag")),
@@ -497,7 +515,9 @@ def formats() -> tuple[Format, ...]:
         Format("URDF", encode, seeds("urdf")),
         Format("TOML", encode, seeds("shapes", "bodies")),
         Format("TIFF", encode, seeds("geotiff", "geotiff, gaps", "tiff pages", **stacks), (".tif",)),
-        Format("PNG", encode, (*seeds("depth picture", "plain folder", **stacks), *seeds("grey png")), (".png",)),
+        Format(
+            "PNG", encode, (*seeds("depth picture", "plain folder", **stacks), *seeds("grey png")), (".png",)
+        ),
         Format("LAS", encode, (fewer(scenes.write_las),)),
         Format("LAZ", encode, (fewer(scenes.write_laz),)),
         Format("E57", encode, (Seed(partial(scenes.write_e57, count=300), {"normals": "outward"}),)),
@@ -507,7 +527,9 @@ def formats() -> tuple[Format, ...]:
         Format("netCDF", encode, seeds("netcdf")),
         Format("EXR", encode, seeds("exr"), (".exr",)),
         Format("PFM", encode, seeds("middlebury")),
-        Format("cameras and poses", encode, (*seeds(*_POSES), Seed(write_camera_yaml, stacks)), _POSE_ENDINGS),
+        Format(
+            "cameras and poses", encode, (*seeds(*_POSES), Seed(write_camera_yaml, stacks)), _POSE_ENDINGS
+        ),
         Format("index", load_index, (Seed(write_index),), (".npz",)),
         Format("materials", read_materials, (Seed(write_materials),)),
         Format("deformation", read_deformation, (Seed(write_deformation),)),

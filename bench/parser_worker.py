@@ -24,6 +24,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -88,7 +89,7 @@ class Watch:
                 self.found.append(f"opened {os.fsdecode(path)!r}")
         elif event in ("os.remove", "os.rename", "os.mkdir", "os.rmdir", "os.symlink", "shutil.rmtree"):
             path = arguments[0]
-            if isinstance(path, str | bytes) and not self._is_inside(os.fsdecode(path)):
+            if isinstance(path, str | bytes) and not self._may_open(os.fsdecode(path), None, os.O_RDWR):
                 self.found.append(f"{event} of {os.fsdecode(path)!r}")
         elif event in ("socket.connect", "socket.getaddrinfo", "subprocess.Popen", "os.system", "os.exec"):
             self.found.append(f"{event} {str(arguments)[:100]}")
@@ -98,6 +99,8 @@ class Watch:
 
     def _may_open(self, path: str, mode: str | None, flags: int) -> bool:
         if self._is_inside(path):
+            return True
+        if os.path.realpath(path) == os.devnull or "__pycache__" in path:  # the cache of compiled loops
             return True
         is_written = bool(flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT)) if isinstance(flags, int) else False
         return not is_written and any(_lies_in(path, folder) for folder in ALLOWED_FOLDERS)
@@ -141,7 +144,9 @@ class Bench:
             self.inputs[key] = path, files
         return self.inputs[key]
 
-    def damage(self, chosen: Format, seed: int, number: int) -> tuple[Seed, Path, Path, bytes | None, random.Random]:
+    def damage(
+        self, chosen: Format, seed: int, number: int
+    ) -> tuple[Seed, Path, Path, bytes | None, random.Random]:
         """Return the input of a case, its path, the file to damage, and its new bytes; None if it is removed."""
         rng = random.Random(f"{chosen.name} {seed} {number}")
         index = rng.randrange(len(chosen.seeds))
@@ -157,9 +162,8 @@ class Bench:
         source, path, name, content, _ = self.damage(chosen, seed, number)
         _, files = self.input_of(chosen, chosen.seeds.index(source))
         size = sum(map(len, files.values())) - len(files[name]) + len(content or b"")
-        if content is None:
-            name.unlink()
-        else:
+        name.unlink()  # some file systems write a truncated file to the disk at once
+        if content is not None:
             name.write_bytes(content)
         try:
             outcome = self._judged(chosen, source, path, size)
@@ -167,7 +171,15 @@ class Bench:
             self._restore(name, files)
         return outcome
 
+    def save(self, chosen: Format, seed: int, number: int, target: Path) -> None:
+        """Write the input of a case to a folder."""
+        _, _, name, content, _ = self.damage(chosen, seed, number)
+        shutil.rmtree(target, ignore_errors=True)
+        shutil.copytree(self.folder / name.relative_to(self.folder).parts[0], target)
+        (target / Path(*name.relative_to(self.folder).parts[1:])).write_bytes(content or b"")
+
     def _restore(self, name: Path, files: dict[Path, bytes]) -> None:
+        name.unlink(missing_ok=True)
         name.write_bytes(files[name])
         for path in self.temporary.iterdir():
             shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
@@ -195,7 +207,11 @@ class Bench:
         if outcome.kind == "FAULT":
             return outcome
         wrong = self._wrong(outcome, out, issued)
-        return replace(outcome, kind="FAULT", text=f"{wrong}; {outcome.kind} {outcome.text}"[:400]) if wrong else outcome
+        return (
+            replace(outcome, kind="FAULT", text=f"{wrong}; {outcome.kind} {outcome.text}"[:400])
+            if wrong
+            else outcome
+        )
 
     def _wrong(self, outcome: Outcome, out: Path, issued: list[warnings.WarningMessage]) -> str:
         """Return what is wrong beside the outcome, or ""."""
@@ -215,7 +231,7 @@ class Bench:
         return ""
 
 
-TouchfieldWarnings: Final = (DeprecationWarning, UserWarning)
+TouchfieldWarnings: Final = (DeprecationWarning, PendingDeprecationWarning, ResourceWarning, UserWarning)
 """Warnings that are not noise: of libraries to programmers, which are not shown, and to the user."""
 
 
@@ -223,7 +239,7 @@ def judged_error(error: TouchfieldError, path: Path) -> Outcome:
     """Return the outcome of an error of touchfield."""
     message = str(error)
     names = {part.name for part in (path, *path.parents[:2])} | {p.name for p in path.rglob("*")}
-    names |= {p.name for p in path.parent.iterdir()}
+    names |= {p.name for p in path.parent.iterdir()} | {"The source: "}  # there is one, which the user named
     if "\n" in message or not message.isprintable():
         return Outcome("FAULT", f"not one printable line: {message!r}"[:300], site_of(error))
     if not isinstance(error, InvalidArgument) and not any(name in message for name in names):
@@ -286,27 +302,39 @@ def limit_space() -> None:
     with open("/proc/self/statm") as file:
         used = int(file.read().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + SPACE_BYTES, resource.RLIM_INFINITY))
+
+
+# -- the process -------------------------------------------------------------------------------------------
+
+
+def serve(connection: Any) -> None:
+    """Run the cases that come through a pipe, each (format, seed, number), and send their outcomes.
+
+    A format alone is warmed up; "ready" or what is wrong with it is sent. A case with a folder is saved.
+    """
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-
-
-def serve(connection: Any, name: str) -> None:
-    """Run the cases of one format whose numbers come through a pipe, and send their outcomes."""
-    os.environ["TOUCHFIELD_THREADS"] = "1"
+    by_name = {entry.name: entry for entry in formats()}
     with tempfile.TemporaryDirectory(prefix="parsers-") as root:
         bench = Bench(Path(root).resolve())
-        chosen = next(entry for entry in formats() if entry.name == name)
-        warm_up(bench, chosen)
-        sys.stdout = sys.stderr = open(os.devnull, "w")
-        limit_space()
-        connection.send("ready")
-        while (case := connection.recv()) is not None:
-            connection.send(bench.run(chosen, *case))
+        while (received := connection.recv()) is not None:
+            name, *case = received
+            act = {0: partial(warm_up, bench), 2: bench.run, 3: bench.save}[len(case)]
+            connection.send(act(by_name[name], *case))
         os.chdir("/")
 
 
-def warm_up(bench: Bench, chosen: Format) -> None:
-    """Read each valid input once, so that libraries are imported and loops compiled; raise what is wrong."""
-    for index, source in enumerate(chosen.seeds):
-        path, _ = bench.input_of(chosen, index)
-        chosen.read(path, bench.temporary / "out.touch", source.options)
-        (bench.temporary / "out.touch").unlink(missing_ok=True)
+def warm_up(bench: Bench, chosen: Format) -> str:
+    """Read each valid input once, so that libraries are imported and loops compiled.
+
+    Returns "ready", or why a valid input cannot be read.
+    """
+    resource.setrlimit(resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    try:
+        for index, source in enumerate(chosen.seeds):
+            path, _ = bench.input_of(chosen, index)
+            chosen.read(path, bench.temporary / "out.touch", source.options)
+            (bench.temporary / "out.touch").unlink(missing_ok=True)
+    except Exception as error:
+        return f"{chosen.name}, input {index}: {type(error).__name__}: {error} ({site_of(error)})"
+    limit_space()
+    return "ready"

@@ -144,7 +144,9 @@ class DepthCode:
         """
         if self.is_rotated:
             values = ((values >> 3) | (values << 13)).astype(np.uint16)
-        with np.errstate(over="ignore"):  # overflow of float32 gives inf, which is unknown
+        with np.errstate(
+            over="ignore", invalid="ignore"
+        ):  # inf and NaN are unknown
             depth: Float32s = np.divide(values, self.units_per_m, dtype=np.float64).astype(
                 np.float32, order="C"
             )

@@ -15,7 +15,6 @@ Depth_Units   RealSense: the metres of a stored unit
 from __future__ import annotations
 
 import sqlite3
-import struct
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -26,6 +25,7 @@ from numpy.typing import NDArray
 
 from touchfield.arrays import Float64s
 from touchfield.errors import MissingExtra, SourceError, as_source_error, import_extra
+from touchfield.files import library_faults
 from touchfield.sources.camera import CodedSequence, DepthCode, DepthSequence, Intrinsics, require_frame
 from touchfield.sources.depth.frame_poses import PosedFrames, drop_unposed, find_poses
 from touchfield.sources.depth.intrinsics_file import CameraFile, camera_of, scaled_camera
@@ -59,17 +59,10 @@ class Message(NamedTuple):
 # -- files -------------------------------------------------------------------------------------------------
 @contextmanager
 def _faults(path: Path) -> Iterator[None]:
-    """Convert the errors of SQLite and MCAP for invalid bytes to `SourceError`."""
-    try:
+    """Convert the errors of SQLite, MCAP and what decompresses it to `SourceError`."""
+    kind = "MCAP" if path.suffix.lower() == ".mcap" else "bag"
+    with library_faults(path, f"no sound {kind}", _EXPECTED, "Copy it again."):
         yield
-    except sqlite3.Error as error:
-        raise SourceError(str(path), f"no sound bag ({error})", _EXPECTED, "Copy it again.") from error
-    except (struct.error, EOFError, KeyError, RuntimeError, ValueError) as error:
-        raise SourceError(str(path), f"no sound MCAP ({error})", _EXPECTED, "Copy it again.") from error
-    except Exception as error:
-        if type(error).__module__.startswith("mcap"):
-            raise SourceError(str(path), f"no sound MCAP ({error})", _EXPECTED, "Copy it again.") from error
-        raise
 
 
 def _files(path: Path) -> tuple[Path, ...]:
