@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from parser_formats import formats
-from parser_worker import MEBI, Bench, Outcome, serve
+from parser_worker import MEBI, Bench, Outcome, rewrite, serve
 
 WAIT_SECONDS: Final = 120.0
 """Wall seconds without an answer after which a process is ended."""
@@ -83,7 +83,7 @@ class Child:
         found = self._answer((name, seed, number), WAIT_SECONDS)
         if isinstance(found, Outcome):
             return found
-        self.process.join(0.5)
+        self.process.join(5)
         code = self.process.exitcode
         self.end()
         return Outcome("FAULT", "the process hung" if code is None else f"the process died, status {code}")
@@ -140,10 +140,12 @@ def replay(name: str, seed: int, number: int) -> None:
     """Run one case in this process; its traceback is shown."""
     root = Path(tempfile.mkdtemp()).resolve()
     bench, chosen = Bench(root), _format(name)
-    source, path, damaged, content, _ = bench.damage(chosen, seed, number)
-    damaged.unlink() if content is None else damaged.write_bytes(content)
-    print(f"{path} {source.options}, damaged {damaged}")
-    chosen.read(path, bench.temporary / "out.touch", source.options)
+    index, damaged, content = bench.damage(chosen, seed, number)
+    path, _ = bench.input_of(chosen, index)
+    rewrite(damaged, content)
+    options = chosen.seeds[index].options
+    print(f"{path} {options}, damaged {damaged}")
+    chosen.read(path, bench.temporary / "out.touch", options)
 
 
 def main() -> int:
@@ -168,8 +170,9 @@ def main() -> int:
         tally = fuzz(child, name, options.runs, options.seconds, options.seed, options.first, options.folder)
         faults += tally.counts["FAULT"]
         print(
-            f"{name}: {dict(tally.counts)}, {len(tally.faults)} distinct faults, slowest {tally.slowest_s:.2f} s, "
-            f"peak {tally.peak_mib:.0f} MiB, {time.monotonic() - start_s:.0f} s",
+            f"{name}: {dict(tally.counts)}, {len(tally.faults)} distinct faults, "
+            f"slowest {tally.slowest_s:.2f} s, peak {tally.peak_mib:.0f} MiB, "
+            f"{time.monotonic() - start_s:.0f} s",
             flush=True,
         )
     child.end()

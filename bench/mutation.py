@@ -1,5 +1,5 @@
-"""Damages files by their structure: a value of a JSON or XML tree, a chunk, a box, a packet, a table entry, an
-array header, a member of an archive, a column of text, or bits.
+"""Damages text formats by their structure: a value of a JSON or XML tree, or a word, line or column of text.
+Also damages bytes and bits without a structure; `mutation_binary` has chunks, tables and archives.
 
 A mutator takes the bytes of a valid file and a random generator, and returns other bytes. Where a format has
 lengths and checks, they are made to hold in most cases, so that the damage reaches the code behind them.
@@ -104,7 +104,7 @@ def one_of(*mutators: Mutator) -> Mutator:
         for _ in range(1 + (rng.random() < 0.25)):
             try:
                 data = rng.choice(mutators)(data, rng)
-            except Malformed:
+            except (Malformed, RecursionError):
                 data = raw(data, rng)
         return data
 

@@ -275,7 +275,7 @@ def _bag_head(data: bytes, at: int) -> tuple[int, bytes, int, int]:
 
 def _bag_record(data: bytes, rng: random.Random) -> bytes:
     """Change a field of the header, the data, or the records in the data of a record of ROS 1."""
-    header, size = _bag_sizes(data)
+    header, _ = _bag_sizes(data)
     head, content = data[:header], data[header + 4 :]
     if rng.random() < 0.5:
         head = one_of(raw, lambda part, r: _words(part, r, "<"))(head, rng)
@@ -357,8 +357,6 @@ def tiff(data: bytes, rng: random.Random) -> bytes:
     width = struct.calcsize(form)
     if where + width > len(out):
         raise Malformed
-    if rng.random() < 0.1:  # the next directory
-        where, form, width = max(entry - entry % 1, start), "H", 2
     value = rng.choice((*ODD_INTEGERS, *range(1, 18), len(data), start)) & ((1 << 8 * width) - 1)
     struct.pack_into(order + form, out, where, value)
     return bytes(out)

@@ -19,16 +19,17 @@ from typing import Any, Final
 
 import numpy as np
 
+sys.path.extend(
+    str(Path(__file__).resolve().parents[1] / folder) for folder in ("tests", "tests/network", "conformance")
+)
+import layout_makers as layouts
 import mutation as text
 import mutation_binary as binary
-from mutation import Mutator, bit_fields, columns, header_until, json_tree, one_of, raw, xml_tree
-
-ROOT: Final = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "tests" / "network"), str(ROOT / "conformance")]
-import layout_makers as layouts
 import source_corpus as corpus
+from mutation import Mutator, bit_fields, columns, header_until, json_tree, one_of, raw, xml_tree
 from touchfield.errors import InvalidArgument
 
+ROOT: Final = Path(__file__).resolve().parents[1]
 Write = Callable[[Path], Path]
 Read = Callable[[Path, Path, dict[str, Any]], object]
 """Reads an input: its path, a file to write, and the options of the source."""
@@ -48,13 +49,18 @@ class Seed:
 
 @dataclass(frozen=True)
 class Format:
-    """A format, its reader, its inputs and the endings of the files to damage (all if there are none)."""
+    """A format, its reader, its inputs and the endings of the files to damage (all if there are none).
+
+    `mutate` replaces the mutators by ending. `names_file` is False if an error may name a part of the only
+    file instead, such as a record.
+    """
 
     name: str
     read: Read
     seeds: tuple[Seed, ...]
     endings: tuple[str, ...] = ()
     mutate: Mutator | None = None
+    names_file: bool = True
 
     def mutator(self, path: Path) -> Mutator:
         """Return the mutator of a file."""
@@ -268,7 +274,7 @@ def write_playlist(folder: Path) -> Path:
 def effect_files() -> dict[str, tuple[Seed, ...]]:
     """Return effects by their ending."""
     import effect_makers as effects
-    from exchange.test_hmpg import FILE
+    from hmpg_makers import FILE
 
     points = [effects.keyframe(0, 1.0, 80.0), effects.keyframe(100, 0.5), effects.keyframe(250, 0.0)]
     bands = [
@@ -383,12 +389,10 @@ def write_wav(folder: Path) -> Path:
     return folder / "oak 100mm_s 1.0n.wav"
 
 
-TRACE: Final = "t_s,x_m,y_m,z_m\n" + "".join(
-    f"{0.01 * i:g},{0.001 * i:g},0.0,{-0.002 * i:g}\n" for i in range(20)
-)
-TAPS: Final = "t_s,a_m_s2\n" + "".join(f"{0.001 * i:.3f},{i % 7 - 3}\n" for i in range(300))
-FORCES: Final = "x_m,y_m,z_m,fx_n,fy_n,fz_n\n" + "".join(
-    f"{i % 3},{i % 4},{i % 5},0.1,0,{i}\n" for i in range(20)
+TRACE: Final = "\n".join(["t_s,x_m,y_m,z_m", *(f"{i / 100},{i / 1000},0.0,-0.02" for i in range(20))])
+TAPS: Final = "\n".join(["t_s,a_m_s2", *(f"{i / 1000:.3f},{i % 7 - 3}" for i in range(300))])
+FORCES: Final = "\n".join(
+    ["x_m,y_m,z_m,fx_n,fy_n,fz_n", *(f"{i % 3},{i % 4},{i % 5},0.1,0,{i}" for i in range(20))]
 )
 
 
@@ -541,6 +545,7 @@ def formats() -> tuple[Format, ...]:
                 *golden("touch-mask", "touch-lossless", "objects-touch", "objects-rigid", "paper-adpcm"),
                 *golden("paper-dct", "vibration-touch"),
             ),
+            names_file=False,
         ),
         Format("profile", read_profile, profiles()),
     )

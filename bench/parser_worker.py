@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from mutation import OUTSIDE
-from parser_formats import Format, Seed, formats
+from parser_formats import Format, formats
 from touchfield.errors import InvalidArgument, TouchfieldError
 
 MEBI: Final = 1 << 20
@@ -118,7 +118,7 @@ def _lies_in(path: str, folder: str) -> bool:
 
 
 class Bench:
-    """The folders of one process: each input is written once, and a damaged file is restored after its case."""
+    """The folders of one process: an input is written once, and its damaged file restored after each case."""
 
     def __init__(self, root: Path) -> None:
         self.root, self.inputs = root, dict[tuple[str, int], tuple[Path, dict[Path, bytes]]]()
@@ -144,47 +144,41 @@ class Bench:
             self.inputs[key] = path, files
         return self.inputs[key]
 
-    def damage(
-        self, chosen: Format, seed: int, number: int
-    ) -> tuple[Seed, Path, Path, bytes | None, random.Random]:
-        """Return the input of a case, its path, the file to damage, and its new bytes; None if it is removed."""
+    def damage(self, chosen: Format, seed: int, number: int) -> tuple[int, Path, bytes | None]:
+        """Return the index of an input, the file to damage, and its new bytes; None to remove it."""
         rng = random.Random(f"{chosen.name} {seed} {number}")
         index = rng.randrange(len(chosen.seeds))
-        path, files = self.input_of(chosen, index)
-        names = [name for name in files if chosen.is_damaged(name)] or list(files)
-        name = rng.choice(names)
-        if len(files) > 1 and rng.random() < 0.02:
-            return chosen.seeds[index], path, name, None, rng
-        return chosen.seeds[index], path, name, chosen.mutator(name)(files[name], rng), rng
+        _, files = self.input_of(chosen, index)
+        name = rng.choice([name for name in files if chosen.is_damaged(name)] or list(files))
+        is_removed = len(files) > 1 and rng.random() < 0.02
+        return index, name, None if is_removed else chosen.mutator(name)(files[name], rng)
 
     def run(self, chosen: Format, seed: int, number: int) -> Outcome:
         """Run a case, and restore its files."""
-        source, path, name, content, _ = self.damage(chosen, seed, number)
-        _, files = self.input_of(chosen, chosen.seeds.index(source))
+        index, name, content = self.damage(chosen, seed, number)
+        path, files = self.input_of(chosen, index)
         size = sum(map(len, files.values())) - len(files[name]) + len(content or b"")
-        name.unlink()  # some file systems write a truncated file to the disk at once
-        if content is not None:
-            name.write_bytes(content)
+        rewrite(name, content)
         try:
-            outcome = self._judged(chosen, source, path, size)
+            return self._judged(chosen, chosen.seeds[index].options, path, size)
         finally:
-            self._restore(name, files)
-        return outcome
+            self._restore(name, files[name])
 
     def save(self, chosen: Format, seed: int, number: int, target: Path) -> None:
         """Write the input of a case to a folder."""
-        _, _, name, content, _ = self.damage(chosen, seed, number)
+        index, name, content = self.damage(chosen, seed, number)
+        _, files = self.input_of(chosen, index)
+        rewrite(name, content)
         shutil.rmtree(target, ignore_errors=True)
         shutil.copytree(self.folder / name.relative_to(self.folder).parts[0], target)
-        (target / Path(*name.relative_to(self.folder).parts[1:])).write_bytes(content or b"")
+        self._restore(name, files[name])
 
-    def _restore(self, name: Path, files: dict[Path, bytes]) -> None:
-        name.unlink(missing_ok=True)
-        name.write_bytes(files[name])
+    def _restore(self, name: Path, content: bytes) -> None:
+        rewrite(name, content)
         for path in self.temporary.iterdir():
             shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
 
-    def _judged(self, chosen: Format, source: Seed, path: Path, size: int) -> Outcome:
+    def _judged(self, chosen: Format, options: dict[str, Any], path: Path, size: int) -> Outcome:
         out = self.temporary / "out.touch"
         os.utime(self.secret, ns=(0, 10**18))
         self.watch.found.clear()
@@ -194,24 +188,19 @@ class Bench:
             before, start_s = resident_bytes(), time.process_time()
             try:
                 self.watch.is_active = True
-                chosen.read(path, out, source.options)
+                chosen.read(path, out, options)
                 outcome = Outcome("read")
             except TouchfieldError as error:
-                outcome = judged_error(error, path)
+                outcome = judged_error(error, path, chosen.names_file)
             except (Exception, TooLong) as error:
                 outcome = Outcome("FAULT", f"{type(error).__name__}: {error}"[:300], site_of(error))
             finally:
                 self.watch.is_active = False
             seconds, peak = time.process_time() - start_s, max(peak_bytes() - before, 0)
         outcome = replace(outcome, seconds=seconds, peak_bytes=peak, input_bytes=size)
-        if outcome.kind == "FAULT":
-            return outcome
-        wrong = self._wrong(outcome, out, issued)
-        return (
-            replace(outcome, kind="FAULT", text=f"{wrong}; {outcome.kind} {outcome.text}"[:400])
-            if wrong
-            else outcome
-        )
+        wrong = "" if outcome.kind == "FAULT" else self._wrong(outcome, out, issued)
+        text = f"{wrong}; {outcome.kind} {outcome.text}"[:400]
+        return replace(outcome, kind="FAULT", text=text) if wrong else outcome
 
     def _wrong(self, outcome: Outcome, out: Path, issued: list[warnings.WarningMessage]) -> str:
         """Return what is wrong beside the outcome, or ""."""
@@ -226,23 +215,35 @@ class Bench:
         if outcome.kind == "refused" and out.exists():
             return "a file is left"
         for warning in issued:
-            if not issubclass(warning.category, TouchfieldWarnings):
-                return f"{warning.category.__name__}: {warning.message} ({Path(warning.filename).name}:{warning.lineno})"
+            if not issubclass(warning.category, QUIET_WARNINGS):
+                place = f"{Path(warning.filename).name}:{warning.lineno}"
+                return f"{warning.category.__name__}: {warning.message} ({place})"
         return ""
 
 
-TouchfieldWarnings: Final = (DeprecationWarning, PendingDeprecationWarning, ResourceWarning, UserWarning)
+def rewrite(path: Path, content: bytes | None) -> None:
+    """Replace a file, or remove it.
+
+    It is removed first: some file systems write a truncated file to the disk at once.
+    """
+    path.unlink(missing_ok=True)
+    if content is not None:
+        path.write_bytes(content)
+
+
+QUIET_WARNINGS: Final = (DeprecationWarning, PendingDeprecationWarning, ResourceWarning, UserWarning)
 """Warnings that are not noise: of libraries to programmers, which are not shown, and to the user."""
 
 
-def judged_error(error: TouchfieldError, path: Path) -> Outcome:
+def judged_error(error: TouchfieldError, path: Path, names_file: bool) -> Outcome:
     """Return the outcome of an error of touchfield."""
     message = str(error)
     names = {part.name for part in (path, *path.parents[:2])} | {p.name for p in path.rglob("*")}
     names |= {p.name for p in path.parent.iterdir()} | {"The source: "}  # there is one, which the user named
     if "\n" in message or not message.isprintable():
         return Outcome("FAULT", f"not one printable line: {message!r}"[:300], site_of(error))
-    if not isinstance(error, InvalidArgument) and not any(name in message for name in names):
+    is_named = not names_file or any(name in message for name in names)
+    if not isinstance(error, InvalidArgument) and not is_named:
         return Outcome("FAULT", f"names no file: {message}"[:300], site_of(error))
     return Outcome("refused", message[:200], site_of(error))
 

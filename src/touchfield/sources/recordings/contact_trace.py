@@ -37,6 +37,7 @@ from touchfield.medium.grid import CORNERS
 from touchfield.medium.trace import MAX_SAMPLES, ContactTrace, has_forces, read_contacts
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
+from touchfield.sources.recordings.mcap_chunks import require_distinct_chunks
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Z_AXES, Scene, find_bricks_by_sphere
 
@@ -342,7 +343,9 @@ def read_mcap(path: Path) -> ContactTrace:
         path.open("rb") as file,
         library_faults(path, "no sound MCAP", _EXPECTED, "Copy it again."),
     ):
-        for schema, channel, message in reader.make_reader(file).iter_messages():  # by time
+        messages = reader.make_reader(file)
+        require_distinct_chunks(messages.get_summary(), str(path))
+        for schema, channel, message in messages.iter_messages():  # by time
             name = schema.name if schema is not None else ""
             names[f"{channel.topic} ({name}, {channel.message_encoding})"] = None
             for kind, values in _contents(

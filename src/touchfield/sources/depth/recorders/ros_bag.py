@@ -36,6 +36,7 @@ from touchfield.sources.depth.recorders.ros1_bag import is_ros1_bag, read_ros1, 
 from touchfield.sources.images.pictures import list_files, require_size
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.poses import interpolate_poses, poses_of_quaternions
+from touchfield.sources.recordings.mcap_chunks import require_distinct_chunks
 
 _FILES: Final = r".+\.(mcap|db3)"
 _IMAGES: Final = (messages.IMAGE, messages.COMPRESSED_IMAGE)
@@ -79,11 +80,13 @@ def topics_of(path: Path) -> dict[str, str]:
                 continue
             if file.suffix.lower() == ".db3":
                 with closing(_connect(file)) as database:
-                    topics |= dict(database.execute("SELECT name, type FROM topics"))
+                    rows = database.execute("SELECT name, type FROM topics")
+                    topics |= {str(name): str(kind) for name, kind in rows}  # SQLite stores any type anywhere
                 continue
             reader = import_extra("mcap.reader", str(path), "mcap", "mcap")
             with file.open("rb") as stream:
                 summary = reader.make_reader(stream).get_summary()
+                require_distinct_chunks(summary, str(file))
                 if summary is not None:
                     for channel in summary.channels.values():
                         schema = summary.schemas.get(channel.schema_id)
@@ -96,6 +99,13 @@ def topics_of(path: Path) -> dict[str, str]:
 
 def _connect(file: Path) -> sqlite3.Connection:
     return sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro", uri=True)
+
+
+def _blob(data: object) -> bytes:
+    """Check a message of a database; ValueError if it is no bytes, as SQLite stores any type anywhere."""
+    if not isinstance(data, bytes):
+        raise ValueError(f"a message of type {type(data).__name__}")
+    return data
 
 
 def _read(path: Path, topics: list[str]) -> Iterator[Message]:
@@ -115,7 +125,7 @@ def _read(path: Path, topics: list[str]) -> Iterator[Message]:
                         "ORDER BY messages.timestamp"
                     )
                     for topic, kind, key, data in database.execute(query, topics):
-                        yield Message(topic, kind, (file, int(key)), data)
+                        yield Message(topic, kind, (file, int(key)), _blob(data))
                 continue
             reader = import_extra("mcap.reader", str(path), "mcap", "mcap")
             with file.open("rb") as stream:
@@ -136,7 +146,7 @@ def _read_one(place: tuple[Path, int], topic: str) -> bytes:
             with closing(_connect(file)) as database:
                 row = database.execute("SELECT data FROM messages WHERE id = ?", (key,)).fetchone()
             if row is not None:
-                return bytes(row[0])
+                return _blob(row[0])
         else:
             reader = import_extra("mcap.reader", str(file), "mcap", "mcap")
             with file.open("rb") as stream:
