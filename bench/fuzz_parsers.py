@@ -18,6 +18,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -85,7 +86,7 @@ class Child:
             return found
         self.process.join(5)
         code = self.process.exitcode
-        self.end()
+        self.process.kill()
         return Outcome("FAULT", "the process hung" if code is None else f"the process died, status {code}")
 
     def save(self, name: str, seed: int, number: int, folder: Path) -> None:
@@ -104,7 +105,10 @@ class Child:
             return None
 
     def end(self) -> None:
-        """End the process."""
+        """End the process; one that answers ends by itself."""
+        with suppress(OSError):
+            self.pipe.send(None)
+        self.process.join(10)
         self.process.kill()
         self.process.join()
 

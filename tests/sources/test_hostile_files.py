@@ -206,11 +206,10 @@ def test_any_error_of_a_library_becomes_one_of_ours() -> None:
     class Strange(Exception):
         pass
 
+    expected = r"a\.x: found no x \(.+\); expected an x"
     for error in (Strange("odd\nbytes"), UnboundLocalError("fs"), MemoryError(), ZeroDivisionError()):
-        with pytest.raises(SourceError, match=r"a\.x: found no x \(.+\); expected an x") as caught:
-            with library_faults("a.x", "no x", "an x"):
-                raise error
+        with pytest.raises(SourceError, match=expected) as caught, library_faults("a.x", "no x", "an x"):
+            raise error
         assert caught.value.__cause__ is error
-    with pytest.raises(DeviceError, match="^as it was$"):
-        with library_faults("a.x", "no x", "an x"):
-            raise DeviceError("as it was")
+    with pytest.raises(DeviceError, match="as it was"), library_faults("a.x", "no x", "an x"):
+        raise DeviceError("as it was")
