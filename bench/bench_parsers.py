@@ -7,7 +7,8 @@ Each format of `parser_formats` gets `runs` cases, or as many as end in `seconds
 that dies or hangs, more time or memory than the bytes allow, a file that is opened outside the folder
 (`parser_worker`). Inputs of faults are found again by ``fuzz_parsers.py --replay NAME SEED NUMBER``.
 
-A quick run is a few cases of each format. Whether a case is read or refused depends on the versions of the
+Time is that of the processor, in which a library may be imported and loops be compiled. Memory is the growth of
+the resident memory. A quick run is a few cases of each format. Whether a case is read or refused depends on the versions of the
 libraries, and so these counts are no exact figures.
 """
 
@@ -53,14 +54,12 @@ def measure(runs: int, seconds: float, seed: int, only: str) -> Figures:
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Require no fault, and that mutants get past the first check of every format."""
+    """Require that every format is run, without a fault."""
     rows = figures["rows"]
     return [
         at_least("formats", len(rows), 40),
-        at_least("runs", figures["runs"], 40 * QUICK_RUNS),
+        at_least("runs of the format with the fewest", min(column(rows, "runs"), default=None), QUICK_RUNS),
         at_most("faults", sum(column(rows, "faults")), 0),
-        at_most("slowest run", max(column(rows, "slowest_s"), default=None), 3.0, "s"),
-        at_most("most memory of a run", max(column(rows, "peak_mb"), default=None), 256, "MiB"),
     ]
 
 
@@ -71,7 +70,7 @@ if __name__ == "__main__":
         measure,
         bars,
         runs=(RUNS, QUICK_RUNS),
-        seconds=(60.0, 20.0),
+        seconds=(40.0, 20.0),
         seed=(0, 0),
         only=("", ""),
     )

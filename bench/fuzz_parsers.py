@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
+import os
 import re
 import sys
 import tempfile
@@ -61,6 +62,7 @@ class Child:
         self.name, self.pipe, self.process = "", *self._started()
 
     def _started(self) -> tuple[Any, Any]:
+        os.environ["TOUCHFIELD_THREADS"] = "1"
         context = multiprocessing.get_context("spawn")
         pipe, other = context.Pipe()
         process = context.Process(target=serve, args=(other,), daemon=True)

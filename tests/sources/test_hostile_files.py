@@ -24,6 +24,7 @@ from touchfield.medium.deformation import read_deformation
 from touchfield.medium.grid import Placement
 from touchfield.network.demux import demux
 from touchfield.sources.camera import DepthCode
+from touchfield.sources.options import SourceOptions
 from touchfield.sources.recordings.mcap_chunks import require_distinct_chunks
 from touchfield.sources.recordings.recording import read_recording
 from touchfield.sources.registry import open_source
@@ -67,6 +68,22 @@ def packed(folder: Path, name: str, method: int) -> Path:
         archive.writestr("displacement.npy", array.getvalue())
         archive.writestr("3D/3dmodel.model", "<model/>")
     return path
+
+
+def tall_tiff(folder: Path) -> object:
+    """Open pages that state a hundred times the rows that they have."""
+    path = layouts.write_tiff_pages(folder / "tiff")
+    data = path.read_bytes()
+    rows = struct.pack("<HHI", 257, 4, 1), struct.pack("<HHI", 257, 3, 1)
+    at = max(data.find(entry) for entry in rows)
+    assert at > 0
+    path.write_bytes(data[:at] + rows[0] + struct.pack("<I", 7200) + data[at + 12 :])
+    return open_source(path, SourceOptions(depth_scale=1000.0))
+
+
+def points(folder: Path) -> object:
+    head = "FIELDS x y z\nSIZE 1 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA ascii\n"
+    return open_source(written(folder / "a.pcd", f"# .PCD v0.7\nVERSION 0.7\n{head}1 2 3\n"))
 
 
 def movie_parts(folder: Path) -> object:
@@ -123,6 +140,8 @@ REFUSED: dict[str, tuple[Callable[[Path], Any], str]] = {
     "wav of nothing": (lambda f: read_recording(sound(f, PCM, 0)), r"a\.wav: found"),
     "npz by LZMA": (lambda f: read_deformation(packed(f, "a.npz", zipfile.ZIP_LZMA)), "method 14 of zip"),
     "npz by bzip2": (lambda f: read_deformation(packed(f, "a.npz", zipfile.ZIP_BZIP2)), "method 12 of zip"),
+    "tiff without its strips": (tall_tiff, r"depth\.tif.*: found strips or tiles of \d+ pixels"),
+    "pcd of floats of a byte": (points, r"a\.pcd: found .*TYPE F, SIZE 1"),
     "long name of a part": (movie_parts, r"a\.m3u8"),
     "long name of a picture": (nerf, "no x.*depth pictures are missing"),
     "long name in a list": (stamped, "depth"),
