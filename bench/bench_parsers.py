@@ -7,9 +7,9 @@ Each format of `parser_formats` gets `runs` cases, or as many as end in `seconds
 that dies or hangs, more time or memory than the bytes allow, a file that is opened outside the folder
 (`parser_worker`). Inputs of faults are found again by ``fuzz_parsers.py --replay NAME SEED NUMBER``.
 
-Time is that of the processor, in which a library may be imported and loops be compiled. Memory is the growth of
-the resident memory. A quick run is a few cases of each format. Whether a case is read or refused depends on the versions of the
-libraries, and so these counts are no exact figures.
+Time is that of the processor, in which a library may be imported and loops be compiled. Memory is the growth
+of the resident memory. A quick run is a few cases of each format. Whether a case is read or refused depends
+on the versions of the libraries, and so these counts are no exact figures.
 """
 
 from __future__ import annotations
