@@ -74,8 +74,8 @@ def library_faults(
 ) -> Iterator[None]:
     """Within the block, where a library reads untrusted bytes, convert any of its errors to a `SourceError`.
 
-    Libraries do not document what they raise for invalid bytes; found by fuzzing are AttributeError,
-    UnboundLocalError and ZeroDivisionError. `found` describes the file; the library's message follows it.
+    Libraries do not document what they raise for invalid bytes: fuzzing found an UnboundLocalError of SciPy
+    and errors of decompressors below a library. `found` describes the file; the library's message follows it.
     """
     try:
         yield
