@@ -246,11 +246,12 @@ def movie_bytes(maker: str, **options: Any) -> bytes:
 
     samples = movies.samples_of(stream(), 0.021, 0.021)
     if maker == "matroska":
-        return movies.matroska([b"a font", whole_file()], **options)
+        made: bytes = movies.matroska([b"a font", whole_file()], **options)
+        return made
     if maker == "klv":
         samples = [(at_s, movies.triplet(data)) for at_s, data in samples]
         maker = "transport_stream"
-    made: bytes = getattr(movies, maker)(samples, **options)
+    made = getattr(movies, maker)(samples, **options)
     return made
 
 

@@ -24,7 +24,6 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -321,8 +320,10 @@ def serve(connection: Any) -> None:
         bench = Bench(Path(root).resolve())
         while (received := connection.recv()) is not None:
             name, *case = received
-            act = {0: partial(warm_up, bench), 2: bench.run, 3: bench.save}[len(case)]
-            connection.send(act(by_name[name], *case))
+            if not case:
+                connection.send(warm_up(bench, by_name[name]))
+            else:
+                connection.send((bench.run if len(case) == 2 else bench.save)(by_name[name], *case))
         os.chdir("/")
 
 

@@ -259,9 +259,8 @@ def upright(path: Path, heights: Heights, reference: GeoReference) -> UprightMap
         found = f"sheared cells: rows and columns meet at {math.degrees(math.acos(cosine)):.4g} degrees"
         raise SourceError(str(path), found, "90 degrees", UPRIGHT + ".")
     rows, cols = heights.shape[-2:]
-    middle: Pair | None = d * cols / 2 + e * rows / 2 + f, a * cols / 2 + b * rows / 2 + c
-    if not all(map(math.isfinite, middle)):
-        middle = None
+    position = d * cols / 2 + e * rows / 2 + f, a * cols / 2 + b * rows / 2 + c
+    middle: Pair | None = position if all(map(math.isfinite, position)) else None
     notes = reference.notes
     if a * e - b * d > 0:
         heights = np.flip(heights, -2)
