@@ -246,13 +246,11 @@ def movie_bytes(maker: str, **options: Any) -> bytes:
 
     samples = movies.samples_of(stream(), 0.021, 0.021)
     if maker == "matroska":
-        made: bytes = movies.matroska([b"a font", whole_file()], **options)
-        return made
+        return bytes(movies.matroska([b"a font", whole_file()], **options))
     if maker == "klv":
         samples = [(at_s, movies.triplet(data)) for at_s, data in samples]
         maker = "transport_stream"
-    made = getattr(movies, maker)(samples, **options)
-    return made
+    return bytes(getattr(movies, maker)(samples, **options))
 
 
 def movie(name: str, maker: str, **options: Any) -> Seed:
