@@ -103,7 +103,7 @@ def stamped(folder: Path) -> object:
 
 
 def body(folder: Path) -> object:
-    text = f'[[body]]\nname = "a"\nposition_m = [0, 0, 0]\n[[body.mesh]]\nfile = "{LONG}.obj"\n'
+    text = f'[[body]]\nkind = "mesh"\nfile = "{LONG}.ply"\nposition_m = [0, 0, 0]\nmass_kg = 0.1\n'
     return open_source(written(folder / "bodies.toml", text))
 
 
@@ -135,7 +135,10 @@ REFUSED: dict[str, tuple[Callable[[Path], Any], str]] = {
         "store",
     ),
     "zarr, infinite rate": (lambda f: open_zarr(f, "zarr.json", "rate_hz", "1" + "0" * 400), "store"),
-    "wav without format": (lambda f: read_recording(sound(f, b"", 0)), "no sound"),
+    "wav without a chunk": (
+        lambda f: read_recording(written(f / "a.wav", b"RIFF\4\0\0\0WAVE")),
+        r"a\.wav: found what is no sound",
+    ),
     "wav of 2 GiB": (lambda f: read_recording(sound(f, PCM, 0x7FFFFFF0)), r"a\.wav: found"),
     "wav of nothing": (lambda f: read_recording(sound(f, PCM, 0)), r"a\.wav: found"),
     "npz by LZMA": (lambda f: read_deformation(packed(f, "a.npz", zipfile.ZIP_LZMA)), "method 14 of zip"),
@@ -145,7 +148,7 @@ REFUSED: dict[str, tuple[Callable[[Path], Any], str]] = {
     "long name of a part": (movie_parts, r"a\.m3u8"),
     "long name of a picture": (nerf, "no x.*depth pictures are missing"),
     "long name in a list": (stamped, "depth"),
-    "long name of a mesh": (body, r"bodies\.toml"),
+    "long name of a mesh": (body, r"bodies\.toml: .*\.file: found nothing at"),
     "model too far": (far_model, r"far\.xml: world: found"),
     "database, no type": (lambda f: database(f, None, b""), r"bag\.db3"),
     "database, a number": (lambda f: database(f, IMAGE, 1 << 40), "a message of type int"),
