@@ -145,6 +145,15 @@ REFUSED: dict[str, tuple[Callable[[Path], Any], str]] = {
     "npz by bzip2": (lambda f: read_deformation(packed(f, "a.npz", zipfile.ZIP_BZIP2)), "method 12 of zip"),
     "tiff without its strips": (tall_tiff, r"depth\.tif.*: found strips or tiles of \d+ pixels"),
     "pcd of floats of a byte": (points, r"a\.pcd: found .*TYPE F, SIZE 1"),
+    **{
+        f"grid of {count} rows": (
+            lambda f, count=count: open_source(
+                written(f / "a.asc", f"ncols 2\nnrows {count}\ncellsize 1\n1 2\n3 4\n")
+            ),
+            r"a\.asc: found .*nrows",
+        )
+        for count in ("nan", "inf", "1e300")
+    },
     "long name of a part": (movie_parts, r"a\.m3u8"),
     "long name of a picture": (nerf, "no x.*depth pictures are missing"),
     "long name in a list": (stamped, "depth"),
