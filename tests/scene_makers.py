@@ -422,16 +422,16 @@ def ball_points(count: int = 6000) -> np.ndarray:
     return (0.5 * np.column_stack([r * np.cos(angle), r * np.sin(angle), z])).astype(np.float32)
 
 
-def write_cloud_ply(folder: Path) -> Path:
-    points = ball_points()
+def write_cloud_ply(folder: Path, count: int = 6000) -> Path:
+    points = ball_points(count)
     head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}",
             *(f"property float {axis}" for axis in "xyz"), "end_header"]  # fmt: skip
     (made(folder) / "cloud.ply").write_bytes("\n".join([*head, ""]).encode() + points.astype("<f4").tobytes())
     return folder / "cloud.ply"
 
 
-def write_pcd(folder: Path) -> Path:
-    points = ball_points()
+def write_pcd(folder: Path, count: int = 6000) -> Path:
+    points = ball_points(count)
     head = [
         "# .PCD v0.7", "VERSION 0.7", "FIELDS x y z", "SIZE 4 4 4", "TYPE F F F", "COUNT 1 1 1",
         f"WIDTH {len(points)}", "HEIGHT 1", "VIEWPOINT 0 0 0 1 0 0 0", f"POINTS {len(points)}", "DATA ascii",
@@ -441,9 +441,9 @@ def write_pcd(folder: Path) -> Path:
     return folder / "cloud.pcd"
 
 
-def write_las(folder: Path) -> Path:
+def write_las(folder: Path, count: int = 6000) -> Path:
     """LAS 1.2, point format 0, tenths of a millimetre."""
-    points = ball_points()
+    points = ball_points(count)
     low, high = points.min(axis=0).astype(float), points.max(axis=0).astype(float)
     bounds = [value for axis in range(3) for value in (high[axis], low[axis])]
     head = struct.pack(
@@ -457,31 +457,31 @@ def write_las(folder: Path) -> Path:
     return folder / "cloud.las"
 
 
-def write_xyz(folder: Path) -> Path:
-    np.savetxt(made(folder) / "cloud.xyz", ball_points(), "%.6f")
+def write_xyz(folder: Path, count: int = 6000) -> Path:
+    np.savetxt(made(folder) / "cloud.xyz", ball_points(count), "%.6f")
     return folder / "cloud.xyz"
 
 
-def write_pts(folder: Path) -> Path:
-    points = ball_points()
+def write_pts(folder: Path, count: int = 6000) -> Path:
+    points = ball_points(count)
     np.savetxt(made(folder) / "cloud.pts", points, "%.6f", header=str(len(points)), comments="")
     return folder / "cloud.pts"
 
 
-def write_laz(folder: Path) -> Path:
+def write_laz(folder: Path, count: int = 6000) -> Path:
     """Write the LAS, compressed."""
     import laspy
 
-    laspy.read(write_las(folder)).write(folder / "cloud.laz")
+    laspy.read(write_las(folder, count)).write(folder / "cloud.laz")
     (folder / "cloud.las").unlink()
     return folder / "cloud.laz"
 
 
-def write_e57(folder: Path) -> Path:
+def write_e57(folder: Path, count: int = 6000) -> Path:
     """Write one scan; the file states a scanner in the middle of the ball."""
     import pye57
 
-    x, y, z = ball_points().astype(np.float64).T
+    x, y, z = ball_points(count).astype(np.float64).T
     with pye57.E57(str(made(folder) / "cloud.e57"), mode="w") as file:
         file.write_scan_raw({"cartesianX": x, "cartesianY": y, "cartesianZ": z})
     return folder / "cloud.e57"
@@ -594,8 +594,8 @@ def probed() -> tuple[np.ndarray, np.ndarray]:
     return points, -points * 100.0
 
 
-def write_contacts(folder: Path) -> Path:
-    np.savetxt(made(folder) / "probe.csv", np.hstack(probed()), "%.6f", delimiter=",",
+def write_contacts(folder: Path, count: int = 800) -> Path:
+    np.savetxt(made(folder) / "probe.csv", np.hstack(probed())[:count], "%.6f", delimiter=",",
                header="x_m,y_m,z_m,fx_n,fy_n,fz_n", comments="")  # fmt: skip
     return folder / "probe.csv"
 

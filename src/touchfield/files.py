@@ -16,7 +16,7 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import IO, Any
 
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.errors import InvalidArgument, SourceError, TouchfieldError, reason
 
 
 def require_plain(path: str | os.PathLike[str], expected: str, *, or_folder: bool = False) -> None:
@@ -69,6 +69,25 @@ def record_read(path: Path) -> None:
 
 
 @contextmanager
+def library_faults(
+    where: str | os.PathLike[str], found: str, expected: str, hint: str = ""
+) -> Iterator[None]:
+    """Within the block, where a library reads untrusted bytes, convert any of its errors to a `SourceError`.
+
+    Libraries do not document what they raise for invalid bytes: fuzzing found an UnboundLocalError of SciPy
+    and errors of decompressors below a library. `found` describes the file; the library's message follows it.
+    """
+    try:
+        yield
+    except TouchfieldError:
+        raise
+    except MemoryError as error:
+        raise SourceError(os.fspath(where), f"{found} (it takes too much memory)", expected, hint) from error
+    except Exception as error:
+        raise SourceError(os.fspath(where), f"{found} ({reason(error)})", expected, hint) from error
+
+
+@contextmanager
 def readable(where: Path, expected: str = "a file that can be read", hint: str = "") -> Iterator[None]:
     """Within the block, convert an `OSError` to a `SourceError`."""
     try:
@@ -91,7 +110,8 @@ def read_bytes(path: str | os.PathLike[str], max_bytes: int, expected: str) -> b
     require_plain(path, expected)
     try:
         with open(path, "rb") as file:
-            data = file.read(max_bytes + 1)
+            size = os.fstat(file.fileno()).st_size or max_bytes  # 0 for files of the system, such as /proc
+            data = file.read(min(size, max_bytes) + 1)  # which allocates that much before it reads
     except (OSError, ValueError) as error:  # ValueError: a path with a NUL in it
         system_message = error.strerror if isinstance(error, OSError) else None
         raise SourceError(

@@ -20,7 +20,6 @@ arrays are not included because they have no open interface.
 from __future__ import annotations
 
 import difflib
-import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -31,7 +30,7 @@ from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 from touchfield.arrays import Picklable
-from touchfield.errors import DeviceError, InvalidArgument, SourceError
+from touchfield.errors import DeviceError, InvalidArgument, SourceError, is_finite
 from touchfield.files import read_bytes
 
 MAX_SAMPLES_PER_AXIS: Final = 1 << 20
@@ -192,7 +191,7 @@ def _value(entry: object, rule: _Rule, where: str) -> tuple[Any, str]:
     kinds, limit = (int, MAX_SAMPLES_PER_AXIS) if rule.is_integer else ((int, float), MAX_NUMBER)
     for number in numbers:
         is_number = isinstance(number, kinds) and not isinstance(number, bool)
-        if not (is_number and math.isfinite(number) and 0 < number <= limit):
+        if not (is_number and is_finite(number) and 0 < number <= limit):
             expected = f"a positive {'whole ' if rule.is_integer else ''}number up to {limit:.0f}"
             raise DeviceError(where, repr(number)[:80], expected)
     checked = tuple(int(number) if rule.is_integer else float(number) for number in numbers)
@@ -242,6 +241,6 @@ def _file_bytes(path: Path) -> bytes:
 def _parse(data: bytes, where: str) -> Device:
     try:
         table = tomllib.loads(data.decode("utf-8"))
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # ValueError: also an integer of thousands of digits
         raise DeviceError(where, f"no TOML ({error})", "a TOML profile") from error
     return parse_table(table, where)

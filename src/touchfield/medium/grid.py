@@ -208,7 +208,8 @@ class Placement:
         bounded = (extent > 0) & np.isfinite(available)
         if not bounded.any():
             raise InvalidArgument("workspace_m", "no limit along any extent of the scene", "finite metres")
-        scale = float((available[bounded] / extent[bounded]).min())
+        with np.errstate(over="ignore"):  # an extent of almost 0 limits nothing
+            scale = float((available[bounded] / extent[bounded]).min())
         return cls(scale, tuple(centre.tolist()))
 
     @classmethod

@@ -7,6 +7,7 @@ which they do not know leave such a sidecar alone.
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 from collections.abc import Iterator
@@ -165,7 +166,7 @@ def _parts_of(playlist: Path) -> list[Path]:
         require_in_folder(playlist.parent, unquote(name), str(playlist)) for name in dict.fromkeys(names)
     ]
     for path in paths:
-        if not path.is_file():
+        if not os.path.isfile(path):  # unlike Path.is_file, does not raise for a name that is too long
             raise SourceError(f"{playlist}: part", f"no file {path.name!r}", "the parts next to the playlist")
     if not paths:
         raise SourceError(str(playlist), "a playlist without parts", _EXPECTED)

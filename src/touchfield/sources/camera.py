@@ -33,6 +33,7 @@ DEFAULT_RATE_HZ: Final = 30.0
 INTERPOLATIONS: Final = ("linear", "nearest")
 
 STEP_RANGE_PER_M: Final = (5e-4, 2e-2)  # limits of the noise step g, 1/m: 0.5 mm to 2 cm at a depth of 1 m
+_MIN_DEPTH_M: Final = 1e-18  # float32 holds its inverse, and products of that
 MAX_FRAMES: Final = 1 << 20  # frames of the longest interpolated sequence: 17 minutes at 1 kHz
 _SNAP_FRAMES: Final = 1e-6
 """Times this close to a source frame, in frames, show that frame without interpolation."""
@@ -139,16 +140,16 @@ class DepthCode:
     def __call__(self, values: NDArray[Any]) -> Float32s:
         """Convert stored values of any numeric type to depth in metres, float32.
 
-        Unknown values become 0. 0, negative and non-finite values are unknown, and so is 65535 in 16 bits: by
-        convention in 7-Scenes and 3DMatch, elsewhere as the end of the scale.
+        Unknown values become 0. 0, negative, non-finite and vanishing values are unknown, and so is 65535 in
+        16 bits: by convention in 7-Scenes and 3DMatch, elsewhere as the end of the scale.
         """
         if self.is_rotated:
             values = ((values >> 3) | (values << 13)).astype(np.uint16)
-        with np.errstate(over="ignore"):  # overflow of float32 gives inf, which is unknown
+        with np.errstate(over="ignore", invalid="ignore"):  # inf and NaN are unknown
             depth: Float32s = np.divide(values, self.units_per_m, dtype=np.float64).astype(
                 np.float32, order="C"
             )
-        depth[~(np.isfinite(depth) & (depth > 0))] = 0
+        depth[~(np.isfinite(depth) & (depth > _MIN_DEPTH_M))] = 0
         if values.dtype == np.uint16:
             depth[values == 0xFFFF] = 0
         return depth

@@ -95,7 +95,7 @@ class Library:
             entries = {
                 name: Entry(int(s), int(t), int(c), str(f)) for name, (s, t, c, f) in rows_by_name.items()
             }
-        except (ValueError, TypeError, AttributeError, RecursionError) as error:
+        except (ValueError, TypeError, OverflowError, AttributeError, RecursionError) as error:
             raise SourceError(where, f"text that cannot be read ({error})", expected) from None
         rows = {name: index[name].values for name in index.names if name in entries}
         return cls(entries, rows)

@@ -289,6 +289,7 @@ class NpzArchive:
         if name not in self._entries:
             raise SourceError(where, "nothing of that name", f"one of {', '.join(self.names) or '(none)'}")
         info = self._entries[name]
+        require_plain_zip(info, where)
         with self.faults(name), zipfile.ZipFile(self.path) as archive, archive.open(info) as stream:
             header = read_npy_header(stream, where)
             claimed = header.size_bytes + header.data_bytes
@@ -334,6 +335,16 @@ class NpzArchive:
         except _FAULTS as error:
             found = f"bytes at fault ({error or type(error).__name__})"
             raise SourceError(f"{self.path}, {part}", found, "a whole .npz of NumPy") from error
+
+
+def require_plain_zip(member: zipfile.ZipInfo, where: str) -> None:
+    """Raise `SourceError` unless a member of an archive is stored or deflated.
+
+    A member compressed by LZMA or bzip2 expands more, and states how much memory its decoder takes.
+    """
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        found = f"{member.filename[:80]!r}, compressed by method {member.compress_type} of zip"
+        raise SourceError(where, found, "an archive that is deflated, method 8", "Save it again.")
 
 
 def read_exactly(stream: IO[bytes], count: int, where: str) -> bytes:

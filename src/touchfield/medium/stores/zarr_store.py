@@ -212,7 +212,7 @@ def read_zarr(path: str | Path) -> HapticMedium:
             friction=float(about["friction"]),
             damping_n_s_per_m=float(about["damping_n_s_per_m"]),
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         found = f"values that cannot be used ({error})"
         raise SourceError(f"{path}, attribute touchfield", found, "what touchfield writes") from None
 
@@ -242,7 +242,7 @@ def _layout(path: Path) -> tuple[list[int], list[int]]:
         inner = [c for c in about["codecs"] if c["name"] == "sharding_indexed"]
         chunk = [int(n) for n in inner[0]["configuration"]["chunk_shape"]] if inner else chunk
         kind = str(about["data_type"])
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, AttributeError, IndexError) as error:
         raise SourceError(
             where, f"metadata that cannot be used ({error!r})", "a zarr array, version 3"
         ) from None

@@ -90,7 +90,8 @@ def _record(fields: dict[str, list[str]]) -> np.dtype[Any]:
     record: list[tuple[str, np.dtype[Any], tuple[int, ...]]] = []
     for number, (name, size, kind, count) in enumerate(zip(names, sizes, kinds, counts)):
         repeats = int(count)
-        if not 0 <= repeats <= _MAX_BYTES_PER_FIELD or kind not in _KINDS or size not in ("1", "2", "4", "8"):
+        is_type = kind in _KINDS and size in ("1", "2", "4", "8") and kind + size != "F1"
+        if not (is_type and 0 <= repeats <= _MAX_BYTES_PER_FIELD):
             raise ValueError(f"the field {name[:40]} of TYPE {kind[:9]}, SIZE {size[:9]}, COUNT {count[:9]}")
         is_own = name != "_" and name not in names[:number]
         shape = () if repeats == 1 else (repeats,)

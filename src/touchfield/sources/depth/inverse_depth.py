@@ -127,7 +127,7 @@ def read_disparity(path: Path, options: SourceOptions) -> CodedSequence:
         raise SourceError(
             str(path), "an 8-bit picture", "16-bit PNG, PFM or NPY", "Give the disparity map itself."
         )
-    with np.errstate(over="ignore"):  # inf means unknown
+    with np.errstate(over="ignore", invalid="ignore"):  # inf and NaN mean unknown
         units_per_px = options.depth_scale or (_KITTI_UNITS_PER_PX if suffix == ".png" else 1.0)
         disparity = values.astype(np.float64) / units_per_px
     size, folder = (disparity.shape[1], disparity.shape[0]), path.absolute().parent

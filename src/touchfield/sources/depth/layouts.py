@@ -20,6 +20,7 @@ Pictures are decoded on demand.
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Set
 from dataclasses import dataclass
@@ -374,7 +375,7 @@ def _list_stamped(path: Path) -> PictureSet:
                     where, repr(" ".join(tokens)[:60]), "a time and a file name inside the folder"
                 )
             listed.append((stamp, path / name))
-        stamped = sorted((stamp, file) for stamp, file in listed if file.is_file())
+        stamped = sorted((stamp, file) for stamp, file in listed if os.path.isfile(file))
         if len(stamped) < len(listed):
             notes = (f"{len(stamped)} of the {len(listed)} frames in depth.txt are there.",)
     else:

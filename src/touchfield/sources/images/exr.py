@@ -6,6 +6,8 @@ are equal. Renderers write 1e10, or the largest half float (65504), where there 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.errors import SourceError, import_extra
+from touchfield.files import library_faults
 
 EXR_MAGIC: Final = b"\x76\x2f\x31\x01"
 _NAMES: Final = ("z", "depth", "v", "y", "distance")
@@ -20,13 +23,11 @@ _NO_SURFACE: Final = 65504.0  # the largest half float
 _EXPECTED: Final = "a channel Z, Depth or V, or one channel"
 
 
-def _open(path: Path, header_only: bool) -> Any:
+@contextmanager
+def _opened(path: Path, header_only: bool) -> Iterator[Any]:
     library = import_extra("OpenEXR", str(path), "OpenEXR", "exr")
-    try:
-        return library.File(str(path), separate_channels=True, header_only=header_only)
-    except (RuntimeError, ValueError, TypeError, OSError) as error:
-        found = f"an EXR that is damaged ({error})"
-        raise SourceError(str(path), found, "a whole EXR picture", "Copy the file again.") from error
+    with library_faults(path, "an EXR that is damaged", "a whole EXR picture", "Copy the file again."):
+        yield library.File(str(path), separate_channels=True, header_only=header_only)
 
 
 def _channel(path: Path, names: list[str]) -> str:
@@ -48,17 +49,19 @@ def exr_size(path: Path) -> tuple[int, int]:
 
     Raises `MissingExtra` without the library, `SourceError` if the file is invalid or has no such channel.
     """
-    header = _open(path, header_only=True).header()
-    low, high = header["dataWindow"]
-    _channel(path, [channel.name for channel in header["channels"]])
-    return int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1
+    with _opened(path, header_only=True) as file:
+        header = file.header()
+        low, high = header["dataWindow"]
+        _channel(path, [channel.name for channel in header["channels"]])
+        return int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1
 
 
 def read_exr(path: Path) -> NDArray[Any]:
     """Read the channel, float32 [height, width]; 0 where there is no surface. Raises as `exr_size`."""
-    channels = _open(path, header_only=False).channels()
-    name = _channel(path, list(channels))
-    values = np.array(channels[name].pixels, np.float32)
+    with _opened(path, header_only=False) as file:
+        channels = file.channels()
+        name = _channel(path, list(channels))
+        values = np.array(channels[name].pixels, np.float32)
     prefix, _, last = name.rpartition(".")
     if last == "R":
         for other in ("G", "B"):

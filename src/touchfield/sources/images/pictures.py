@@ -268,12 +268,25 @@ def read_picture(path: Path) -> NDArray[Any]:
             return _native(np.frombuffer(stream.read(needed_bytes - at), kind).reshape(size))
     bound_pixels(path, header.width, header.height, np.dtype(header.sample).itemsize)
     with opened(path, ("PNG", "TIFF")) as image:
+        require_all_strips(str(path), image)
         values = np.array(image)
     if values.shape != size:
         raise SourceError(str(path), f"samples of shape {values.shape}", f"{size}")
     if header.sample == "uint16" and values.dtype != np.uint16:
         values = values.astype(np.uint16)  # older releases of Pillow give 16-bit PNGs as int32
     return _native(values)
+
+
+def require_all_strips(where: str, image: Any) -> None:
+    """Raise `SourceError` for a picture of Pillow whose strips or tiles do not cover it.
+
+    Pillow fills the rest with zeros, so that a small TIFF could state a picture of any size.
+    """
+    width, height = image.size
+    covered = sum((right - left) * (low - top) for _, (left, top, right, low), *_ in image.tile)
+    if covered < width * height:
+        found = f"strips or tiles of {covered} pixels"
+        raise SourceError(where, found, f"all {width * height} of them", "Copy the file again.")
 
 
 def _pgm_header(path: Path, stream: IO[bytes]) -> tuple[PictureHeader, int]:

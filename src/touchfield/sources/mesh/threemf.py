@@ -9,7 +9,6 @@ from __future__ import annotations
 import io
 import re
 import zipfile
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -18,7 +17,8 @@ import numpy as np
 
 from touchfield.arrays import Float64s
 from touchfield.errors import SourceError, import_extra
-from touchfield.files import readable
+from touchfield.files import library_faults, readable
+from touchfield.medium.stores.npz import require_plain_zip
 from touchfield.sources.mesh.instances import ROOT, Definitions
 from touchfield.sources.mesh.mesh_data import MeshData, Placed, join, require_bounded
 from touchfield.sources.scene import UP_Z_AXES
@@ -43,7 +43,7 @@ def read_3mf(path: Path) -> MeshData:
     with readable(path, "a whole 3MF file"):
         data = path.read_bytes()
     _check_archive(path, data)
-    try:
+    with library_faults(path, "a 3MF file that cannot be read", "a whole 3MF file", "Export it again."):
         model = lib3mf.get_wrapper().CreateModel()
         model.QueryReader("3mf").ReadFromBuffer(data)
         build = _Build(lib3mf)
@@ -59,9 +59,6 @@ def read_3mf(path: Path) -> MeshData:
             raise without_triangles(path, sum(len(part.vertices) for part in placed))
         vertices, triangles = join(placed)
         unit = lib3mf.ModelUnit(model.GetUnit()).name
-    except (lib3mf.ELib3MFException, ArithmeticError, LookupError, ValueError) as error:
-        found = f"a 3MF file that cannot be read ({str(error)[:120]})"
-        raise SourceError(str(path), found, "a whole 3MF file", "Export it again.") from error
     return MeshData(vertices, triangles, build.notes(), _UNITS_M[unit], UP_Z_AXES)
 
 
@@ -69,17 +66,18 @@ def read_3mf(path: Path) -> MeshData:
 def _check_archive(path: Path, data: bytes) -> None:
     """Refuse what is no archive, and one that unpacks, or whose components expand, to far too much."""
     definitions = Definitions(str(path))
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            unpacked = sum(entry.file_size for entry in archive.infolist())
-            if unpacked > _UNPACKED_PER_BYTE * len(data) + _FREE_UNPACKED:
-                found = f"an archive of {len(data)} bytes that declares {unpacked}"
-                raise SourceError(str(path), found, "a 3MF file", "Export it again.")
-            for entry in archive.infolist():
-                if entry.filename.lower().endswith(".model"):
-                    _add_definitions(path, f"/{entry.filename}", archive.read(entry), definitions)
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, OSError, ValueError, zlib.error) as error:
-        raise SourceError(str(path), f"no zip archive ({error})", "a whole 3MF file") from error
+    with (
+        library_faults(path, "no zip archive", "a whole 3MF file"),
+        zipfile.ZipFile(io.BytesIO(data)) as archive,
+    ):
+        unpacked = sum(entry.file_size for entry in archive.infolist())
+        if unpacked > _UNPACKED_PER_BYTE * len(data) + _FREE_UNPACKED:
+            found = f"an archive of {len(data)} bytes that declares {unpacked}"
+            raise SourceError(str(path), found, "a 3MF file", "Export it again.")
+        for entry in archive.infolist():
+            require_plain_zip(entry, str(path))
+            if entry.filename.lower().endswith(".model"):
+                _add_definitions(path, f"/{entry.filename}", archive.read(entry), definitions)
     definitions.require_bounded(unpacked)
 
 

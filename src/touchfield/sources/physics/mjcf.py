@@ -248,7 +248,11 @@ def _pieces_of(
         is_alone = not shapes and len(meshes) == 1
         for geom_name, vertices, faces in meshes:
             part = name if is_alone else f"{name}/{geom_name}"
-            pieces.append((part, body, MeshScene(vertices, faces, shell=shell, name=part)))
+            try:
+                mesh = MeshScene(vertices, faces, shell=shell, name=part)
+            except SourceError as error:
+                raise SourceError(f"{where}: {part}", error.found, error.expected, error.hint) from error
+            pieces.append((part, body, mesh))
     if not pieces:
         expected = (
             "a rigid geom that collides: sphere, capsule, ellipsoid, cylinder, box, plane, mesh or hfield"

@@ -40,6 +40,7 @@ files.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -244,7 +245,7 @@ def _mesh(path: Path, entry: JsonValue, anywhere: bool) -> MeshScene:
         from touchfield.sources.mesh.mesh_files import read_mesh
 
         file = _named_file(path, entry, "file", anywhere)
-        if not file.exists():
+        if not os.path.exists(file):
             raise entry.at("file").wrong(f"nothing at {file}", "a mesh file", "Check the path.")
         mesh = read_mesh(file)
         unit_m = values.get("unit_m") or mesh.unit_m or 1.0

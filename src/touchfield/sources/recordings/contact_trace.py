@@ -30,13 +30,14 @@ import numpy as np
 from touchfield.arrays import Bools, Float64s
 from touchfield.compute.threads import for_chunks
 from touchfield.errors import InvalidArgument, SourceError, import_extra
-from touchfield.files import readable, require_plain
+from touchfield.files import library_faults, readable, require_plain
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.field import field_of_points
 from touchfield.medium.grid import CORNERS
 from touchfield.medium.trace import MAX_SAMPLES, ContactTrace, has_forces, read_contacts
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
+from touchfield.sources.recordings.mcap_chunks import require_distinct_chunks
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import UP_Z_AXES, Scene, find_bricks_by_sphere
 
@@ -332,28 +333,30 @@ def read_mcap(path: Path) -> ContactTrace:
     Raises `MissingExtra` if the library mcap is not installed; `SourceError` if the file cannot be read, a
     message is damaged, or there are no positions or no forces.
     """
-    faults = import_extra("mcap.exceptions", str(path), "mcap", "mcap")
     reader = import_extra("mcap.reader", str(path), "mcap", "mcap")
     require_plain(path, _EXPECTED)
     rows_of: tuple[dict[int, list[tuple[float, ...]]], ...] = ({}, {})
     names: dict[str, None] = {}
     count = 0
-    try:
-        with readable(path, _EXPECTED, "Check path and rights."), path.open("rb") as file:
-            for schema, channel, message in reader.make_reader(file).iter_messages():  # by time
-                name = schema.name if schema is not None else ""
-                names[f"{channel.topic} ({name}, {channel.message_encoding})"] = None
-                for kind, values in _contents(
-                    name, channel.message_encoding, message.data, f"{path}: {channel.topic}"
-                ):
-                    rows_of[kind].setdefault(channel.id, []).append((message.log_time / 1e9, *values))
-                    count += 1
-                if count > 2 * MAX_SAMPLES:
-                    raise SourceError(
-                        str(path), f"more than {2 * MAX_SAMPLES} messages", _EXPECTED, "Cut it in parts."
-                    )
-    except (faults.McapError, struct.error, EOFError, KeyError, RuntimeError, ValueError) as error:
-        raise SourceError(str(path), f"no sound MCAP ({error})", _EXPECTED, "Copy it again.") from error
+    with (
+        readable(path, _EXPECTED, "Check path and rights."),
+        path.open("rb") as file,
+        library_faults(path, "no sound MCAP", _EXPECTED, "Copy it again."),
+    ):
+        messages = reader.make_reader(file)
+        require_distinct_chunks(messages.get_summary(), str(path))
+        for schema, channel, message in messages.iter_messages():  # by time
+            name = schema.name if schema is not None else ""
+            names[f"{channel.topic} ({name}, {channel.message_encoding})"] = None
+            for kind, values in _contents(
+                name, channel.message_encoding, message.data, f"{path}: {channel.topic}"
+            ):
+                rows_of[kind].setdefault(channel.id, []).append((message.log_time / 1e9, *values))
+                count += 1
+            if count > 2 * MAX_SAMPLES:
+                raise SourceError(
+                    str(path), f"more than {2 * MAX_SAMPLES} messages", _EXPECTED, "Cut it in parts."
+                )
     for rows, quantity in zip(rows_of, ("positions", "forces")):
         if not rows:
             listed = ", ".join(list(names)[:6]) or "no message"

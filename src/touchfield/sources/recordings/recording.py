@@ -8,9 +8,9 @@ and no unit: the caller gives its full scale.
 
 from __future__ import annotations
 
-import struct
 import warnings
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Final
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, SourceError, require_positive
-from touchfield.files import plain_size, readable
+from touchfield.files import library_faults, read_bytes
 from touchfield.medium.field import frozen
 from touchfield.sources.poses import read_text, split_lines
 
@@ -76,21 +76,15 @@ def read_recording(path: str | Path, full_scale_m_s2: float = STANDARD_GRAVITY_M
 def _read_wav(where: Path) -> tuple[float, Float64s]:
     from scipy.io import wavfile
 
-    with readable(where, "a .wav file", "Check path and rights."):
-        if plain_size(where, "a .wav file") > _MAX_BYTES:
-            raise SourceError(str(where), "more than 256 MiB", "a recording of some seconds", "Cut it.")
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", wavfile.WavFileWarning)
-                rate_hz, stored = wavfile.read(where)
-        except (ValueError, EOFError, struct.error, TypeError, ZeroDivisionError) as error:
-            raise SourceError(
-                str(where), f"what is no sound ({error})", "a .wav file of PCM or float"
-            ) from error
-    samples = stored.reshape(len(stored), -1).astype(np.float64)
-    if not (samples.size and 1 <= samples.shape[1] <= 3 and rate_hz > 0):
-        found = f"{samples.shape[1]} channels of {len(samples)} samples at {rate_hz} Hz"
+    data = read_bytes(where, _MAX_BYTES, "a .wav file of some seconds")
+    with library_faults(where, "what is no sound", "a .wav file of PCM or float"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", wavfile.WavFileWarning)
+        rate_hz, stored = wavfile.read(BytesIO(data))  # of bytes, so that a stated size allocates nothing
+    channels = stored.shape[1] if stored.ndim == 2 else 1
+    if not (stored.size and 1 <= channels <= 3 and rate_hz > 0):
+        found = f"{channels} channels of {len(stored)} samples at {rate_hz} Hz"
         raise SourceError(str(where), found, "1 to 3 channels of samples, the axes")
+    samples = stored.reshape(len(stored), channels).astype(np.float64)
     if stored.dtype == np.uint8:
         samples = (samples - 128) / 128
     elif stored.dtype.kind == "i":

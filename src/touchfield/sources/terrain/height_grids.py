@@ -195,7 +195,8 @@ def read_asc(path: Path) -> tuple[NDArray[Any], GeoReference]:
             at = match.end()
         cell = head.get("cellsize", 0.0)
         dx, dy = head.get("dx", cell), head.get("dy", cell)
-        rows, cols = (int(head.get(key, 0)) for key in ("nrows", "ncols"))
+        stated = (head.get(key, 0.0) for key in ("nrows", "ncols"))
+        rows, cols = (int(count) if 0 < count <= MAX_SAMPLES else 0 for count in stated)  # also inf and NaN
         if not (rows > 0 and cols > 0 and rows * cols <= MAX_SAMPLES and dx > 0 and dy > 0):
             found = ", ".join(f"{key} {value:g}" for key, value in head.items()) or "no header"
             expected = f"ncols, nrows (at most {MAX_SAMPLES} in all) and cellsize"

@@ -126,7 +126,8 @@ def scene_of(
 
 def as_heights(values: NDArray[Any]) -> Heights:
     """Convert to floating point, NaN if not finite."""
-    heights: Heights = values.astype(np.float64 if values.dtype.itemsize > 2 else np.float32)
+    with np.errstate(invalid="ignore"):  # a signalling NaN
+        heights: Heights = values.astype(np.float64 if values.dtype.itemsize > 2 else np.float32)
     heights[~np.isfinite(heights)] = np.nan
     return heights
 
@@ -253,14 +254,13 @@ def upright(path: Path, heights: Heights, reference: GeoReference) -> UprightMap
     if not (0 < dx < math.inf and 0 < dy < math.inf):
         note = f"The positions in the file are not used: its cells are {dx:g} x {dy:g}."
         return UprightMap(heights, None, None, reference, (*reference.notes, note))
-    cosine = (a * b + d * e) / (dx * dy)
+    cosine = (a / dx) * (b / dy) + (d / dx) * (e / dy)
     if abs(cosine) > _MAX_SHEAR:
         found = f"sheared cells: rows and columns meet at {math.degrees(math.acos(cosine)):.4g} degrees"
         raise SourceError(str(path), found, "90 degrees", UPRIGHT + ".")
     rows, cols = heights.shape[-2:]
-    middle: Pair | None = d * cols / 2 + e * rows / 2 + f, a * cols / 2 + b * rows / 2 + c
-    if not math.isfinite(c + f):
-        middle = None
+    position = d * cols / 2 + e * rows / 2 + f, a * cols / 2 + b * rows / 2 + c
+    middle: Pair | None = position if all(map(math.isfinite, position)) else None
     notes = reference.notes
     if a * e - b * d > 0:
         heights = np.flip(heights, -2)

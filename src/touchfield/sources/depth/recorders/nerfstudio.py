@@ -11,6 +11,7 @@ A frame without depth is left out. Floats are taken as metres, unless ``depth_un
 from __future__ import annotations
 
 import json
+import os
 import re
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
@@ -53,7 +54,7 @@ def _list_pictures(path: Path) -> PictureSet:
         if name.is_absolute() or ".." in name.parts:
             raise SourceError(str(path / _NAME), repr(str(name)[:80]), "a file name inside the folder")
         paths.append(path / name)
-    missing = [file for file in paths if not file.is_file()]
+    missing = [file for file in paths if not os.path.isfile(file)]  # also of a name that is too long
     if missing:
         found = (
             f"no {missing[0].relative_to(path)} ({len(missing)} of {len(paths)} depth pictures are missing)"

@@ -15,7 +15,6 @@ Depth_Units   RealSense: the metres of a stored unit
 from __future__ import annotations
 
 import sqlite3
-import struct
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -26,6 +25,7 @@ from numpy.typing import NDArray
 
 from touchfield.arrays import Float64s
 from touchfield.errors import MissingExtra, SourceError, as_source_error, import_extra
+from touchfield.files import library_faults
 from touchfield.sources.camera import CodedSequence, DepthCode, DepthSequence, Intrinsics, require_frame
 from touchfield.sources.depth.frame_poses import PosedFrames, drop_unposed, find_poses
 from touchfield.sources.depth.intrinsics_file import CameraFile, camera_of, scaled_camera
@@ -36,6 +36,7 @@ from touchfield.sources.depth.recorders.ros1_bag import is_ros1_bag, read_ros1, 
 from touchfield.sources.images.pictures import list_files, require_size
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.poses import interpolate_poses, poses_of_quaternions
+from touchfield.sources.recordings.mcap_chunks import require_distinct_chunks
 
 _FILES: Final = r".+\.(mcap|db3)"
 _IMAGES: Final = (messages.IMAGE, messages.COMPRESSED_IMAGE)
@@ -59,17 +60,10 @@ class Message(NamedTuple):
 # -- files -------------------------------------------------------------------------------------------------
 @contextmanager
 def _faults(path: Path) -> Iterator[None]:
-    """Convert the errors of SQLite and MCAP for invalid bytes to `SourceError`."""
-    try:
+    """Convert the errors of SQLite, MCAP and what decompresses it to `SourceError`."""
+    kind = "MCAP" if path.suffix.lower() == ".mcap" else "bag"
+    with library_faults(path, f"no sound {kind}", _EXPECTED, "Copy it again."):
         yield
-    except sqlite3.Error as error:
-        raise SourceError(str(path), f"no sound bag ({error})", _EXPECTED, "Copy it again.") from error
-    except (struct.error, EOFError, KeyError, RuntimeError, ValueError) as error:
-        raise SourceError(str(path), f"no sound MCAP ({error})", _EXPECTED, "Copy it again.") from error
-    except Exception as error:
-        if type(error).__module__.startswith("mcap"):
-            raise SourceError(str(path), f"no sound MCAP ({error})", _EXPECTED, "Copy it again.") from error
-        raise
 
 
 def _files(path: Path) -> tuple[Path, ...]:
@@ -86,11 +80,13 @@ def topics_of(path: Path) -> dict[str, str]:
                 continue
             if file.suffix.lower() == ".db3":
                 with closing(_connect(file)) as database:
-                    topics |= dict(database.execute("SELECT name, type FROM topics"))
+                    rows = database.execute("SELECT name, type FROM topics")
+                    topics |= {str(name): str(kind) for name, kind in rows}  # SQLite stores any type anywhere
                 continue
             reader = import_extra("mcap.reader", str(path), "mcap", "mcap")
             with file.open("rb") as stream:
                 summary = reader.make_reader(stream).get_summary()
+                require_distinct_chunks(summary, str(file))
                 if summary is not None:
                     for channel in summary.channels.values():
                         schema = summary.schemas.get(channel.schema_id)
@@ -103,6 +99,13 @@ def topics_of(path: Path) -> dict[str, str]:
 
 def _connect(file: Path) -> sqlite3.Connection:
     return sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro", uri=True)
+
+
+def _blob(data: object) -> bytes:
+    """Check a message of a database; ValueError if it is no bytes, as SQLite stores any type anywhere."""
+    if not isinstance(data, bytes):
+        raise ValueError(f"a message of type {type(data).__name__}")
+    return data
 
 
 def _read(path: Path, topics: list[str]) -> Iterator[Message]:
@@ -122,7 +125,7 @@ def _read(path: Path, topics: list[str]) -> Iterator[Message]:
                         "ORDER BY messages.timestamp"
                     )
                     for topic, kind, key, data in database.execute(query, topics):
-                        yield Message(topic, kind, (file, int(key)), data)
+                        yield Message(topic, kind, (file, int(key)), _blob(data))
                 continue
             reader = import_extra("mcap.reader", str(path), "mcap", "mcap")
             with file.open("rb") as stream:
@@ -143,7 +146,7 @@ def _read_one(place: tuple[Path, int], topic: str) -> bytes:
             with closing(_connect(file)) as database:
                 row = database.execute("SELECT data FROM messages WHERE id = ?", (key,)).fetchone()
             if row is not None:
-                return bytes(row[0])
+                return _blob(row[0])
         else:
             reader = import_extra("mcap.reader", str(file), "mcap", "mcap")
             with file.open("rb") as stream:

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.errors import SourceError, import_extra
+from touchfield.files import library_faults
 from touchfield.sources.images.pictures import MAX_PIXELS
 
 IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -81,11 +82,9 @@ def decode(kind: str, data: bytes, where: str) -> Any:
     Raises `SourceError`, which names `where`, if it is cut short; `MissingExtra` without the library.
     """
     decoder = _decoder(kind)
-    try:
+    found = f"a message of {len(data)} bytes that cannot be decoded"
+    with library_faults(where, found, kind, "Copy the bag again."):
         return decoder(data)
-    except (struct.error, ValueError, IndexError, EOFError, UnicodeDecodeError, TypeError) as error:
-        found = f"a message of {len(data)} bytes that cannot be decoded ({error})"
-        raise SourceError(where, found, kind, "Copy the bag again.") from error
 
 
 def stamp_s(header: Any) -> float:
@@ -138,13 +137,13 @@ def _decompressed(encoding: str, form: str, data: bytes, where: str) -> NDArray[
 def _png_samples(data: bytes, where: str) -> NDArray[np.uint16]:
     from PIL import Image
 
-    try:
-        with Image.open(BytesIO(data), formats=("PNG",)) as image:
-            if image.width * image.height > MAX_PIXELS:
-                raise SourceError(where, f"{image.width} x {image.height} pixels", f"at most {MAX_PIXELS}")
-            stored = np.array(image).astype(np.uint16)
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise SourceError(where, f"no PNG after the head ({error})", "compressedDepth with PNG") from error
+    with (
+        library_faults(where, "no PNG after the head", "compressedDepth with PNG"),
+        Image.open(BytesIO(data), formats=("PNG",)) as image,
+    ):
+        if image.width * image.height > MAX_PIXELS:
+            raise SourceError(where, f"{image.width} x {image.height} pixels", f"at most {MAX_PIXELS}")
+        stored = np.array(image).astype(np.uint16)
     if stored.ndim != 2:
         raise SourceError(where, f"samples of shape {stored.shape}", "a grey picture of 16 bits")
     return stored

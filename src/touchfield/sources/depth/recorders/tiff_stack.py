@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 from touchfield.errors import SourceError
 from touchfield.sources.camera import require_frame
 from touchfield.sources.depth.layouts import Layout, PictureSet
-from touchfield.sources.images.pictures import bound_pixels, has_pages, opened, picture_header, require_size
+from touchfield.sources.images.pictures import (
+    bound_pixels,
+    has_pages,
+    opened,
+    picture_header,
+    require_all_strips,
+    require_size,
+)
 
 _MAX_PAGES: Final = 1 << 16
 
@@ -42,6 +49,7 @@ class TiffPages:
             image.seek(frame)
             require_size(where, image.size, self.size, "as the first page has")
             bound_pixels(path, *image.size)
+            require_all_strips(where, image)
             values = np.array(image)
         kind = np.dtype(self.headers[0].sample)
         if values.ndim != 2 or values.dtype.newbyteorder("=") != kind:
