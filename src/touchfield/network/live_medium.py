@@ -57,6 +57,13 @@ MARGIN_S: Final = 0.03
 SEEK_BEYOND_S: Final = 0.25
 """Playback seeks if it lags by more; otherwise its speed is adjusted."""
 
+SETTLING_S: Final = 0.8
+"""Time from the start of playback in which the delay settles: delays are forgotten at once, since the first
+segment was stored before it was sent, and opening a device slows its machine down."""
+
+SEEK_WHILE_SETTLING_S: Final = 0.05
+"""Playback seeks if it lags by more while the delay settles: at a tenth of speed, 0.25 s would take 2.5 s."""
+
 MAX_SPEED_CHANGE: Final = 0.1
 
 MAX_LAYER_LAG_S: Final = 0.25
@@ -159,6 +166,7 @@ class LiveFrames:
         self.received_s, self._reported_s = clock_s(), -math.inf
         self._start_s: float | None = None
         self._played, self._capacity = (math.inf, 0.0), MAX_SEGMENTS
+        self._settled_s = math.inf
         if coarse is not None:
             coarse._fine, coarse._capacity = (
                 self,
@@ -217,7 +225,7 @@ class LiveFrames:
             self._lose(segment.frame_count - len(fields), f"could not be decoded: {error}")
         with self._news:
             before_s = start_s if self._start_s is None else self._start_s
-            is_anew = before_s - start_s > RESET_BEYOND_S
+            is_anew = before_s - start_s > RESET_BEYOND_S or self.is_settling
             self._start_s = start_s if is_anew else max(start_s, before_s + FORGETTING * (start_s - before_s))
 
     def _keep(self, segment: _Decoded) -> None:
@@ -304,9 +312,15 @@ class LiveFrames:
         is_needed = media_s + (self._base or 0) / self._rate_hz + now - noted_s + MARGIN_S >= needed_s
         return is_needed or (start_s is not None and now - start_s >= needed_s)
 
+    @property
+    def is_settling(self) -> bool:
+        """True before playback starts and in its first moments."""
+        return self._clock_s() < (self._fine or self)._settled_s
+
     def set_played_time(self, media_s: float) -> None:
         """Record the time of the medium that is played now."""
         self._played = self._clock_s(), media_s
+        self._settled_s = min(self._settled_s, self._clock_s() + SETTLING_S)
 
     def stream_frame(self, index: int) -> int | None:
         """Return the sender's current number of frame `index`; None before the first segment."""
@@ -436,7 +450,8 @@ class LiveStream(OpenStream):
         if due_s is None:
             return False
         lag_s = due_s - player.media_s
-        if abs(lag_s) > SEEK_BEYOND_S:
+        seek_beyond_s = SEEK_WHILE_SETTLING_S if self.frames.is_settling else SEEK_BEYOND_S
+        if abs(lag_s) > seek_beyond_s:
             self.frames.skipped += max(0, round(lag_s * self.reader.head.rate_hz))
             player.seek(due_s)
             lag_s = 0.0
