@@ -22,6 +22,7 @@ from touchfield.errors import SourceError, TouchfieldError, reason
 from touchfield.files import standard_input
 from touchfield.network.live import MAX_BYTES, Ended, LiveReceiver, LiveSegment, Opened, messages
 from touchfield.network.live_medium import PATIENCE_S, REPORT_AFTER_S, LiveFrames, LiveStream
+from touchfield.network.live_scene import live_frames
 
 _SHORTEST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 2.0  # between two tries to connect
 _POLL_S: Final = 0.05
@@ -125,8 +126,8 @@ class _Client:
             if isinstance(event, Opened):
                 if self._frames is None:
                     coarse = None if self._coarse is None else self._coarse.layer(self._report)
-                    self._frames = LiveFrames(event, self._report, coarse=coarse)
-                elif event.head == self._frames.opened.head:
+                    self._frames = live_frames(event, self._report, coarse)
+                elif _programme(event) == _programme(self._frames.opened):
                     self._report("another programme begins")
                     self._frames.start_programme()
                 else:  # a player of the previous programme must open the stream again
@@ -225,6 +226,11 @@ class _Client:
             if is_over:
                 return await asyncio.to_thread(self._take, b"")
             await asyncio.sleep(_POLL_S)
+
+
+def _programme(opened: Opened) -> tuple[object, ...]:
+    """Return what must stay the same in another programme: the head, and the fields of the bodies."""
+    return opened.head, opened.objects
 
 
 def _manifest(data: bytes, name: str) -> tuple[bool, list[int]]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from threading import Condition
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -22,7 +22,7 @@ from touchfield.codec.segment import BitAccount
 from touchfield.codec.vibration import decode_vibration
 from touchfield.errors import FormatError, SourceError, TouchfieldError, UnsupportedVersion
 from touchfield.filters.resample import half_grid, rebuild_level
-from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.medium.medium import VibrationFrame
 from touchfield.network.live import ENDLESS, Ended, Event, LiveSegment, Lost, Opened, Refused
 from touchfield.pipeline.stream import OpenStream
@@ -81,16 +81,17 @@ class LiveEnd(SourceError):
 
 
 class _Decoded(NamedTuple):
-    """A segment, possibly partly decoded."""
+    """A segment, possibly partly decoded; its frames are fields, or poses (`LivePoses`)."""
 
     first: int
-    fields: list[ForceField]
+    fields: list[Any]
     band: list[VibrationFrame]
 
     @property
     def size(self) -> int:
-        """Size of its fields in bytes."""
-        return sum(field.forces_n.nbytes for field in {id(field): field for field in self.fields}.values())
+        """Size of its fields in bytes; that of poses is limited by the segment."""
+        fields = {id(field): field for field in self.fields if isinstance(field, ForceField)}
+        return sum(field.forces_n.nbytes for field in fields.values())
 
 
 class _Part(NamedTuple):
@@ -143,10 +144,8 @@ class LiveFrames:
     ) -> None:
         self.opened, head = opened, opened.head
         self.vibrates = False
-        if coder(head.coder).spec is None:
-            raise UnsupportedVersion("live stream", f"coder {head.coder}", "a coder of fields, such as touch")
         self.grid = Grid(head.grid_shape, head.spacing_m, head.origin_m)
-        self._decoder: FieldDecoder = coder(head.coder).decoder_class(self.grid, head.coder_parameters)
+        self._open_decoder()
         self._rate_hz: float = head.rate_hz
         if coarse is not None and (coarse.grid, coarse._rate_hz) != (half_grid(self.grid), head.rate_hz):
             found = f"{coarse.grid.shape} samples at {coarse._rate_hz:g} Hz"
@@ -172,6 +171,21 @@ class LiveFrames:
                 self,
                 2 * MAX_SEGMENTS,
             )  # the fine layer may be that much later
+
+    def _open_decoder(self) -> None:
+        head = self.opened.head
+        if coder(head.coder).spec is None:
+            raise UnsupportedVersion("live stream", f"coder {head.coder}", "a coder of fields, such as touch")
+        self._decoder: FieldDecoder = coder(head.coder).decoder_class(self.grid, head.coder_parameters)
+
+    def _decoded(self, segment: LiveSegment) -> Iterator[Any]:
+        """Yield the frames of a segment, each once it is decoded."""
+        return self._decoder.frames(segment.body, segment.frame_count)
+
+    @property
+    def scene(self) -> HapticScene | None:
+        """The bodies of a stream of coder `objects`; None for a stream of fields."""
+        return None
 
     def take(self, event: Event) -> None:
         """Take an event; a segment is decoded in this (the receiving) thread."""
@@ -204,7 +218,7 @@ class LiveFrames:
 
     def _take_segment(self, segment: LiveSegment) -> None:
         """Decode a segment frame by frame, so that the first can be played before the last is decoded."""
-        received_s, first, fields = self._clock_s(), segment.first_frame, list[ForceField]()
+        received_s, first, fields = self._clock_s(), segment.first_frame, list[Any]()
         self.vibrates |= segment.vibration is not None
         start_s = received_s - first / self._rate_hz  # time at which frame 0 would have been on time
         try:
@@ -213,7 +227,7 @@ class LiveFrames:
                 if segment.vibration
                 else []
             )
-            for field in self._decoder.frames(segment.body, segment.frame_count):
+            for field in self._decoded(segment):
                 fields.append(field)
                 with self._news:
                     if len(fields) == 1:
@@ -339,7 +353,8 @@ class LiveFrames:
                 coarse = self._coarse._segment_with(frame)
         self._note_part(index, frame, segment, coarse)
         if segment is not None:
-            return segment.fields[frame - segment.first]
+            field: ForceField = segment.fields[frame - segment.first]
+            return field
         if coarse is None:
             return ForceField.empty(self.grid)
         if self._rebuilt[0] != frame:
@@ -440,6 +455,10 @@ class LiveStream(OpenStream):
         reader: Any = SimpleNamespace(name=name, has_vibration=False, size=0, **frames.opened.__dict__)
         super().__init__(reader)  # the attributes of a reader that a stream without an end has
         self.frames = frames
+
+    @property
+    def scene(self) -> HapticScene | None:
+        return self.frames.scene
 
     def keep_up(self, player: Player) -> bool:
         """Keep a player at the due time; return True if it had to seek.
