@@ -180,9 +180,13 @@ def coarse_layer(source: Source | ArrayLike, prepared: Prepared) -> tuple[Prepar
     """Prepare the coarse layer of a prepared source, and open its sender.
 
     Its provenance states the error of the layer alone on the first frame. Raises InvalidArgument if the
-    lattice cannot be halved.
+    lattice cannot be halved, or for bodies.
     """
     fine, spec = prepared.medium, prepared.spec
+    if isinstance(prepared, PreparedBodies):
+        raise InvalidArgument(
+            "--coarse", "a stream of bodies", "one of fields", "Add --representation voxel."
+        )
     if max(fine.grid.shape) < 2:
         raise InvalidArgument("--coarse", f"a lattice of {fine.grid.shape} samples", "one that can be halved")
     meter, first = FidelityMeter(spec.k, spec.f0_n or EncodeSpec().f0_n), fine[0]
