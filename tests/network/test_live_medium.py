@@ -225,6 +225,7 @@ def test_silence_is_reported_once_and_ends_after_a_minute(length: int) -> None:
         assert not frames.is_there(length) and len(notes) == (silent_s > usual_s + 3)
     frames.take(replace(segment(0, length), first_frame=length))
     assert frames.is_there(length) and not frames.is_there(2 * length)
+    assert notes.pop() == "segments come again, after 59 s"
     now[0] = 218.0
     assert not frames.is_there(2 * length) and len(notes) == 2
     now[0] = 220.0

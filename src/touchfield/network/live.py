@@ -271,11 +271,18 @@ class LiveSender:
     """Sending end: takes segments and provides messages to any number of receivers.
 
     Thread-safe: one thread may encode while another sends.
+
+    Attributes
+    ----------
+    opening : bytes
+        Empty before `open`.
+    programme : str
+        Random identifier in the opening; empty before `open`.
     """
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self.opening = b""
+        self.opening, self.programme = b"", ""
         self._latest: deque[tuple[int, LiveSegment, bytes]] = deque(maxlen=MAX_SEGMENTS)
         self._count, self._is_ended = 0, False
 
@@ -289,7 +296,8 @@ class LiveSender:
 
         Raises InvalidArgument if `objects`, the bodies of coder `objects`, make the opening too long.
         """
-        provenance_pairs = {**(provenance or {}), "programme": secrets.token_hex(8)}
+        programme = secrets.token_hex(8)
+        provenance_pairs = {**(provenance or {}), "programme": programme}
         records = [encode_record("OBJT", record) for record in objects]
         opening = b"".join((*opening_of(replace(head, frame_count=ENDLESS), provenance_pairs), *records))
         if len(opening) > MAX_BYTES:
@@ -298,7 +306,7 @@ class LiveSender:
         with self._lock:
             if self.opening:
                 raise InvalidArgument("open", "a second call", "one")
-            self.opening = opening
+            self.opening, self.programme = opening, programme
 
     def add(self, segment: LiveSegment) -> bytes:
         """Append a segment; return its message."""
@@ -361,7 +369,8 @@ class LiveSender:
                 }
                 for number, segment, message in self._latest
             ]
-            return {"is_ended": self._is_ended, "segments": segments}
+            programme = {"programme": self.programme} if self.programme else {}
+            return {"is_ended": self._is_ended, **programme, "segments": segments}
 
     def message(self, number: int) -> bytes | None:
         """Return the message of a segment of the manifest; None if it is no longer kept."""

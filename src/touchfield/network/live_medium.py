@@ -231,7 +231,7 @@ class LiveFrames:
                 fields.append(field)
                 with self._news:
                     if len(fields) == 1:
-                        self.received_s = received_s
+                        self._report_arrival(received_s)
                         self._keep(_Decoded(first, fields, band))
                     start_s = max(start_s, self._clock_s() - (first + len(fields) - 1) / self._rate_hz)
                     self._news.notify_all()
@@ -241,6 +241,12 @@ class LiveFrames:
             before_s = start_s if self._start_s is None else self._start_s
             is_anew = before_s - start_s > RESET_BEYOND_S or self.is_settling
             self._start_s = start_s if is_anew else max(start_s, before_s + FORGETTING * (start_s - before_s))
+
+    def _report_arrival(self, received_s: float) -> None:
+        """Record the time of a segment; report it if a wait for it was reported."""
+        if self._segments and self._reported_s == self.received_s:
+            self._report(f"segments come again, after {received_s - self.received_s:.0f} s")
+        self.received_s = received_s
 
     def _keep(self, segment: _Decoded) -> None:
         """Keep a segment whose first frame is decoded; drop the oldest ones beyond the capacity."""

@@ -40,10 +40,10 @@ def live_frames(
 
 
 class _Frame(NamedTuple):
-    """A frame of a segment: the scene of the segment, and the index of the frame in it."""
+    """A frame of a segment: the scene of the segment, and the number of the frame in it."""
 
     scene: HapticScene
-    index: int
+    number: int
 
 
 class LivePoses(LiveFrames):
@@ -107,13 +107,13 @@ class LivePoses(LiveFrames):
 
     def __call__(self, index: int) -> ForceField:
         found = self._find(index)
-        return ForceField.empty(self.grid) if found is None else found.scene.voxelise()[found.index]
+        return ForceField.empty(self.grid) if found is None else found.scene.voxelise()[found.number]
 
     def poses(self, index: int) -> BodyPoses:
         """Wait for a frame and return its poses; those of a lost frame are absent."""
         found = self._find(index)
         if found is not None:
-            self._latest_poses = found.scene.poses(found.index)
+            self._latest_poses = found.scene.poses(found.number)
             return self._latest_poses
         return (self._latest_poses or self.scene.at_rest)._replace(is_absent=True)
 
@@ -122,7 +122,7 @@ class LivePoses(LiveFrames):
         found = self._find(index)
         if found is None:
             return ForceField.empty(self.grid).sample_n(positions_m)
-        return found.scene.sample_n(found.index, positions_m)
+        return found.scene.sample_n(found.number, positions_m)
 
 
 @dataclass(frozen=True)

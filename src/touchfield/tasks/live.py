@@ -114,8 +114,9 @@ class Sent:
     def error_bound(self, prepared: Prepared) -> dict[str, Any]:
         """Return the keys of the error bound of all segments that were sent."""
         has_bound = self.segments > self.unbounded_segments == 0
-        is_of_bodies = isinstance(prepared, PreparedBodies)
-        rule = prepared.bodies.encoder.bound_rule if is_of_bodies else CODER.bound_rule(prepared.coding)
+        rule = CODER.bound_rule(prepared.coding)
+        if isinstance(prepared, PreparedBodies):
+            rule = prepared.bodies.encoder.bound_rule
         keys = bound_keys(rule, {"promise_kept": has_bound})
         if not self.segments:
             keys = {"error_bound": None, "error_bound_note": "no error bound is proved: no segment was sent"}
@@ -165,8 +166,9 @@ def _open_bodies(
         scene = scene.freed()
     prepared = prepare(scene, spec)
     bodies = LiveBodies(scene, prepared, control)
+    encoder: Any = bodies.encoder  # the head has its name and its parameters
     sender, records = LiveSender(), [record_of(coded) for coded in bodies.encoder.objects]
-    sender.open(file_head(prepared, bodies.encoder), file_provenance(source, prepared), records)
+    sender.open(file_head(prepared, encoder), file_provenance(source, prepared), records)
     return PreparedBodies(**vars(prepared), bodies=bodies), sender
 
 

@@ -228,6 +228,6 @@ class FrameParts:
             return
         poses = poses or self.medium.poses(frame)
         names = [_NO_FORCE if poses.is_absent else name for name in self.names(frame)]
-        columns = poses.quaternions, poses.positions_m, poses.motions
-        parts = [FramePart(offsets[name], *pose) for name, *pose in zip(names, *columns)]
+        columns = zip(names, poses.quaternions, poses.positions_m, poses.motions)
+        parts = [FramePart(offsets[name], q, t, motion) for name, q, t, motion in columns]
         write_frame(memory, offset, parts, self.medium.force_max_n)
