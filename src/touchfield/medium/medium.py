@@ -343,9 +343,9 @@ class BodyPoses(NamedTuple):
     arrive: no body has a force in it, and the poses are those of an earlier frame.
     """
 
-    quaternions: Sequence[Float64s]
-    positions_m: Sequence[Float64s]
-    motions: Sequence[Float64s]
+    quaternions: Sequence[Sequence[float]]
+    positions_m: Sequence[Sequence[float]]
+    motions: Sequence[Sequence[float]]
     is_absent: bool = False
 
 
