@@ -213,7 +213,7 @@ def test_the_bound_holds_at_poses_that_no_one_foresaw(damping: float, mode: str)
         quaternions = rng.normal(size=(3, 2, 4))
         quaternions /= np.linalg.norm(quaternions, axis=2, keepdims=True)
         frames = [(q, rng.normal((0.0, 0.0, 0.01), 0.003, (2, 3))) for q in quaternions]
-        result = encoder.encode_segment(frames)
+        result = encoder.encode_frames(frames)
         assert result.max_error is not None and result.max_error.ratio <= 1
         assert mode == "mask" or result.max_error.ratio == 0
 

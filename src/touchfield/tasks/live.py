@@ -374,12 +374,12 @@ class _BodiesLayer(_Lane):
         poses = list(frames)
         if not poses:
             return 0, b"", None
-        coded = self._bodies.encoder.encode_segment(poses)
+        coded = self._bodies.encoder.encode_frames(poses)
         return len(poses), coded.body, coded.max_error
 
     def warm(self, frame: Any) -> float:
         start_s = self._clock_s()
-        self._bodies.encoder.encode_segment([frame] * _WARM_POSES)
+        self._bodies.encoder.encode_frames([frame] * _WARM_POSES)
         return (self._clock_s() - start_s) / _WARM_POSES
 
 

@@ -130,7 +130,7 @@ class BodiesEncoder:
         mode = self._field_spec.mode if self._spec.mode == "lossless" else self._spec.mode
         return layout.composed_rule({mode}, masked, layout.Parameters.from_bytes(self.parameters))
 
-    def encode_segment(self, frames: Sequence[Poses]) -> CodedPoses:
+    def encode_frames(self, frames: Sequence[Poses]) -> CodedPoses:
         """Code the poses of the frames of a segment."""
         quaternions, positions_m = (np.stack(column, axis=1) for column in zip(*frames, strict=True))
         tracks = [PoseTrack(*poses) for poses in zip(quaternions, positions_m)]
