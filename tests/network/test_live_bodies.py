@@ -14,7 +14,7 @@ import pytest
 from object_makers import moving_scene
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container.wire import encode_record
-from touchfield.errors import InvalidArgument, UnsupportedVersion
+from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
 from touchfield.medium import HapticObject, PoseTrack
 from touchfield.network import live_scene
 from touchfield.network.live import LiveReceiver, LiveSegment, LiveSender, Lost, Opened, Refused, file_of
@@ -240,7 +240,7 @@ def test_an_opening_without_its_bodies_is_refused(aired: Broadcast) -> None:
     receiver = LiveReceiver()
     (event,) = receiver.receive(opening[: opening.rindex(b"OBJT")])
     assert isinstance(event, Opened)
-    with pytest.raises(Exception, match="OBJT records"):
+    with pytest.raises(CorruptFile, match="OBJT records"):
         live_frames(event)
     (event,) = LiveReceiver().receive(opening + aired.messages[0])
     assert isinstance(event, Refused)
@@ -255,6 +255,9 @@ def test_a_hostile_sender_takes_no_memory(aired: Broadcast, monkeypatch: pytest.
     (segment,) = receiver.receive(aired.messages[1])
     frames.take(segment)
     assert frames.lost == 100 and frames(99).support_count
+    monkeypatch.setattr(live_scene, "MAX_FIELD_BYTES", 1000)
+    with pytest.raises(CorruptFile, match="fields take more"):
+        received(aired, (0,))
     deforming = replace(record_of(coded(0.0).objects[0]), is_deforming=1, field=b"")
     (opened,) = LiveReceiver().receive(
         aired.sender.opening[: aired.sender.opening.index(b"OBJT")]

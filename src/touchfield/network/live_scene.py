@@ -28,6 +28,10 @@ MAX_SEGMENT_POSES: Final = 1 << 20
 """Maximum number of bodies times frames in a segment; their poses take 112 MB."""
 
 
+MAX_FIELD_BYTES: Final = 1 << 30
+"""Maximum size of the fields of all bodies in memory: an opening of some bytes may hold many empty bricks."""
+
+
 def live_frames(
     opened: Opened, report: Callable[[str], None] = lambda note: None, coarse: LiveFrames | None = None
 ) -> LiveFrames:
@@ -51,7 +55,7 @@ class LivePoses(LiveFrames):
 
     ``frames(i)`` returns the composed field of frame i, and ``frames.poses(i)`` the poses of its bodies.
 
-    Raises FormatError if the bodies cannot be decoded; UnsupportedVersion if one deforms.
+    Raises FormatError if the bodies cannot be decoded, or are too large; UnsupportedVersion if one deforms.
     """
 
     def _open_decoder(self) -> None:
@@ -60,7 +64,13 @@ class LivePoses(LiveFrames):
         for body in self._objects.objects:
             if body.is_deforming:
                 raise UnsupportedVersion("live stream", f"{body.name}, a body that deforms", "rigid bodies")
-        self._fields = [self._objects.rigid_field(i) for i in range(len(self._objects.objects))]
+        self._fields, size = list[ForceField](), 0
+        for i in range(len(self._objects.objects)):
+            self._fields.append(self._objects.rigid_field(i))
+            size += self._fields[-1].forces_n.nbytes
+            if size > MAX_FIELD_BYTES:
+                found = f"bodies whose fields take more than {size >> 20} MiB"
+                raise CorruptFile("live stream", found, f"at most {MAX_FIELD_BYTES >> 20} MiB")
         self._opening_bytes = sum(len(body.field) for body in self._objects.objects)
 
     _latest_poses: BodyPoses | None
