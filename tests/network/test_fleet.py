@@ -30,7 +30,7 @@ import numpy as np
 import pytest
 from tests.network.test_datagrams import free_port
 
-from live_makers import field, segment, sender_of
+from live_makers import MODEL, field, segment, sender_of
 from touchfield.devices import device
 from touchfield.devices.drivers.registry import point_device
 from touchfield.medium.trace import Trace
@@ -301,6 +301,63 @@ def test_no_force_stands_while_a_killed_server_is_away(form: str) -> None:
     lost = next(i for i, note in enumerate(reported) if note.startswith("connection lost, retrying"))
     assert "reconnected" in reported[lost:] and "another programme begins" in reported[lost:], reported
     assert sum(note.startswith("connection lost") for note in reported) == 1, reported
+
+
+@contextmanager
+def simulation(model: Path, port: int) -> Iterator[subprocess.Popen[str]]:
+    """The command that simulates a model in real time and sends its bodies."""
+    program = [sys.executable, "-m", "touchfield", "live", str(model), "--representation", "object"]
+    command = [*program, "--nw", "4", "--seconds", "0.5", "--port", str(port)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
+        try:
+            assert process.stderr is not None
+            lines = list[str]()
+            for line in process.stderr:
+                lines.append(line)
+                if line.startswith("ws://"):
+                    break
+            else:
+                pytest.fail("".join(lines))
+            threading.Thread(target=process.stderr.read, daemon=True).start()
+            yield process
+        finally:
+            process.kill()
+
+
+def test_a_killed_simulation_leaves_no_force_and_is_played_again(tmp_path: Path) -> None:
+    """Bodies at 1 kHz: the hand stays in the floor, whose field is in the opening."""
+    pytest.importorskip("mujoco", reason="simulated bodies need the extra physics")
+    (tmp_path / "model.xml").write_text(MODEL)
+    port, notes = lasting_port(), list[str]()
+    with ExitStack() as stack:
+        first = stack.enter_context(simulation(tmp_path / "model.xml", port))
+        live = stack.enter_context(open_live(f"ws://127.0.0.1:{port}/live", notes.append))
+        scene = live.scene
+        assert scene is not None and [body.name for body in scene.objects] == ["world", "ball", "lever"]
+        floor = scene.objects[0].field(0)
+        points_m = floor.grid.to_m(floor.positions())
+        place = points_m[np.argmax(np.linalg.norm(floor.sample_n(points_m), axis=1))]
+        hand = point_device("sim", Trace(np.array([0.0, 1e3]), np.tile(place, (2, 1))))
+        profile = replace(device("phantom-omni"), axes=scene.axes)
+        player = stack.enter_context(
+            Player(scene, profile, hand.opener, RenderSpec(up="lattice", render="field"))
+        )
+        player.play()
+
+        def force_n() -> float:
+            live.keep_up(player)
+            rows = player.log()
+            return float(np.linalg.norm(rows["force_n"][-1])) if len(rows) else 0.0
+
+        wait_until(lambda: force_n() > 0.2, f"no force at first: {notes}")
+        first.kill()
+        first.wait()
+        wait_until(lambda: force_n() == 0.0, "the force stands")
+        stack.enter_context(simulation(tmp_path / "model.xml", port))
+        wait_until(lambda: force_n() > 0.2, f"no force again: {notes}")
+        assert player.error is None
+        reported = list(notes)
+    assert "reconnected" in reported and "another programme begins" in reported, reported
 
 
 # -- nginx -------------------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from live_makers import MODEL
 from object_makers import moving_scene
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container.wire import encode_record
@@ -34,23 +35,6 @@ pytest.importorskip("mujoco", reason="simulated bodies need the extra physics")
 
 RATE_HZ, SEGMENT_S, SECONDS = 1000.0, 0.1, 0.5
 SPEC = EncodeSpec(nw=4, representation="object", source=SourceOptions(seconds=SECONDS))
-MODEL = """
-<mujoco>
-  <option timestep="0.001"/>
-  <worldbody>
-    <geom name="floor" type="plane" size="0.1 0.1 0.01"/>
-    <body name="ball" pos="0 0 0.03" euler="10 0 0">
-      <freejoint/>
-      <geom type="sphere" size="0.02" density="500"/>
-    </body>
-    <body name="lever" pos="0.05 0 0.03" euler="0 0 20">
-      <joint name="hinge" type="hinge" axis="0 1 0"/>
-      <geom type="box" pos="0.01 0 0" size="0.015 0.008 0.008" density="500"/>
-    </body>
-  </worldbody>
-  <actuator><motor joint="hinge" gear="1"/></actuator>
-</mujoco>
-"""
 
 
 class Broadcast(NamedTuple):
