@@ -31,6 +31,7 @@ import pytest
 from tests.network.test_datagrams import free_port
 
 from live_makers import MODEL, field, segment, sender_of
+from touchfield.container.records import MAGIC
 from touchfield.devices import device
 from touchfield.devices.drivers.registry import point_device
 from touchfield.medium.trace import Trace
@@ -361,7 +362,7 @@ def test_a_killed_simulation_leaves_no_force_and_is_played_again(tmp_path: Path)
 
 
 # -- nginx -------------------------------------------------------------------------------------------------
-CONFIG = """
+CONFIG = r"""
 daemon off; pid {folder}/pid; error_log {folder}/error.log; worker_processes 1; {user}
 events {{ worker_connections 512; }}
 http {{
@@ -376,7 +377,7 @@ http {{
     proxy_cache live;
     add_header X-Cached $upstream_cache_status always;
     location / {{ proxy_pass http://sender; proxy_cache_lock on; }}
-    location = /live.json {{ proxy_pass http://sender; }}
+    location ~ /live\.json$ {{ proxy_pass http://sender; }}
   }}
 }}
 """
@@ -440,15 +441,19 @@ def test_a_caching_proxy_serves_receivers_and_no_segment_of_an_earlier_programme
 
 def test_a_token_keeps_answers_out_of_shared_caches(tmp_path: Path) -> None:
     with server(token=TOKEN) as live, nginx(tmp_path, live.address) as address:
-        links = [http.client.HTTPConnection(*address.split(":")) for _ in range(2)]
-        for link, status in zip((links[0], links[1], links[0]), (200, 401, 200)):
-            headers = {"Authorization": f"Bearer {TOKEN}"} if status == 200 else {}
-            link.request("GET", "/live/opening", headers=headers)
+        link = http.client.HTTPConnection(*address.split(":"))
+
+        def answer_of(path: str, has_token: bool) -> tuple[int, str | None, bytes]:
+            link.request("GET", path, headers={"Authorization": f"Bearer {TOKEN}"} if has_token else {})
             answer = link.getresponse()
-            answer.read()
-            assert answer.status == status and answer.headers["X-Cached"] != "HIT"
-        for link in links:
-            link.close()
+            return answer.status, answer.headers["X-Cached"], answer.read()
+
+        programme = json.loads(answer_of("/live.json", True)[2])["programme"]
+        for has_token in (True, False, True):
+            status, cached, data = answer_of(f"/live/opening?programme={programme}", has_token)
+            assert status == (200 if has_token else 401) and cached != "HIT"
+            assert data.startswith(MAGIC) == has_token
+        link.close()
 
 
 def test_one_connection_is_kept_for_many_requests() -> None:
