@@ -108,12 +108,12 @@ class Sent:
             on_note(f"{reason}: {self.left_out} frames are skipped so far")
 
     def summary(self) -> dict[str, Any]:
-        """Return the counts as a dictionary; its keys are stable."""
-        return dict(self.__dict__)
+        """Return the counts as a dictionary; its keys are stable. A note reports the unbounded segments."""
+        return {name: value for name, value in vars(self).items() if name != "unbounded_segments"}
 
     def error_bound(self, prepared: Prepared) -> dict[str, Any]:
         """Return the keys of the error bound of all segments that were sent."""
-        has_bound = self.segments > self.unbounded_segments == 0
+        has_bound = self.worst_mask_ratio is not None and not self.unbounded_segments
         rule = CODER.bound_rule(prepared.coding)
         if isinstance(prepared, PreparedBodies):
             rule = prepared.bodies.encoder.bound_rule
