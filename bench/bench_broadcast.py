@@ -44,6 +44,7 @@ from touchfield.network.live import LiveReceiver, LiveSegment, LiveSender, Lost,
 from touchfield.network.live_server import LiveServer
 from touchfield.network.udp import REPAIR
 from touchfield.pipeline.spec import EncodeSpec
+from touchfield.sources.options import SourceOptions
 from touchfield.tasks.live import LiveSpec, broadcast, open_sender
 
 RATE_HZ, FRAMES = 30.0, 8
@@ -214,8 +215,11 @@ def on_air(segment_s: float) -> Iterator[tuple[str, float]]:
     process.join()
 
 
-def delays(segment_s: float, seconds: float) -> list[float]:
-    """Sample the seconds between a frame at the sender and its force during playback."""
+def delays(segment_s: float, seconds: float) -> tuple[list[float], list[float]]:
+    """Sample the seconds between a frame at the sender and its force during playback.
+
+    Returns those from the second to the fifth second of playback, and those of the `seconds` after.
+    """
     from touchfield.devices import device
     from touchfield.devices.drivers.registry import point_device
     from touchfield.medium.trace import Trace
@@ -223,7 +227,7 @@ def delays(segment_s: float, seconds: float) -> list[float]:
     from touchfield.render.player import Player
 
     trace = Trace(np.array([0.0, 1e3]), np.zeros((2, 3)))
-    delays_s = []
+    settling_s, delays_s = list[float](), list[float]()
     with on_air(segment_s) as (address, zero), open_live(f"ws://{address}/live") as live:
         frames: Any = live.frames
         choice = point_device("sim", trace)
@@ -232,11 +236,11 @@ def delays(segment_s: float, seconds: float) -> list[float]:
             for i in range(int((5 + seconds) / 0.05)):
                 time.sleep(0.05)
                 live.keep_up(player)
-                if i < 100:  # skip the first five seconds
+                if i < 20:
                     continue
                 rendered_s = frames.stream_frame(0) / RATE_HZ + player.media_s
-                delays_s.append(time.monotonic() - zero - rendered_s)
-    return delays_s
+                (settling_s if i < 100 else delays_s).append(time.monotonic() - zero - rendered_s)
+    return settling_s, delays_s
 
 
 def large(folder: Path, mib: int) -> Figures:
@@ -371,16 +375,77 @@ def layered_losses(messages: int, coarse_fraction: float) -> Figures:
     return rows
 
 
+MODEL = """
+<mujoco>
+  <option timestep="0.001"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="0.1 0.1 0.01"/>
+    <body name="ball" pos="0 0 0.08"><freejoint/><geom type="sphere" size="0.02"/></body>
+    <body name="box" pos="0.03 0.02 0.05" euler="20 10 0">
+      <freejoint/><geom type="box" size="0.015 0.02 0.01"/>
+    </body>
+    <body name="arm" pos="-0.06 0 0.05">
+      <joint type="hinge" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0.03 0 0" size="0.008"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def bodies(folder: Path, seconds: int) -> Figures:
+    """Code a simulation at 1 kHz as bodies and as fields, in segments of a quarter of a second.
+
+    Returns the bytes of the first second of both, in which bodies fall, bytes of the opening, the largest
+    error of the bodies in units of the error bound, and the time that simulating and coding a second takes.
+    """
+    from touchfield.tasks.live import PreparedBodies
+
+    (folder / "model.xml").write_text(MODEL)
+    spec = EncodeSpec(nw=6, representation="object", source=SourceOptions(seconds=float(seconds)))
+    prepared, sender = open_sender(str(folder / "model.xml"), spec)
+    assert isinstance(prepared, PreparedBodies) and prepared.objects is not None
+    sizes, ratios, took_s = list[int](), list[float](), 0.0
+    for segment in range(4 * seconds):
+        began_s = time.perf_counter()
+        poses = [prepared.bodies.poses(250 * segment + i, print) for i in range(250)]
+        coded = prepared.bodies.encoder.encode_frames(poses)
+        took_s += time.perf_counter() - began_s
+        sizes.append(len(coded.body))
+        ratios.append(np.inf if coded.max_error is None else coded.max_error.ratio)
+    voxels = TouchEncoder(prepared.medium.grid, TouchSpec(effort="fast"))
+    of_fields = sum(
+        len(voxels.encode_segment([prepared.medium[start + i] for i in range(250)]).body)
+        for start in range(0, 1000, 250)
+    )
+    return {
+        "bodies": len(prepared.objects.objects),
+        "opening_bytes": len(sender.opening),
+        "bytes_a_second": sum(sizes) / seconds,
+        "first_second_bytes": sum(sizes[:4]),
+        "first_second_bytes_of_fields": of_fields,
+        "share": sum(sizes[:4]) / of_fields,
+        "worst_mask_ratio": max(ratios),
+        "seconds_for_a_second": took_s / seconds,
+    }
+
+
 def measure(seconds: float, receivers: int, messages: int, mib: int, silent: int) -> Figures:
     """Run all parts of the benchmark."""
     coarse_layer = coarse_layer_size()
     with tempfile.TemporaryDirectory() as folder:
         file = large(Path(folder), mib)
-    late = delays(0.25, min(20.0, seconds))
-    delay = {"segment_s": FRAMES / RATE_HZ, "median_s": statistics.median(late), "most_s": max(late)}
+        simulated = bodies(Path(folder), 4)
+    settling, late = delays(0.25, min(20.0, seconds))
+    delay = {
+        "segment_s": FRAMES / RATE_HZ,
+        "median_s": statistics.median(late),
+        "most_s": max(late),
+        "most_settling_s": max(settling),
+    }
     return {
         "file": file,
         "delay": delay,
+        "bodies": simulated,
         "receivers": many(receivers, seconds),
         "crowd": many(20, min(20.0, seconds), silent),
         "losses": losses(messages),
@@ -406,6 +471,17 @@ def bars(figures: Figures) -> list[Bar]:
             "s",
         ),
         at_most("the same at worst", delay["most_s"] - delay["segment_s"], 0.1, "s"),
+        at_most(
+            "the same at worst from the second second of playback to the fifth",
+            delay["most_settling_s"] - delay["segment_s"],
+            0.1,
+            "s",
+        ),
+        at_most("bytes of live bodies at 1 kHz, share of their fields'", figures["bodies"]["share"], 0.1),
+        at_most("their largest error, in units of the bound", figures["bodies"]["worst_mask_ratio"], 1.0),
+        at_most(
+            "seconds to simulate and code a second of them", figures["bodies"]["seconds_for_a_second"], 1.0
+        ),
         at_most(f"gaps of {air['receivers']} receivers", air["gaps"] + air["skipped"], 0),
         at_least("seconds that they listen", air["seconds"], 600, "s"),
         at_most("cores of the sender", air["cores"], 1),

@@ -38,6 +38,26 @@ HEAD = Head(
 )
 
 
+MODEL = """
+<mujoco>
+  <option timestep="0.001"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="0.1 0.1 0.01"/>
+    <body name="ball" pos="0 0 0.03" euler="10 0 0">
+      <freejoint/>
+      <geom type="sphere" size="0.02" density="500"/>
+    </body>
+    <body name="lever" pos="0.05 0 0.03" euler="0 0 20">
+      <joint name="hinge" type="hinge" axis="0 1 0"/>
+      <geom type="box" pos="0.01 0 0" size="0.015 0.008 0.008" density="500"/>
+    </body>
+  </worldbody>
+  <actuator><motor joint="hinge" gear="1"/></actuator>
+</mujoco>
+"""
+"""A MuJoCo model of a ball that falls onto a floor, and a lever that swings and has a motor."""
+
+
 def field(number: int) -> ForceField:
     """A field whose height encodes its number."""
     dense = np.zeros((16, 16, 16, 3), np.float32)

@@ -92,6 +92,36 @@ def test_play_stays_at_the_due_frame(start_s: float) -> None:
     assert waits == 0 and frames.skipped == skipped
 
 
+@pytest.mark.parametrize("join_s", [0.005, 0.1, 0.245])
+@pytest.mark.parametrize("open_s", [0.0, 1.3])
+def test_the_delay_has_settled_after_a_second(join_s: float, open_s: float) -> None:
+    """A receiver that joins gets a segment that was sent up to its length ago, and is busy while its device
+    opens: neither delay stays. Segments of a quarter of a second arrive up to 20 ms late.
+    """
+    now, rng = 0.0, np.random.default_rng(5)
+    rate_hz, length_s, seeks = 20.0, 0.25, 0
+    opened = Opened(replace(HEAD, rate_hz=rate_hz, frame_count=ENDLESS), {})
+    frames = LiveFrames(opened, clock_s=lambda: now)
+    live, hand, bodies = LiveStream("live", frames), Hand(0.0), [segment(5 * i) for i in range(12)]
+    now, sent, late = 4.0 + join_s, 16, rng.uniform(0, 0.02, 100)
+    frames.take(replace(bodies[3], first_frame=75))
+    start_s = now + open_s
+    for step in range(500):
+        now = 4.0 + join_s + 0.01 * step
+        is_busy = now < start_s
+        while now >= length_s * (sent + 1) + late[sent] + 0.2 * is_busy:
+            frames.take(replace(bodies[sent % 12], first_frame=5 * sent))
+            sent += 1
+        if not is_busy and step % 5 == 0:
+            seeks += live.keep_up(hand)
+            base = frames.stream_frame(0)
+            assert base is not None
+            delay_s = now - base / rate_hz - hand.media_s - length_s
+            assert now < start_s + 1.0 or -1e-9 < delay_s < 0.1, (now, delay_s)
+        hand.media_s += 0.01 * hand.speed * (not is_busy)
+    assert seeks <= 3
+
+
 @pytest.mark.parametrize(("receiver_s", "sender_s"), [(1000.0, 0.0), (0.0, 60.0), (-300.0, 0.0)])
 def test_a_clock_that_jumps_is_followed(receiver_s: float, sender_s: float) -> None:
     """The clock of the receiver or the sender jumps after two seconds; half a second later play has
@@ -195,6 +225,7 @@ def test_silence_is_reported_once_and_ends_after_a_minute(length: int) -> None:
         assert not frames.is_there(length) and len(notes) == (silent_s > usual_s + 3)
     frames.take(replace(segment(0, length), first_frame=length))
     assert frames.is_there(length) and not frames.is_there(2 * length)
+    assert notes.pop() == "segments come again, after 59 s"
     now[0] = 218.0
     assert not frames.is_there(2 * length) and len(notes) == 2
     now[0] = 220.0

@@ -539,12 +539,13 @@ def test_a_cut_connection_is_renewed() -> None:
         address, done = proxied(server.address, [1000, 1000])
         with open_live(f"ws://{address}/live", notes.append) as live:
             frames = map(live.medium.__getitem__, count())
-            while sum("connecting again" in note for note in notes) < 2:
+            while sum("connection lost, retrying" in note for note in notes) < 2:
                 next(frames)
             for _ in range(20):
                 next(frames)
         done.set()
-    assert sum("connecting again" in note for note in notes) == 2
+    assert sum("connection lost, retrying" in note for note in notes) == 2
+    assert notes.count("reconnected") == 2
 
 
 @pytest.mark.parametrize("form", ["ws://{}/live", "http://{}/live.json"])
@@ -578,7 +579,8 @@ def test_a_restarted_server_is_played_again(form: str, monkeypatch: pytest.Monke
             np.testing.assert_allclose(got.to_dense(), field(number % 60).to_dense(), atol=0.2)
     assert "another programme begins" in notes and not any("of no use" in note for note in notes), notes
     assert (
-        sum("connecting again" in note for note in notes[: notes.index("another programme begins")]) == 1
+        sum("connection lost, retrying" in note for note in notes[: notes.index("another programme begins")])
+        == 1
     ), notes
 
 

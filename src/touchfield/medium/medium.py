@@ -14,12 +14,12 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, overload
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from touchfield.arrays import Float32s, Int32s, Picklable
+from touchfield.arrays import Float32s, Float64s, Int32s, Picklable
 from touchfield.errors import InvalidArgument, import_extra, is_finite, require_not_negative, require_positive
 from touchfield.hooks import hook
 from touchfield.medium.budget import require_memory
@@ -335,6 +335,20 @@ class HapticObject:
         return self.medium[0 if self.is_rigid else frame]
 
 
+class BodyPoses(NamedTuple):
+    """The poses of all bodies of a scene in one frame.
+
+    `quaternions` (w, x, y, z) and `positions_m` are scene from body, one for each body; `motions` are linear
+    and angular velocity, each times the surface damping, N and N/m. With `is_absent` the frame did not
+    arrive: no body has a force in it, and the poses are those of an earlier frame.
+    """
+
+    quaternions: Sequence[Sequence[float]]
+    positions_m: Sequence[Sequence[float]]
+    motions: Sequence[Sequence[float]]
+    is_absent: bool = False
+
+
 @dataclass(frozen=True)
 class HapticScene(Picklable):
     """Haptic objects over time; the space between them is empty.
@@ -361,6 +375,9 @@ class HapticScene(Picklable):
     provenance: Mapping[str, str] = field(default_factory=dict)
     file_bytes: int | None = None
 
+    has_gaps: ClassVar[bool] = False
+    """True if frames may be absent, as in a live stream."""
+
     def __post_init__(self) -> None:
         if not self.objects:
             raise InvalidArgument("objects", "none", "at least one HapticObject")
@@ -382,6 +399,27 @@ class HapticScene(Picklable):
         from touchfield.medium.cells import PlacedFields
 
         return PlacedFields(self)
+
+    @cached_property
+    def _motions(self) -> list[Float64s]:
+        """Velocities of each body times the surface damping, float64 [frames, 6]."""
+        damping, motions = self.surface_damping_n_s_per_m, list[Float64s]()
+        for scene_object in self.objects:
+            velocities = np.zeros((self.frame_count, 6))
+            if damping:
+                velocities = np.concatenate(scene_object.track.velocities(self.rate_hz), axis=1)
+            with np.errstate(over="ignore"):  # forces that overflow are handled where they are clipped
+                motions.append(velocities * damping)
+        return motions
+
+    def poses(self, frame: int) -> BodyPoses:
+        """Return the poses of all bodies in a frame."""
+        tracks = [scene_object.track for scene_object in self.objects]
+        return BodyPoses(
+            [track.quaternions[frame] for track in tracks],
+            [track.positions_m[frame] for track in tracks],
+            [motions[frame] for motions in self._motions],
+        )
 
     @property
     def frame_count(self) -> int:

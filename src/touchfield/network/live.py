@@ -2,9 +2,10 @@
 them into events such as a segment, a loss or the end.
 
 A live stream is the start of a file that does not end (docs/format/live.md): its *opening*, which is magic,
-version, HEAD with the maximum frame count, and PROV; then *segments*, each a SEGM, preceded by a VIBR if
-something vibrates. Every message contains one complete opening or segment, so that a message that is lost,
-late, repeated or damaged costs only itself. An empty message marks the end of the stream.
+version, HEAD with the maximum frame count, PROV, and the OBJT of each body of coder `objects`; then
+*segments*, each a SEGM, preceded by a VIBR if something vibrates. Every message contains one complete opening
+or segment, so that a message that is lost, late, repeated or damaged costs only itself. An empty message
+marks the end of the stream.
 
 The sender keeps the opening and the latest segments, and for each receiver only its position: a slow receiver
 is moved on to the newest segment.
@@ -16,12 +17,22 @@ import io
 import secrets
 import struct
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from threading import Lock
 from typing import IO, Any, Final
 
-from touchfield.container.records import MAGIC, Head, Provenance, Segment, Vibration
+from touchfield.container.records import (
+    MAGIC,
+    MAX_OBJECTS,
+    OBJECTS_CODER,
+    Head,
+    ObjectRecord,
+    Provenance,
+    Segment,
+    Vibration,
+)
 from touchfield.container.wire import (
     OPENING_SIZE,
     ByteSource,
@@ -29,6 +40,7 @@ from touchfield.container.wire import (
     find_record,
     read_opening,
     read_record,
+    records_between,
 )
 from touchfield.container.writer import TouchWriter, opening_of
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, SourceError
@@ -46,6 +58,9 @@ MAX_BYTES: Final = 1 << 26
 MAX_SEGMENTS: Final = 4
 """Number of segments that a sender keeps for late receivers."""
 
+_MAX_RECORDS: Final = MAX_OBJECTS + 3
+"""Records of an opening that are looked at: HEAD, PROV, the objects, and one that is too many."""
+
 _MAX_LEAD: Final = 8
 """On an open transport, a segment this many segments after the latest needs a successor to count."""
 
@@ -58,10 +73,11 @@ END: Final = b""
 
 @dataclass(frozen=True)
 class Opened:
-    """A programme has started: its head and its provenance."""
+    """A programme has started: its head, its provenance, and the bodies of coder `objects`."""
 
     head: Head
     provenance: Mapping[str, str]
+    objects: tuple[ObjectRecord, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -166,11 +182,17 @@ class LiveReceiver:
 def _parse_opening(message: bytes) -> Opened:
     source = _source(message, "opening")
     read_opening(source)
-    is_alone = find_record(source, OPENING_SIZE, source.size).end == source.size
-    head, *provenance = _read_records(source, OPENING_SIZE, (Head,) if is_alone else (Head, Provenance))
+    tags = [record.tag for record in islice(records_between(source, OPENING_SIZE, source.size), _MAX_RECORDS)]
+    object_count, has_provenance = tags.count("OBJT"), tags[1:2] not in ([], ["OBJT"])
+    layouts = (Head, *(Provenance,) * has_provenance, *(ObjectRecord,) * object_count)
+    head, *others = _read_records(source, OPENING_SIZE, layouts)
     if head.frame_count != ENDLESS:
         raise CorruptFile("opening: HEAD.frame_count", str(head.frame_count), f"{ENDLESS} of a live stream")
-    return Opened(head, {pair.key: pair.value for record in provenance for pair in record.pairs})
+    if (head.coder == OBJECTS_CODER) != (object_count > 0):
+        expected = f"one or more with coder {OBJECTS_CODER!r}, else none"
+        raise CorruptFile("opening", f"{object_count} OBJT with coder {head.coder!r}", expected)
+    pairs = others[0].pairs if has_provenance else ()
+    return Opened(head, {pair.key: pair.value for pair in pairs}, tuple(others[has_provenance:]))
 
 
 def _parse_segment(message: bytes) -> LiveSegment:
@@ -208,6 +230,8 @@ def file_of(opening: bytes, message: bytes) -> bytes:
     live, segment, file = _parse_opening(opening), _parse_segment(message), io.BytesIO()
     with TouchWriter(file) as writer:
         writer.write_head(replace(live.head, frame_count=segment.frame_count), live.provenance)
+        for record in live.objects:
+            writer.write_object(record)
         if segment.vibration is not None:
             writer.write_vibration(0, segment.frame_count, segment.vibration)
         writer.write_segment(0, segment.frame_count, segment.body)
@@ -247,22 +271,42 @@ class LiveSender:
     """Sending end: takes segments and provides messages to any number of receivers.
 
     Thread-safe: one thread may encode while another sends.
+
+    Attributes
+    ----------
+    opening : bytes
+        Empty before `open`.
+    programme : str
+        Random identifier in the opening; empty before `open`.
     """
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self.opening = b""
+        self.opening, self.programme = b"", ""
         self._latest: deque[tuple[int, LiveSegment, bytes]] = deque(maxlen=MAX_SEGMENTS)
         self._count, self._is_ended = 0, False
 
-    def open(self, head: Head, provenance: Mapping[str, str] | None = None) -> None:
-        """Start a programme, whose frames start at 0; its opening contains a random identifier."""
-        provenance_pairs = {**(provenance or {}), "programme": secrets.token_hex(8)}
-        opening = b"".join(opening_of(replace(head, frame_count=ENDLESS), provenance_pairs))
+    def open(
+        self,
+        head: Head,
+        provenance: Mapping[str, str] | None = None,
+        objects: Sequence[ObjectRecord] = (),
+    ) -> None:
+        """Start a programme, whose frames start at 0; its opening contains a random identifier.
+
+        Raises InvalidArgument if `objects`, the bodies of coder `objects`, make the opening too long.
+        """
+        programme = secrets.token_hex(8)
+        provenance_pairs = {**(provenance or {}), "programme": programme}
+        records = [encode_record("OBJT", record) for record in objects]
+        opening = b"".join((*opening_of(replace(head, frame_count=ENDLESS), provenance_pairs), *records))
+        if len(opening) > MAX_BYTES:
+            found = f"an opening of {len(opening)} bytes"
+            raise InvalidArgument("bodies", found, f"at most {MAX_BYTES}", "Take a smaller --nw.")
         with self._lock:
             if self.opening:
                 raise InvalidArgument("open", "a second call", "one")
-            self.opening = opening
+            self.opening, self.programme = opening, programme
 
     def add(self, segment: LiveSegment) -> bytes:
         """Append a segment; return its message."""
@@ -325,7 +369,8 @@ class LiveSender:
                 }
                 for number, segment, message in self._latest
             ]
-            return {"is_ended": self._is_ended, "segments": segments}
+            programme = {"programme": self.programme} if self.programme else {}
+            return {"is_ended": self._is_ended, **programme, "segments": segments}
 
     def message(self, number: int) -> bytes | None:
         """Return the message of a segment of the manifest; None if it is no longer kept."""

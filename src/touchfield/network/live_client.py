@@ -22,6 +22,7 @@ from touchfield.errors import SourceError, TouchfieldError, reason
 from touchfield.files import standard_input
 from touchfield.network.live import MAX_BYTES, Ended, LiveReceiver, LiveSegment, Opened, messages
 from touchfield.network.live_medium import PATIENCE_S, REPORT_AFTER_S, LiveFrames, LiveStream
+from touchfield.network.live_scene import live_frames
 
 _SHORTEST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 2.0  # between two tries to connect
 _POLL_S: Final = 0.05
@@ -63,7 +64,7 @@ class _Client:
         self._is_udp = url.lower().startswith("udp:")
         self._receiver = LiveReceiver(is_open=self._is_udp and "?" not in url)  # without a token
         self._frames: LiveFrames | None = None
-        self._has_segment = Flag()
+        self._has_segment, self._is_lost = Flag(), False
         self._error: TouchfieldError = SourceError(self._name, "nothing in time", "a live stream", _HINT)
         self._loop = asyncio.new_event_loop()
         self._task: asyncio.Task[None] | None = None
@@ -118,15 +119,22 @@ class _Client:
             self._has_segment.set()
             self._loop.close()
 
+    @property
+    def _lost_note(self) -> str:
+        return "no connection" if self._frames is None else "connection lost"
+
     def _take(self, message: bytes) -> bool:
         """Take a message; return True once the stream is over."""
+        if self._is_lost:
+            self._is_lost = False
+            self._report("reconnected" if self._frames is not None else "connected")
         events = self._receiver.receive(message)
         for event in events:
             if isinstance(event, Opened):
                 if self._frames is None:
                     coarse = None if self._coarse is None else self._coarse.layer(self._report)
-                    self._frames = LiveFrames(event, self._report, coarse=coarse)
-                elif event.head == self._frames.opened.head:
+                    self._frames = live_frames(event, self._report, coarse)
+                elif _programme(event) == _programme(self._frames.opened):
                     self._report("another programme begins")
                     self._frames.start_programme()
                 else:  # a player of the previous programme must open the stream again
@@ -157,7 +165,7 @@ class _Client:
                 try:
                     if await follow(session):
                         return
-                    found = "a connection that ended"
+                    found = "it ended"
                 except (aiohttp.ClientError, OSError, TimeoutError) as error:
                     found = reason(error)
                     if isinstance(
@@ -169,8 +177,8 @@ class _Client:
                 if silent_s > PATIENCE_S:
                     raise SourceError(self._name, found, "a live stream", _HINT)
                 if latest_s != reported_s:
-                    self._report(f"{found}: connecting again")
-                    reported_s = latest_s
+                    self._report(f"{self._lost_note}, retrying ({found})")
+                    self._is_lost, reported_s = True, latest_s
                 await asyncio.sleep(min(max(_SHORTEST_PAUSE_S, silent_s / 2), _LONGEST_PAUSE_S))
 
     async def _by_socket(self, session: Any) -> bool:
@@ -199,8 +207,9 @@ class _Client:
         parts = urlsplit(self._url)
         folder = parts.path.removesuffix(".json")
 
-        async def got(path: str, max_bytes: int) -> bytes:
-            async with session.get(urlunsplit((parts.scheme, parts.netloc, path, parts.query, ""))) as answer:
+        async def got(path: str, max_bytes: int, programme: str = "") -> bytes:
+            query = "&".join(filter(None, (parts.query, programme)))
+            async with session.get(urlunsplit((parts.scheme, parts.netloc, path, query, ""))) as answer:
                 if answer.status != 200:
                     raise OSError(f"{answer.status} {answer.reason}")
                 data: bytes = await answer.content.read(max_bytes + 1)
@@ -212,29 +221,43 @@ class _Client:
                     raise SourceError(self._name, f"more than {max_bytes} bytes", f"at most {max_bytes}")
                 return data
 
-        await asyncio.to_thread(self._take, await got(f"{folder}/opening", MAX_BYTES))
-        next_number: int | None = None
+        programme, next_number = "", None
         while True:
-            is_over, numbers = _manifest(await got(parts.path, _MAX_MANIFEST_BYTES), self._name)
-            if numbers and next_number is not None and numbers[-1] + 1 < next_number:
+            manifest = await got(parts.path, _MAX_MANIFEST_BYTES)
+            is_over, numbers, named = _manifest(manifest, self._name)
+            if next_number is None:
+                programme, next_number = named, -1
+                await asyncio.to_thread(self._take, await got(f"{folder}/opening", MAX_BYTES, programme))
+            if named != programme or (numbers and numbers[-1] + 1 < next_number):
                 return False  # another programme
-            numbers = [n for n in numbers if next_number is None or n >= next_number]
-            for number in numbers[-1:] if next_number is None else numbers:
-                await asyncio.to_thread(self._take, await got(f"{folder}/{number}", MAX_BYTES))
+            numbers = numbers[-1:] if next_number < 0 else [n for n in numbers if n >= next_number]
+            for number in numbers:
+                message = await got(f"{folder}/{number}", MAX_BYTES, programme)
+                await asyncio.to_thread(self._take, message)
                 next_number = number + 1
             if is_over:
                 return await asyncio.to_thread(self._take, b"")
             await asyncio.sleep(_POLL_S)
 
 
-def _manifest(data: bytes, name: str) -> tuple[bool, list[int]]:
-    """Return whether a stream is over, and the ascending numbers of its segments."""
+def _programme(opened: Opened) -> tuple[object, ...]:
+    """Return what must stay the same in another programme: the head, and the fields of the bodies."""
+    return opened.head, opened.objects
+
+
+def _manifest(data: bytes, name: str) -> tuple[bool, list[int], str]:
+    """Return whether a stream is over, the ascending numbers of its segments, and the query of its programme.
+
+    The query is empty if the sender names no programme.
+    """
     try:
         manifest = json.loads(data)
         numbers = [int(segment["number"]) for segment in manifest["segments"]]
-        is_over = bool(manifest["is_ended"])
+        is_over, programme = bool(manifest["is_ended"]), str(manifest.get("programme", ""))
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
         raise SourceError(name, "a manifest that is none", "one of a live stream") from None
     if sorted(set(numbers)) != numbers or (numbers and numbers[0] < 0):
         raise SourceError(name, "numbers that do not ascend", "those of a live stream")
-    return is_over, numbers
+    if programme and not (programme.isascii() and programme.isalnum() and len(programme) <= 64):
+        raise SourceError(name, "a programme that is none", "up to 64 letters and digits")
+    return is_over, numbers, f"programme={programme}" if programme else ""

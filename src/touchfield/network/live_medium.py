@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from threading import Condition
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -22,7 +22,7 @@ from touchfield.codec.segment import BitAccount
 from touchfield.codec.vibration import decode_vibration
 from touchfield.errors import FormatError, SourceError, TouchfieldError, UnsupportedVersion
 from touchfield.filters.resample import half_grid, rebuild_level
-from touchfield.medium import ForceField, Grid, HapticMedium
+from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.medium.medium import VibrationFrame
 from touchfield.network.live import ENDLESS, Ended, Event, LiveSegment, Lost, Opened, Refused
 from touchfield.pipeline.stream import OpenStream
@@ -57,6 +57,13 @@ MARGIN_S: Final = 0.03
 SEEK_BEYOND_S: Final = 0.25
 """Playback seeks if it lags by more; otherwise its speed is adjusted."""
 
+SETTLING_S: Final = 0.8
+"""Time from the start of playback in which the delay settles: delays are forgotten at once, since the first
+segment was stored before it was sent, and opening a device slows its machine down."""
+
+SEEK_WHILE_SETTLING_S: Final = 0.05
+"""Playback seeks if it lags by more while the delay settles: at a tenth of speed, 0.25 s would take 2.5 s."""
+
 MAX_SPEED_CHANGE: Final = 0.1
 
 MAX_LAYER_LAG_S: Final = 0.25
@@ -74,16 +81,17 @@ class LiveEnd(SourceError):
 
 
 class _Decoded(NamedTuple):
-    """A segment, possibly partly decoded."""
+    """A segment, possibly partly decoded; its frames are fields, or poses (`LivePoses`)."""
 
     first: int
-    fields: list[ForceField]
+    fields: list[Any]
     band: list[VibrationFrame]
 
     @property
     def size(self) -> int:
-        """Size of its fields in bytes."""
-        return sum(field.forces_n.nbytes for field in {id(field): field for field in self.fields}.values())
+        """Size of its fields in bytes; that of poses is limited by the segment."""
+        fields = {id(field): field for field in self.fields if isinstance(field, ForceField)}
+        return sum(field.forces_n.nbytes for field in fields.values())
 
 
 class _Part(NamedTuple):
@@ -136,10 +144,8 @@ class LiveFrames:
     ) -> None:
         self.opened, head = opened, opened.head
         self.vibrates = False
-        if coder(head.coder).spec is None:
-            raise UnsupportedVersion("live stream", f"coder {head.coder}", "a coder of fields, such as touch")
         self.grid = Grid(head.grid_shape, head.spacing_m, head.origin_m)
-        self._decoder: FieldDecoder = coder(head.coder).decoder_class(self.grid, head.coder_parameters)
+        self._open_decoder()
         self._rate_hz: float = head.rate_hz
         if coarse is not None and (coarse.grid, coarse._rate_hz) != (half_grid(self.grid), head.rate_hz):
             found = f"{coarse.grid.shape} samples at {coarse._rate_hz:g} Hz"
@@ -159,11 +165,27 @@ class LiveFrames:
         self.received_s, self._reported_s = clock_s(), -math.inf
         self._start_s: float | None = None
         self._played, self._capacity = (math.inf, 0.0), MAX_SEGMENTS
+        self._settled_s = math.inf
         if coarse is not None:
             coarse._fine, coarse._capacity = (
                 self,
                 2 * MAX_SEGMENTS,
             )  # the fine layer may be that much later
+
+    def _open_decoder(self) -> None:
+        head = self.opened.head
+        if coder(head.coder).spec is None:
+            raise UnsupportedVersion("live stream", f"coder {head.coder}", "a coder of fields, such as touch")
+        self._decoder: FieldDecoder = coder(head.coder).decoder_class(self.grid, head.coder_parameters)
+
+    def _decoded(self, segment: LiveSegment) -> Iterator[Any]:
+        """Yield the frames of a segment, each once it is decoded."""
+        return self._decoder.frames(segment.body, segment.frame_count)
+
+    @property
+    def scene(self) -> HapticScene | None:
+        """The bodies of a stream of coder `objects`; None for a stream of fields."""
+        return None
 
     def take(self, event: Event) -> None:
         """Take an event; a segment is decoded in this (the receiving) thread."""
@@ -196,7 +218,7 @@ class LiveFrames:
 
     def _take_segment(self, segment: LiveSegment) -> None:
         """Decode a segment frame by frame, so that the first can be played before the last is decoded."""
-        received_s, first, fields = self._clock_s(), segment.first_frame, list[ForceField]()
+        received_s, first, fields = self._clock_s(), segment.first_frame, list[Any]()
         self.vibrates |= segment.vibration is not None
         start_s = received_s - first / self._rate_hz  # time at which frame 0 would have been on time
         try:
@@ -205,11 +227,11 @@ class LiveFrames:
                 if segment.vibration
                 else []
             )
-            for field in self._decoder.frames(segment.body, segment.frame_count):
+            for field in self._decoded(segment):
                 fields.append(field)
                 with self._news:
                     if len(fields) == 1:
-                        self.received_s = received_s
+                        self._report_arrival(received_s)
                         self._keep(_Decoded(first, fields, band))
                     start_s = max(start_s, self._clock_s() - (first + len(fields) - 1) / self._rate_hz)
                     self._news.notify_all()
@@ -217,8 +239,14 @@ class LiveFrames:
             self._lose(segment.frame_count - len(fields), f"could not be decoded: {error}")
         with self._news:
             before_s = start_s if self._start_s is None else self._start_s
-            is_anew = before_s - start_s > RESET_BEYOND_S
+            is_anew = before_s - start_s > RESET_BEYOND_S or self.is_settling
             self._start_s = start_s if is_anew else max(start_s, before_s + FORGETTING * (start_s - before_s))
+
+    def _report_arrival(self, received_s: float) -> None:
+        """Record the time of a segment; report it if a wait for it was reported."""
+        if self._segments and self._reported_s == self.received_s:
+            self._report(f"segments come again, after {received_s - self.received_s:.0f} s")
+        self.received_s = received_s
 
     def _keep(self, segment: _Decoded) -> None:
         """Keep a segment whose first frame is decoded; drop the oldest ones beyond the capacity."""
@@ -304,9 +332,15 @@ class LiveFrames:
         is_needed = media_s + (self._base or 0) / self._rate_hz + now - noted_s + MARGIN_S >= needed_s
         return is_needed or (start_s is not None and now - start_s >= needed_s)
 
+    @property
+    def is_settling(self) -> bool:
+        """True before playback starts and in its first moments."""
+        return self._clock_s() < (self._fine or self)._settled_s
+
     def set_played_time(self, media_s: float) -> None:
         """Record the time of the medium that is played now."""
         self._played = self._clock_s(), media_s
+        self._settled_s = min(self._settled_s, self._clock_s() + SETTLING_S)
 
     def stream_frame(self, index: int) -> int | None:
         """Return the sender's current number of frame `index`; None before the first segment."""
@@ -325,7 +359,8 @@ class LiveFrames:
                 coarse = self._coarse._segment_with(frame)
         self._note_part(index, frame, segment, coarse)
         if segment is not None:
-            return segment.fields[frame - segment.first]
+            field: ForceField = segment.fields[frame - segment.first]
+            return field
         if coarse is None:
             return ForceField.empty(self.grid)
         if self._rebuilt[0] != frame:
@@ -427,6 +462,10 @@ class LiveStream(OpenStream):
         super().__init__(reader)  # the attributes of a reader that a stream without an end has
         self.frames = frames
 
+    @property
+    def scene(self) -> HapticScene | None:
+        return self.frames.scene
+
     def keep_up(self, player: Player) -> bool:
         """Keep a player at the due time; return True if it had to seek.
 
@@ -436,7 +475,8 @@ class LiveStream(OpenStream):
         if due_s is None:
             return False
         lag_s = due_s - player.media_s
-        if abs(lag_s) > SEEK_BEYOND_S:
+        seek_beyond_s = SEEK_WHILE_SETTLING_S if self.frames.is_settling else SEEK_BEYOND_S
+        if abs(lag_s) > seek_beyond_s:
             self.frames.skipped += max(0, round(lag_s * self.reader.head.rate_hz))
             player.seek(due_s)
             lag_s = 0.0

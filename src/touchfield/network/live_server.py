@@ -25,6 +25,11 @@ from touchfield.network.access import (
 )
 from touchfield.network.live import MEDIA_TYPE, LiveSegment, LiveSender, file_of
 
+_NOT_CACHED: Final = {"Cache-Control": "no-store"}
+_CACHED: Final = {"Cache-Control": "public, max-age=60, immutable"}
+_PRIVATE: Final = {"Cache-Control": "private, max-age=60, immutable"}
+"""A shared cache does not ask for the token: what needs one is for the receiver alone."""
+
 _PATIENCE_S: Final = 10.0
 """Maximum time that a receiver may take to read a message."""
 
@@ -123,10 +128,14 @@ class LiveServer(Background):
             self.skipped += receiver.skipped
         return socket
 
-    async def _answer(self, request: web.Request, data: bytes | None) -> web.Response:
-        if data is None:
-            raise web.HTTPNotFound(text="no such segment now")
-        answer = web.Response(body=data, content_type=MEDIA_TYPE, headers=self._access.cors(request))
+    async def _answer(self, sender: LiveSender, request: web.Request, data: bytes | None) -> web.Response:
+        programme = request.query.get("programme")
+        if data is None or programme not in (None, sender.programme):
+            raise web.HTTPNotFound(text="no such segment now", headers=_NOT_CACHED)
+        headers = {**self._access.cors(request), **_NOT_CACHED}
+        if programme is not None:  # else the next programme has the same address
+            headers |= _PRIVATE if self._access.token else _CACHED
+        answer = web.Response(body=data, content_type=MEDIA_TYPE, headers=headers)
         with suppress(ConnectionError):
             async with dropped_unless_read(request, _PATIENCE_S):
                 await answer.prepare(request)
@@ -134,18 +143,18 @@ class LiveServer(Background):
         return answer
 
     async def _manifest(self, sender: LiveSender, request: web.Request) -> web.Response:
-        headers = {**self._access.cors(request), "Cache-Control": "no-store"}
+        headers = {**self._access.cors(request), **_NOT_CACHED}
         return web.json_response(sender.manifest(), headers=headers)
 
     async def _opening(self, sender: LiveSender, request: web.Request) -> web.Response:
-        return await self._answer(request, sender.opening or None)
+        return await self._answer(sender, request, sender.opening or None)
 
     async def _segment(self, sender: LiveSender, request: web.Request) -> web.Response:
         """Answer with a segment's message, or with a complete file if the name ends in .touch."""
         message = sender.message(int(request.match_info["number"]))
         if message is not None and request.match_info["ending"]:
             message = file_of(sender.opening, message)
-        return await self._answer(request, message)
+        return await self._answer(sender, request, message)
 
 
 async def _ended(socket: web.WebSocketResponse) -> None:

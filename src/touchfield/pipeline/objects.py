@@ -102,7 +102,7 @@ def _object(body: Body, mapping: Mapping) -> HapticObject:
     printable = "".join(letter if letter.isprintable() else " " for letter in body.name)
     name = printable.encode()[:_NAME_BYTES].decode("utf-8", "ignore")
     count = len(body.track)
-    if body.track.is_constant:
+    if body.track.is_constant and not body.is_free:
         rotation, shift = body.track.rotation(0), body.track.positions_m[0]
         is_placed = np.array_equal(rotation, np.eye(3)) and not shift.any()
         placed_scene = body.scene if is_placed else body.scene.moved(rotation, shift)
@@ -122,7 +122,7 @@ def turned_spacing_m(spacing_m: Float64s) -> Float64s:
 
 def _body_lattice(body: Body, mapping: Mapping) -> Grid:
     """The lattice of a moving body: its box, and around it the reach of its force and of the low-pass."""
-    never_turns = bool((body.track.quaternions == [1.0, 0.0, 0.0, 0.0]).all())
+    never_turns = not body.is_free and bool((body.track.quaternions == [1.0, 0.0, 0.0, 0.0]).all())
     spacing = MOVING_SPACING * np.asarray(mapping.grid.spacing_m)
     if not never_turns:
         spacing = turned_spacing_m(spacing)

@@ -319,8 +319,9 @@ class FrameSource(FrameParts):
         self.axes = medium.axes
         self.friction, self.damping_n_s_per_m = medium.friction, medium.damping_n_s_per_m
         self.starts = _segment_starts(medium)
-        self._is_there = getattr(getattr(medium, "make_frame", None), "is_there", None)
-        self._is_seam = getattr(getattr(medium, "make_frame", None), "is_seam", None)
+        frames = medium if isinstance(medium, HapticScene) else medium.make_frame
+        self._is_there = getattr(frames, "is_there", None)
+        self._is_seam = getattr(frames, "is_seam", None)
         medium, self._blends = with_blends(medium) if is_blended else (medium, ())
         super().__init__(medium, deformation)
         self._stretch = 1.0 if deformation is None else deformation.max_stretch**2
@@ -341,7 +342,7 @@ class FrameSource(FrameParts):
         Returns None if these frames have no wall or cannot be decoded; playback reports the error.
         """
         for frame in (0, self.frame_count // 2):
-            names = [name for name in self.names(frame) if name[0] != VIBRATION]
+            names = [name for name in self.names(frame) if name[0] >= 0]
             try:
                 found = [wall_of(self.field(name)) for name in names]
             except TouchfieldError:
@@ -373,13 +374,13 @@ class FrameSource(FrameParts):
     def prepare(self, frame: int) -> PreparedFrame:
         """Decode a frame."""
         names = [name for name in self.names(frame) if not self.is_shared(name)]
-        pools = {name: self.cells(name) for name in names}
+        pools, poses = {name: self.cells(name) for name in names}, self.poses(frame)
         is_seam = self._is_seam is not None and bool(self._is_seam(frame))
 
         def write(memory: Memory, at: int) -> int:
             offsets = dict(self._offsets)
             at = write_fields(memory, at, pools, offsets)
-            self.write(memory, at, frame, offsets)
+            self.write(memory, at, frame, offsets, poses)
             memory.view(layout.FRAME_HEADER, at)["is_seam"] = is_seam
             return at
 

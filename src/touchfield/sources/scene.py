@@ -249,11 +249,13 @@ class Body:
     ----------
     scene : Scene; In the body's frame, scene metres; one frame for a rigid body, else as many as the track.
     track : PoseTrack; Poses "scene from body".
+    is_free : bool; Whether it may move and turn otherwise than in the track, as in a running simulation.
     """
 
     name: str
     scene: Scene
     track: PoseTrack
+    is_free: bool = False
 
     @property
     def is_rigid(self) -> bool:

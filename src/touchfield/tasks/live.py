@@ -2,18 +2,21 @@
 
 Frames are coded in segments, which are sent to all receivers. The delay of a segment is its length plus the
 coding time of its last frame. If making or coding frames is too slow, frames are skipped and counted; the
-clock does not wait. A coarse layer is a separate stream with the same frames on half the lattice, within a
-mask twice as wide, in a seventh of the bytes. (Coding the fine stream as the difference to the coarse one
-would take half as many bytes again as the fine stream alone.)
+clock does not wait. Of rigid bodies, segments have only the poses (`touchfield.tasks.live_bodies`); a model
+of MuJoCo is simulated meanwhile. A coarse layer is a separate stream with the same frames on half the
+lattice, within a mask twice as wide, in a seventh of the bytes. (Coding the fine stream as the difference to
+the coarse one would take half as many bytes again as the fine stream alone.)
 """
 
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import chain
 from queue import SimpleQueue
 from typing import Any, Final
@@ -31,15 +34,21 @@ from touchfield.measure.fidelity import FidelityMeter
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.medium import VibrationFrame
 from touchfield.network.live import ENDLESS, LiveSegment, LiveSender
+from touchfield.pipeline.encoding import record_of
 from touchfield.pipeline.preparation import Prepared, prepare
 from touchfield.pipeline.provenance import file_provenance
 from touchfield.pipeline.segments import file_head
-from touchfield.pipeline.source import Source
+from touchfield.pipeline.source import Source, scene_of
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.depth.capture import CaptureEnd, open_capture
+from touchfield.sources.physics.body_scene import BodyScene
+from touchfield.sources.physics.live_simulation import Control
 from touchfield.tasks.editing import detail_level
+from touchfield.tasks.live_bodies import MAX_OVERLAP, LiveBodies
 
 Send = Callable[[LiveSegment], bytes | None]
+
+_WARM_POSES: Final = 64
 
 _MAX_PENDING: Final = 2
 """Maximum number of segments in progress at a time."""
@@ -70,8 +79,9 @@ class Sent:
 
     `left_out` counts frames that were too late to be made or coded.
 
-    Only `coarse_bytes` counts the coarse layer. `worst_mask_ratio` is the largest error of all voxels sent,
-    in units of the error bound; None if the mode has no bound, or nothing was sent.
+    `unbounded_segments` counts segments that state no error bound. Only `coarse_bytes` counts the coarse
+    layer. `worst_mask_ratio` is the largest error of all voxels sent, in units of the error bound; None if
+    the mode has no bound, or nothing was sent.
     """
 
     frames: int = 0
@@ -80,12 +90,15 @@ class Sent:
     left_out: int = 0
     coarse_bytes: int = 0
     worst_mask_ratio: float | None = None
+    unbounded_segments: int = 0
 
     def add(self, segment: LiveSegment, max_error: MaxError | None) -> None:
         """Count a segment that was sent."""
         self.sent_bytes += len(segment.body) + len(segment.vibration or b"")
         self.segments, self.frames = self.segments + 1, self.frames + segment.frame_count
-        if max_error is not None:
+        if max_error is None:
+            self.unbounded_segments += 1
+        else:
             self.worst_mask_ratio = max(max_error.ratio, self.worst_mask_ratio or 0.0)
 
     def skip(self, frames: int, reason: str, on_note: Callable[[str], None]) -> None:
@@ -95,27 +108,42 @@ class Sent:
             on_note(f"{reason}: {self.left_out} frames are skipped so far")
 
     def summary(self) -> dict[str, Any]:
-        """Return the counts as a dictionary; its keys are stable."""
-        return dict(self.__dict__)
+        """Return the counts as a dictionary; its keys are stable. A note reports the unbounded segments."""
+        return {name: value for name, value in vars(self).items() if name != "unbounded_segments"}
 
     def error_bound(self, prepared: Prepared) -> dict[str, Any]:
         """Return the keys of the error bound of all segments that were sent."""
-        has_bound = self.worst_mask_ratio is not None
-        keys = bound_keys(CODER.bound_rule(prepared.coding), {"promise_kept": has_bound})
+        has_bound = self.worst_mask_ratio is not None and not self.unbounded_segments
+        rule = CODER.bound_rule(prepared.coding)
+        if isinstance(prepared, PreparedBodies):
+            rule = prepared.bodies.encoder.bound_rule
+        keys = bound_keys(rule, {"promise_kept": has_bound})
         if not self.segments:
             keys = {"error_bound": None, "error_bound_note": "no error bound is proved: no segment was sent"}
         return {**keys, "promise_kept": True if has_bound else None}
 
 
+@dataclass(frozen=True, repr=False)
+class PreparedBodies(Prepared):
+    """A source whose bodies are sent, with `bodies`, which has their poses."""
+
+    bodies: LiveBodies = field(kw_only=True)
+
+
 def open_sender(
-    source: Source | ArrayLike, spec: EncodeSpec, grid: Grid | None = None
+    source: Source | ArrayLike, spec: EncodeSpec, grid: Grid | None = None, control: Control | None = None
 ) -> tuple[Prepared, LiveSender]:
-    """Prepare a source as voxels, and open its sender.
+    """Prepare a source as voxels, or as bodies if `spec` has the representation "object"; open its sender.
 
     Sources are those of `touchfield.encode`, an array of newtons on `grid` as well, and those of
-    `open_capture`. Raises InvalidArgument for a coder other than `touch`.
+    `open_capture`. ``control(model, data)`` is called before each frame of a simulation of bodies. Raises
+    InvalidArgument for a coder other than `touch`, or objects of a source that has none.
     """
     require_one_of("coder of a live stream", spec.coder, ("touch",))
+    if spec.representation == "object":
+        return _open_bodies(source, spec, control)
+    if control is not None:
+        raise InvalidArgument("control", "a stream of voxels", "representation='object'")
     captured = open_capture(source, spec.source)
     # a live stream has no time for a search
     spec = replace(spec, representation="voxel", touch=replace(spec.touch, effort="fast"))
@@ -123,6 +151,25 @@ def open_sender(
     rule = CODER.bound_rule(prepared.coding)
     warn_unbounded(None if rule.text else f"no error bound is proved: {rule.reason}")
     return prepared, _sender(source, prepared)
+
+
+def _open_bodies(
+    source: Source | ArrayLike, spec: EncodeSpec, control: Control | None
+) -> tuple[Prepared, LiveSender]:
+    scene = scene_of(source, spec)
+    if not isinstance(scene, BodyScene):
+        expected = "rigid bodies: a model of MuJoCo, a robot, or a scene of bodies"
+        raise InvalidArgument(
+            "--representation", "object for another source", expected, "Take voxel or auto."
+        )
+    if scene.simulation is not None:
+        scene = scene.freed()
+    prepared = prepare(scene, spec)
+    bodies = LiveBodies(scene, prepared, control)
+    encoder: Any = bodies.encoder  # the head has its name and its parameters
+    sender, records = LiveSender(), [record_of(coded) for coded in bodies.encoder.objects]
+    sender.open(file_head(prepared, encoder), file_provenance(source, prepared), records)
+    return PreparedBodies(**vars(prepared), bodies=bodies), sender
 
 
 def _sender(source: Source | ArrayLike, prepared: Prepared, **extra_provenance: str) -> LiveSender:
@@ -135,9 +182,13 @@ def coarse_layer(source: Source | ArrayLike, prepared: Prepared) -> tuple[Prepar
     """Prepare the coarse layer of a prepared source, and open its sender.
 
     Its provenance states the error of the layer alone on the first frame. Raises InvalidArgument if the
-    lattice cannot be halved.
+    lattice cannot be halved, or for bodies.
     """
     fine, spec = prepared.medium, prepared.spec
+    if isinstance(prepared, PreparedBodies):
+        raise InvalidArgument(
+            "--coarse", "a stream of bodies", "one of fields", "Add --representation voxel."
+        )
     if max(fine.grid.shape) < 2:
         raise InvalidArgument("--coarse", f"a lattice of {fine.grid.shape} samples", "one that can be halved")
     meter, first = FidelityMeter(spec.weber, spec.f0_n or EncodeSpec().f0_n), fine[0]
@@ -172,22 +223,26 @@ def broadcast(
     `coarse` is a coarse layer (`coarse_layer`) and the function that sends its segments. ``on_start()`` is
     called when the clock starts.
     """
-    lanes = [_Layer(prepared, send, clock_s)]
+    lanes, make, rate_hz = list[_Lane](), _frames_of(prepared, on_note), prepared.medium.rate_hz
+    if isinstance(prepared, PreparedBodies):
+        lanes.append(_BodiesLayer(prepared.bodies, send, clock_s))
+    else:
+        lanes.append(_Layer(prepared, send, clock_s))
     if coarse is not None:
         lanes.append(_Layer(*coarse, clock_s, _coarse))
     sent = lanes[0].sent
     try:
         for lane in lanes:  # load or compile code before the clock starts
-            lane.warm(prepared.medium[0])
+            lane.warm(make(0))
         start_s = clock_s()
-        frame, rate_hz = prepared.medium[0], prepared.medium.rate_hz
+        frame = make(0)
         max_rate_hz = 1 / max(clock_s() - start_s, *(lane.warm(frame) for lane in lanes), 1e-9)
         if max_rate_hz < rate_hz:
             hint = "a lower --rate-hz or a smaller --nw keeps up"
             rates = f"some {max_rate_hz:.2g} frames a second, and the medium has {rate_hz:g}"
             on_note(f"this machine makes {rates}: {hint}")
         on_start()
-        for first, frames, band in _timed_segments(prepared, spec, sent, on_note, clock_s, pause):
+        for first, frames, band in _timed_segments(prepared, make, spec, sent, on_note, clock_s, pause):
             queues = [lane.start_segment(first, band if lane is lanes[0] else []) for lane in lanes]
             count, is_over = 0, False
             try:
@@ -212,65 +267,64 @@ def broadcast(
         for lane in lanes:
             lane.close()
     sent.coarse_bytes = sum(lane.sent.sent_bytes for lane in lanes[1:])
+    if isinstance(prepared, PreparedBodies) and sent.unbounded_segments:
+        on_note(
+            f"{sent.unbounded_segments} segments state no error bound: more than {MAX_OVERLAP} bodies overlap"
+        )
     return sent
 
 
-class _Layer:
-    """One layer: frames in, segments out, coded in its own thread.
+def _frames_of(prepared: Prepared, on_note: Callable[[str], None]) -> Callable[[int], Any]:
+    """Return the function that makes a frame: a field, or the poses of bodies."""
+    if isinstance(prepared, PreparedBodies):
+        return partial(prepared.bodies.poses, on_note=on_note)
+    return prepared.medium.__getitem__
 
-    ``make(frame)`` makes the layer's frame of an incoming frame. `is_late` is True if the latest segment is
-    skipped.
+
+class _Lane(ABC):
+    """Frames in, segments out, coded in a thread of its own.
+
+    `is_late` is True if the latest segment is skipped.
     """
 
-    def __init__(
-        self,
-        prepared: Prepared,
-        send: Send,
-        clock_s: Callable[[], float],
-        make: Callable[[ForceField], ForceField] = lambda frame: frame,
-    ) -> None:
+    def __init__(self, send: Send, clock_s: Callable[[], float]) -> None:
         self.sent, self.is_late = Sent(), False
-        self._send, self._clock_s, self._make = send, clock_s, make
-        self._encoder = TouchEncoder(prepared.medium.grid, prepared.coding)
-        self._force_max_n = prepared.device.force_max_n
-        self._key_frame: ForceField | None = None
+        self._send, self._clock_s = send, clock_s
         self._pending: deque[Future[None]] = deque()
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="touchfield-live")
 
-    def warm(self, frame: ForceField) -> float:
-        """Code two frames that are not sent; return the seconds that one takes."""
-        start_s, frames = self._clock_s(), [self._make(frame)] * 2
-        self._encoder.encode_segment(frames, self._encoder.key_frame(*frames), self._force_max_n)
-        return (self._clock_s() - start_s) / 2
+    @abstractmethod
+    def warm(self, frame: Any) -> float:
+        """Code some frames that are not sent; return the seconds that one takes."""
 
-    def start_segment(self, first: int, band: list[VibrationFrame]) -> SimpleQueue[ForceField | None]:
+    @abstractmethod
+    def _encode(self, frames: Iterator[Any]) -> tuple[int, bytes, MaxError | None]:
+        """Code frames as they come; return their number, the body of their segment and its largest error."""
+
+    def start_segment(self, first: int, band: list[VibrationFrame]) -> SimpleQueue[Any]:
         """Start a segment; return the queue for its frames and a final None.
 
         Raises the error of an earlier segment.
         """
         while self._pending and self._pending[0].done():
             self._pending.popleft().result()
-        queue: SimpleQueue[ForceField | None] = SimpleQueue()
+        queue: SimpleQueue[Any] = SimpleQueue()
         self.is_late = len(self._pending) >= _MAX_PENDING
         if not self.is_late:
             self._pending.append(self._pool.submit(self._deliver, first, queue, band))
         return queue
 
-    def _deliver(self, first: int, queue: SimpleQueue[ForceField | None], band: list[VibrationFrame]) -> None:
+    def _deliver(self, first: int, queue: SimpleQueue[Any], band: list[VibrationFrame]) -> None:
         """Code and send the frames of a queue.
 
         Sends nothing if the queue has no frame, because the source has ended.
         """
-        frames = map(self._make, iter(queue.get, None))
-        first_frame = next(frames, None)
-        if first_frame is None:
+        count, body, max_error = self._encode(iter(queue.get, None))
+        if not count:
             return
-        self._key_frame = self._encoder.key_frame(first_frame, self._key_frame)  # of a static world
-        coded = self._encoder.encode_segment(chain([first_frame], frames), self._key_frame, self._force_max_n)
-        count, vibration, sent = len(coded.frames), encode_vibration(band) if band else None, self.sent
-        segment = LiveSegment(first, count, coded.body, vibration)
+        segment = LiveSegment(first, count, body, encode_vibration(band) if band else None)
         self._send(segment)
-        sent.add(segment, coded.max_error)
+        self.sent.add(segment, max_error)
 
     def close(self) -> None:
         """Wait for the pending segments; raises their error."""
@@ -279,33 +333,89 @@ class _Layer:
                 self._pending.popleft().result()
 
 
+class _Layer(_Lane):
+    """A layer of fields; ``make(frame)`` makes its field of that of an incoming frame."""
+
+    def __init__(
+        self,
+        prepared: Prepared,
+        send: Send,
+        clock_s: Callable[[], float],
+        make: Callable[[ForceField], ForceField] = lambda frame: frame,
+    ) -> None:
+        super().__init__(send, clock_s)
+        self._make, self._encoder = make, TouchEncoder(prepared.medium.grid, prepared.coding)
+        self._force_max_n = prepared.device.force_max_n
+        self._key_frame: ForceField | None = None
+
+    def _encode(self, frames: Iterator[Any]) -> tuple[int, bytes, MaxError | None]:
+        fields = map(self._make, frames)
+        first_field = next(fields, None)
+        if first_field is None:
+            return 0, b"", None
+        self._key_frame = self._encoder.key_frame(first_field, self._key_frame)  # of a static world
+        coded = self._encoder.encode_segment(chain([first_field], fields), self._key_frame, self._force_max_n)
+        return len(coded.frames), coded.body, coded.max_error
+
+    def warm(self, frame: Any) -> float:
+        start_s, frames = self._clock_s(), [self._make(frame)] * 2
+        self._encoder.encode_segment(frames, self._encoder.key_frame(*frames), self._force_max_n)
+        return (self._clock_s() - start_s) / 2
+
+
+class _BodiesLayer(_Lane):
+    """The poses of rigid bodies."""
+
+    def __init__(self, bodies: LiveBodies, send: Send, clock_s: Callable[[], float]) -> None:
+        super().__init__(send, clock_s)
+        self._bodies = bodies
+
+    def _encode(self, frames: Iterator[Any]) -> tuple[int, bytes, MaxError | None]:
+        poses = list(frames)
+        if not poses:
+            return 0, b"", None
+        coded = self._bodies.encoder.encode_frames(poses)
+        return len(poses), coded.body, coded.max_error
+
+    def warm(self, frame: Any) -> float:
+        start_s = self._clock_s()
+        self._bodies.encoder.encode_frames([frame] * _WARM_POSES)
+        return (self._clock_s() - start_s) / _WARM_POSES
+
+
 def _timed_segments(
     prepared: Prepared,
+    make: Callable[[int], Any],
     spec: LiveSpec,
     sent: Sent,
     on_note: Callable[[str], None],
     clock_s: Callable[[], float],
     pause: Callable[[float], None],
-) -> Iterator[tuple[int, Iterator[ForceField], list[VibrationFrame]]]:
-    """Yield each segment at its time.
+) -> Iterator[tuple[int, Iterator[Any], list[VibrationFrame]]]:
+    """Yield each segment at its time; ``make(i)`` makes frame i of the medium.
 
     Each item is the index of the first frame, an iterator of the frames in real time, and the vibrations.
     """
     medium, count = prepared.medium, len(prepared.medium)
-    length = max(1, min(round(spec.segment_s * medium.rate_hz), 4096))
-    last = ENDLESS - 1 if spec.loop else count
+    longest, is_endless = 4096, False
+    if isinstance(prepared, PreparedBodies):
+        longest, is_endless = prepared.bodies.max_segment_frames, not prepared.bodies.has_end
+    length = max(1, min(round(spec.segment_s * medium.rate_hz), longest))
+    last = ENDLESS - 1 if spec.loop or is_endless else count
+    if is_endless and not spec.loop:
+        count = last  # a simulation goes on
     if spec.seconds is not None:
         last = min(last, max(1, round(spec.seconds * medium.rate_hz)))
     start_s = clock_s()
 
-    def frames(first: int, band: list[VibrationFrame]) -> Iterator[ForceField]:
+    def frames(first: int, band: list[VibrationFrame]) -> Iterator[Any]:
         for i in range(first, min(first + length, last)):
             early_s = start_s + (i + 1) / medium.rate_hz - clock_s()
             if early_s > 0:
                 pause(early_s)
             if medium.vibration is not None:
                 band.append(medium.vibration(i % count))
-            yield medium[i % count]
+            yield make(i % count)
 
     first = 0
     while first < last:

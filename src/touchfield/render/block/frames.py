@@ -13,23 +13,23 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.cells import CellPool
-from touchfield.medium.medium import HapticMedium, HapticScene
+from touchfield.medium.field import ForceField
+from touchfield.medium.medium import BodyPoses, HapticMedium, HapticScene
 from touchfield.render.block import Memory, aligned, layout
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from touchfield.medium.deformation import Deformation
-    from touchfield.medium.field import ForceField
 
 FieldName = tuple[int, int]
 """(object, frame). Of a rigid object the frame is -1: one field serves all frames. Voxels are object 0."""
 
 VIBRATION: Final = -1  # the object that is the vibration of voxels
 _ALL_FRAMES: Final = -1
+_NO_FORCE: Final = (-2, _ALL_FRAMES)  # the field of every body in a frame that is absent
 
 _FLOOR_FRACTION: Final = 1e-9
 """As in `medium.cells`: an object's force below this fraction of F_max is a rounding error at its edge."""
@@ -164,15 +164,6 @@ class FrameParts:
             self.size_bytes += deformation_bytes(deformation)
             if self._is_static and len(deformation) > 1:
                 self.frame_count, self.rate_hz = len(deformation), deformation.rate_hz
-        self._motions: list[Float64s] = []
-        if isinstance(medium, HapticScene):
-            damping = medium.surface_damping_n_s_per_m
-            for scene_object in medium.objects:
-                velocities = np.zeros((medium.frame_count, 6))
-                if damping:
-                    velocities = np.concatenate(scene_object.track.velocities(medium.rate_hz), axis=1)
-                with np.errstate(over="ignore"):  # forces that overflow are handled where they are clipped
-                    self._motions.append(velocities * damping)
 
     def _check_deformation(self, deformation: Deformation) -> None:
         if isinstance(self.medium, HapticScene):
@@ -187,10 +178,11 @@ class FrameParts:
         """Return the fields that a frame needs."""
         frame = _ALL_FRAMES if self._is_static else frame
         if isinstance(self.medium, HapticScene):
-            return [
+            names = [
                 (n, _ALL_FRAMES if scene_object.is_rigid else frame)
                 for n, scene_object in enumerate(self.medium.objects)
             ]
+            return [*names, _NO_FORCE] if self.medium.has_gaps else names
         own = [(0, frame)]
         return own if self.medium.vibration is None else [*own, (VIBRATION, frame)]
 
@@ -203,6 +195,8 @@ class FrameParts:
         """Return a field by its name."""
         number, frame = name
         if isinstance(self.medium, HapticScene):
+            if name == _NO_FORCE:
+                return ForceField.empty(self.medium.grid)
             return self.medium.objects[number].field(max(frame, 0))
         if number == VIBRATION and self.medium.vibration is not None:
             return self.medium.vibration(max(frame, 0)).as_field()
@@ -212,8 +206,19 @@ class FrameParts:
         """Return a field as cells."""
         return CellPool.of(self.field(name))
 
-    def write(self, memory: Memory, offset: int, frame: int, offsets: Mapping[FieldName, int]) -> None:
-        """Write a frame whose fields lie at `offsets`."""
+    def poses(self, frame: int) -> BodyPoses | None:
+        """Return the poses of the bodies in a frame; None of voxels."""
+        return self.medium.poses(frame) if isinstance(self.medium, HapticScene) else None
+
+    def write(
+        self,
+        memory: Memory,
+        offset: int,
+        frame: int,
+        offsets: Mapping[FieldName, int],
+        poses: BodyPoses | None = None,
+    ) -> None:
+        """Write a frame whose fields lie at `offsets`; `poses` are those of its bodies, if known already."""
         if not isinstance(self.medium, HapticScene):
             own, *others = self.names(frame)
             vibration_at = offsets[others[0]] if others else 0
@@ -221,10 +226,8 @@ class FrameParts:
             if self.deformation is not None:
                 write_deformation(memory, offset, frame_bytes(1), self.deformation, frame, self.yield_at)
             return
-        parts = [
-            FramePart(
-                offsets[name], body.track.quaternions[frame], body.track.positions_m[frame], motion[frame]
-            )
-            for body, name, motion in zip(self.medium.objects, self.names(frame), self._motions, strict=True)
-        ]
+        poses = poses or self.medium.poses(frame)
+        names = [_NO_FORCE if poses.is_absent else name for name in self.names(frame)]
+        columns = zip(names, poses.quaternions, poses.positions_m, poses.motions)
+        parts = [FramePart(offsets[name], q, t, motion) for name, q, t, motion in columns]
         write_frame(memory, offset, parts, self.medium.force_max_n)

@@ -6,7 +6,7 @@ Each body has its own scene and a pose track.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -21,6 +21,7 @@ from touchfield.medium.field import brick_keys, bricks_of, field_without_empty_b
 from touchfield.sources.camera import require_frame
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.mesh.mesh_scene import MeshScene
+from touchfield.sources.physics.live_simulation import LiveSimulation
 from touchfield.sources.scene import UP_Z_AXES, Body, MovingScene, Scene
 from touchfield.sources.shapes.analytic_scene import AnalyticScene
 from touchfield.sources.shapes.shapes import Plane
@@ -40,6 +41,8 @@ class BodyScene(MovingScene):
     times its velocity there, with r relative to its origin.
 
     bodies : sequence of Body; One or more, with tracks of equal length.
+    simulation : callable, optional; Makes the simulation that the tracks are the start of, with the poses of
+        all bodies in their order; ``can_move``, bool [bodies], tells which of them may move in it.
 
     Raises `InvalidArgument` if there is no body, the tracks differ in length, a deforming body does not have
     a frame for each pose, or the rate is not positive.
@@ -48,7 +51,13 @@ class BodyScene(MovingScene):
     is_of_bodies = True
 
     def __init__(
-        self, bodies: Sequence[Body], rate_hz: float, axes: str = UP_Z_AXES, notes: tuple[str, ...] = ()
+        self,
+        bodies: Sequence[Body],
+        rate_hz: float,
+        axes: str = UP_Z_AXES,
+        notes: tuple[str, ...] = (),
+        simulation: Callable[[], LiveSimulation] | None = None,
+        can_move: Sequence[bool] = (),
     ) -> None:
         if not bodies:
             raise InvalidArgument("bodies", "none", "at least one")
@@ -65,12 +74,21 @@ class BodyScene(MovingScene):
         self._bodies = tuple(bodies)
         self.frame_count, self.rate_hz = count, float(rate_hz)
         self.axes, self.notes = axes, notes
+        self.simulation, self._can_move = simulation, tuple(can_move)
         self._is_static = tuple(body.is_rigid and body.track.is_constant for body in bodies)
         self._velocities = cache(lambda n: self._bodies[n].track.velocities(self.rate_hz))
         self._static_sum: tuple[Grid, ForceProfile, ForceField] | None = None
 
     def bodies(self) -> tuple[Body, ...]:
         return self._bodies
+
+    def freed(self) -> BodyScene:
+        """Return this scene with bodies that may move otherwise than in their tracks (`Body.is_free`)."""
+        other, can_move = copy.copy(self), self._can_move or (True,) * len(self._bodies)
+        other._bodies = tuple(
+            replace(body, is_free=is_free) for body, is_free in zip(self._bodies, can_move, strict=True)
+        )
+        return other
 
     def thickened(self, rule: MinThickness) -> tuple[Scene, tuple[ThinWall, ...]]:
         """See `Scene.thickened`: each body by itself."""

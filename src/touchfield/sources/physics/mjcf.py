@@ -38,6 +38,7 @@ from touchfield.sources.mesh.mesh_scene import MeshScene
 from touchfield.sources.mesh.surface import merge_vertices
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.physics.body_scene import BodyScene, notes_of_meshes
+from touchfield.sources.physics.live_simulation import LiveSimulation
 from touchfield.sources.physics.simulation import (
     FRAME_RATE_HZ,
     SECONDS,
@@ -90,7 +91,13 @@ def scene_of_model(
     tracks, warnings = simulate(model, ids, frames, rate, str(path))
     track_of = dict(zip(ids, tracks, strict=True))
     bodies = [Body(name, scene, track_of[body_id]) for name, body_id, scene in pieces]
-    return BodyScene(bodies, rate, notes=(*notes, *more, *notes_of_meshes(bodies), *warnings))
+    return BodyScene(
+        bodies,
+        rate,
+        notes=(*notes, *more, *notes_of_meshes(bodies), *warnings),
+        simulation=partial(LiveSimulation, model, [body_id for _, body_id, _ in pieces], rate, str(path)),
+        can_move=[bool(model.body_weldid[body_id]) for _, body_id, _ in pieces],
+    )
 
 
 def has_root(path: Path, name: str) -> bool:

@@ -62,7 +62,7 @@ def load_mujoco() -> Any:
 
 
 @contextmanager
-def _collect_warnings(where: str, found: str, expected: str) -> Iterator[list[str]]:
+def collect_warnings(where: str, found: str, expected: str) -> Iterator[list[str]]:
     """Collect MuJoCo's warnings, which otherwise go to the screen and into a file.
 
     Errors of MuJoCo become a `SourceError` with `found` and `expected`.
@@ -90,7 +90,7 @@ def compile_model(
 
     Raises `SourceError` with these texts if it fails.
     """
-    with _collect_warnings(where, found, expected) as messages:
+    with collect_warnings(where, found, expected) as messages:
         result = make()
     return result, tuple(f"MuJoCo warns: {' '.join(message.split())[:200]}" for message in messages)
 
@@ -132,7 +132,7 @@ def simulate(
     if not _STEPS_S[0] <= model.opt.timestep <= _STEPS_S[1]:
         found, (shortest, longest) = f"{model.opt.timestep:g} s", _STEPS_S
         raise SourceError(f"{where}: timestep", found, f"{shortest:g} to {longest:g} s")
-    steps, notes = _steps_per_frame(model, rate_hz)
+    steps, notes = steps_per_frame(model, rate_hz)
     if steps * frame_count * len(body_ids) > _MAX_STEPS:
         found = f"{frame_count} frames of {steps} steps of {len(body_ids)} bodies"
         mend = "Ask for less. Make the step longer."
@@ -140,9 +140,9 @@ def simulate(
     ids = np.asarray(body_ids, np.intp)
     positions, quaternions = np.empty((frame_count, len(ids), 3)), np.empty((frame_count, len(ids), 4))
     driven = [_driven_state(model, body, track, rate_hz) for body, track in (posed or {}).items()]
-    with _collect_warnings(where, "a simulation that stops", "a model that MuJoCo can step") as messages:
+    with collect_warnings(where, "a simulation that stops", "a model that MuJoCo can step") as messages:
         data = mujoco.MjData(model)
-        notes += _start(mujoco, model, data)
+        notes += start_state(mujoco, model, data)
         for frame in range(frame_count):
             for position, motion, poses, velocities in driven:
                 data.qpos[position], data.qvel[motion] = poses[frame], velocities[frame]
@@ -151,11 +151,11 @@ def simulate(
             if frame + 1 < frame_count:
                 mujoco.mj_step(model, data, steps)
             if messages:
-                notes += _check_state(mujoco, data, messages, f"{where}, {(frame + 1) / rate_hz:g} s")
+                notes += check_state(mujoco, data, messages, f"{where}, {(frame + 1) / rate_hz:g} s")
     return [PoseTrack(quaternions[:, k], positions[:, k]) for k in range(len(ids))], notes
 
 
-def _start(mujoco: Any, model: Any, data: Any) -> tuple[str, ...]:
+def start_state(mujoco: Any, model: Any, data: Any) -> tuple[str, ...]:
     """Set the state to a keyframe, if the model has any; returns a note on the choice."""
     if not model.nkey:
         return ()
@@ -182,7 +182,7 @@ def _driven_state(
     return slice(position, position + 7), slice(motion, motion + 6), poses, velocities
 
 
-def _steps_per_frame(model: Any, rate_hz: float) -> tuple[int, tuple[str, ...]]:
+def steps_per_frame(model: Any, rate_hz: float) -> tuple[int, tuple[str, ...]]:
     """Return the steps between two frames.
 
     Sets the model's time step to a divisor of that time.
@@ -200,7 +200,7 @@ def _steps_per_frame(model: Any, rate_hz: float) -> tuple[int, tuple[str, ...]]:
     return steps, (wording,)
 
 
-def _check_state(mujoco: Any, data: Any, messages: list[str], where: str) -> tuple[str, ...]:
+def check_state(mujoco: Any, data: Any, messages: list[str], where: str) -> tuple[str, ...]:
     """Return warnings as notes; `SourceError` if they report an invalid state."""
     text = " ".join(" ".join(messages).split())[:200]
     messages.clear()

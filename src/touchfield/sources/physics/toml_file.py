@@ -40,9 +40,14 @@ files.
 from __future__ import annotations
 
 import math
+<<<<<<< HEAD
 import os
 from collections.abc import Iterable
+=======
+from collections.abc import Callable, Iterable
+>>>>>>> fleet
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -56,6 +61,7 @@ from touchfield.medium.trace import Trace, read_trace
 from touchfield.sources.mesh.mesh_scene import MeshScene
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.physics.body_scene import BodyScene, notes_of_meshes
+from touchfield.sources.physics.live_simulation import LiveSimulation
 from touchfield.sources.physics.simulation import (
     FRAME_RATE_HZ,
     SECONDS,
@@ -274,12 +280,16 @@ def open_physics(path: Path, options: SourceOptions) -> BodyScene:
     frames = _frame_count(path, table, poses, options.seconds or table.world.seconds, rate)
     posed = {name: track_at_rate(trace, rate, frames) for name, trace in poses.items()}
     notes: tuple[str, ...] = ()
+    simulation: Callable[[], LiveSimulation] | None = None
     if any(body.is_simulated for body in table.bodies):
         model, ids, warnings = model_of(load_mujoco(), table, posed, str(path))
         driven = {
             body_id: posed[body.name] for body, body_id in zip(table.bodies, ids, strict=True) if body.poses
         }
         tracks, notes = simulate(model, ids, frames, rate, str(path), driven)
+        if not driven:
+            floor_ids = [0] * bool(table.floor and table.floor.touchable)
+            simulation = partial(LiveSimulation, model, [*ids, *floor_ids], rate, str(path))
         notes = (*warnings, *notes)
     else:
         for body in table.bodies:
@@ -292,7 +302,8 @@ def open_physics(path: Path, options: SourceOptions) -> BodyScene:
         plane = Plane((0.0, 0.0, table.floor.height_m), (0.0, 0.0, 1.0))
         bodies.append(Body("floor", AnalyticScene((plane,), "union", UP_Z_AXES), PoseTrack.constant(frames)))
     notes = (*notes_of_meshes(bodies), *_late_pose_notes(poses, frames / rate, rate), *notes)
-    return BodyScene(bodies, rate, UP_Z_AXES, notes)
+    can_move = [not body.fixed for body in table.bodies] + [False] * (len(bodies) - len(table.bodies))
+    return BodyScene(bodies, rate, UP_Z_AXES, notes, simulation, can_move)
 
 
 def _late_pose_notes(poses: dict[str, Trace], seconds: float, rate_hz: float) -> tuple[str, ...]:
