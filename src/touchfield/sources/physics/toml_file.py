@@ -40,12 +40,8 @@ files.
 from __future__ import annotations
 
 import math
-<<<<<<< HEAD
 import os
-from collections.abc import Iterable
-=======
 from collections.abc import Callable, Iterable
->>>>>>> fleet
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
