@@ -18,7 +18,6 @@ import resource
 import subprocess
 import sys
 import tempfile
-from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -26,6 +25,7 @@ from time import perf_counter
 from machine import Bar, Figures, at_least, at_most, bench, figure, need_module
 from touchfield import EncodeSpec, device, encode
 from touchfield.codec import TouchSpec
+from touchfield.compute.executor_kinds import TaskExecutor
 from touchfield.compute.executors import executor_of
 from touchfield.pipeline.tiles import encode_tiles
 
@@ -33,7 +33,7 @@ SOURCE = "sample:falling-7"
 TILED = "sample:motorcycle"
 
 
-def seconds(out: Path, spec: EncodeSpec, workers: Executor | None) -> float:
+def seconds(out: Path, spec: EncodeSpec, workers: TaskExecutor | None) -> float:
     """Return the wall seconds of one encoding."""
     began = perf_counter()
     encode(SOURCE, out, spec, executor=workers)

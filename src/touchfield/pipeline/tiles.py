@@ -13,7 +13,6 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -24,6 +23,7 @@ import numpy as np
 from touchfield._version import __version__
 from touchfield.codec.segment import bound_keys
 from touchfield.codec.touch.spec import CODER, TouchSpec
+from touchfield.compute.executor_kinds import TaskExecutor
 from touchfield.compute.executors import in_order
 from touchfield.compute.threads import Progress, silent
 from touchfield.errors import InvalidArgument, SourceError, require_ending, warn_unbounded
@@ -84,7 +84,7 @@ def encode_tiles(
     out: Path,
     spec: EncodeSpec,
     report: Progress = silent,
-    executor: Executor | None = None,
+    executor: TaskExecutor | None = None,
 ) -> Tiled:
     """Write a source as a zarr store whose chunks are of coder `touch`, tile by tile.
 
