@@ -227,7 +227,7 @@ def _open_dask(rest: str) -> Iterator[TaskExecutor]:
         found = f"no scheduler that answers ({str(error) or type(error).__name__})"
         hint = "Start one: dask scheduler."
         raise SourceError(f"--workers dask:{rest}", found, "the address of one", hint) from None
-    with client, _without_log("distributed.client"):
+    with _without_log("distributed.client"), client:
         yield client.get_executor(pure=False)
 
 
@@ -247,7 +247,10 @@ _BUILT_IN: Final = (
     ExecutorKind("processes", "processes:N", _is_process_count, _open_processes),
     ExecutorKind("joblib", "joblib:N", _is_process_count, _open_joblib),
     ExecutorKind(
-        "ray", "ray:N", lambda rest: bool(rest) and (not rest.isdigit() or _is_process_count(rest)), _open_ray
+        "ray",
+        "ray:N or ray:ADDRESS",
+        lambda rest: bool(rest) and (not rest.isdigit() or _is_process_count(rest)),
+        _open_ray,
     ),
     ExecutorKind("dask", "dask:ADDRESS such as dask:tcp://host:8786", bool, _open_dask),
 )

@@ -1,8 +1,9 @@
 """Writes and reads a medium as a zarr version 3 store, for programs that read parts of it.
 
 Chunks consist of whole bricks and are grouped in shards. The group has attributes (the lattice, the rate,
-other metadata) and the array ``forces_n`` float32 [t, x, y, z, component]; levels of detail are
-``forces_n_1``, ``forces_n_2``, ..., whose lattices the attribute ``multiscales`` describes, as in OME-NGFF. A
+other metadata), the array ``forces_n`` float32 [t, x, y, z, component], and the coordinates ``t`` in seconds
+and ``x``, ``y``, ``z`` in metres, float64. Levels of detail are ``forces_n_1``, ``forces_n_2``, ..., whose
+lattices the attribute ``multiscales`` describes, as in OME-NGFF, and the coordinates ``x_1``, ``x_2``, .... A
 chunk without a force is not written. Chunks are compressed by zstd, or by another codec such as the coder
 `touch` (`touchfield.codec.zarr_codec`). A shard is one file, the unit of writing.
 """
@@ -21,7 +22,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from touchfield.arrays import Float32s
+from touchfield.arrays import Float32s, Float64s
 from touchfield.compute.threads import Progress, silent
 from touchfield.errors import InvalidArgument, SourceError, import_extra
 from touchfield.medium.field import ForceField
@@ -32,7 +33,6 @@ Box = tuple[tuple[int, int, int], tuple[int, int, int]]
 """First sample and shape of a part of a lattice."""
 
 ARRAY: Final = "forces_n"
-DIMENSIONS: Final = ("t", "x", "y", "z", "component")
 _AXES: Final = (
     {"name": "t", "type": "time", "unit": "second"},
     *({"name": axis, "type": "space", "unit": "meter"} for axis in "xyz"),
@@ -93,7 +93,12 @@ def create(
     scales = [{"name": ARRAY, "type": "level of detail", "axes": list(_AXES), "datasets": datasets}]
     group = zarr.create_group(store, zarr_format=3, attributes={"touchfield": about, "multiscales": scales})
     coding = {"serializer": dict(codec), "compressors": None} if codec else {}
+    _write_coordinate(group, "t", "time", "s", np.arange(len(medium)) / medium.rate_hz)
     for level, level_medium in enumerate((medium, *levels)):
+        for axis, name in enumerate(_level_axes(level)):
+            index = np.zeros((level_medium.grid.shape[axis], 3))
+            index[:, axis] = np.arange(len(index))
+            _write_coordinate(group, name, "distance", "m", level_medium.grid.to_m(index)[:, axis])
         chunk, shard = _chunks(level_medium.grid)
         group.create_array(
             _level_name(level),
@@ -102,10 +107,30 @@ def create(
             shards=(1, *shard, 3),
             dtype="float32",
             fill_value=0.0,
-            dimension_names=[f"{name}_{level}" if level and name in "xyz" else name for name in DIMENSIONS],
-            attributes={"units": "N"},
+            dimension_names=["t", *_level_axes(level), "component"],
+            attributes={"units": "N", "long_name": "force on the hand", "components": list("xyz")},
             **coding,
         )
+
+
+def _write_coordinate(group: Any, name: str, quantity: str, unit: str, values: Float64s) -> None:
+    """Write the values of a dimension, in one chunk."""
+    attributes = {"units": unit, "long_name": quantity}
+    array = group.create_array(
+        name,
+        shape=values.shape,
+        chunks=values.shape,
+        dtype="float64",
+        fill_value=np.nan,  # of a coordinate that is lost
+        dimension_names=[name],
+        attributes=attributes,
+    )
+    array[:] = values
+
+
+def _level_axes(level: int) -> list[str]:
+    """Return the names of a level's axes, which are those of its coordinates."""
+    return [f"{axis}_{level}" if level else axis for axis in "xyz"]
 
 
 def _level_name(level: int) -> str:
