@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import logging
-import re
 from collections.abc import Iterator
 from pathlib import Path
-from urllib.request import Request, urlopen
 
 import numpy as np
 import pytest
 
+from s3_makers import Requests, bucket_server
 from touchfield.cli.main import _exit_code
 from touchfield.container import TouchReader
 from touchfield.errors import SourceError
@@ -18,7 +16,7 @@ from touchfield.medium.stores import zarr_store
 from touchfield.medium.stores.zarr_store import read_zarr
 from touchfield.pipeline.source import decode
 
-moto = pytest.importorskip("moto.server", reason="needs moto, a server of S3")
+pytest.importorskip("moto.server", reason="needs moto, a server of S3")
 pytest.importorskip("obstore", reason="needs the extra remote")
 pytestmark = pytest.mark.thorough
 
@@ -26,50 +24,14 @@ ENCODE = ("encode", "sample:shapes")
 OPTIONS = ("--nw", "5", "--effort", "fast")
 
 
-class Requests(logging.Handler):
-    """The requests that the server has answered, as lines "GET /bucket/key 206"."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.lines: list[str] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        plain = re.sub(r"\x1b\[\d+m", "", record.getMessage())  # without colours
-        if found := re.search(r'"(\S+) (\S+) \S+" (\d+)', plain):
-            self.lines.append(" ".join(found.groups()))
-
-    def of(self, method: str, key: str, status: int) -> int:
-        """The number of requests of a method whose key contains a text."""
-        return sum(
-            line.startswith(f"{method} ") and key in line and line.endswith(f" {status}")
-            for line in self.lines
-        )
-
-
 @pytest.fixture
 def requests(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Requests]:
     """A server with an empty bucket, and the requests that it gets; the working folder is empty."""
-    from botocore.session import get_session  # comes with moto
-
-    server = moto.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
-    server.start()
-    address = "http://{}:{}".format(*server.get_host_and_port())
-    for name, value in {
-        "AWS_ENDPOINT_URL": address, "AWS_ALLOW_HTTP": "true", "AWS_REGION": "us-east-1",
-        "AWS_DEFAULT_REGION": "us-east-1", "AWS_ACCESS_KEY_ID": "key", "AWS_SECRET_ACCESS_KEY": "secret",
-    }.items():  # fmt: skip
-        monkeypatch.setenv(name, value)
-    urlopen(Request(f"{address}/moto-api/reset", method="POST")).close()  # servers share their buckets
-    get_session().create_client("s3").create_bucket(Bucket="bucket")
     monkeypatch.chdir(tmp_path)
-    handler, logger = Requests(), logging.getLogger("werkzeug")
-    level = logger.level
-    logger.addHandler(handler)
-    logger.setLevel(logging.INFO)
-    yield handler
-    logger.removeHandler(handler)
-    logger.setLevel(level)
-    server.stop()
+    with bucket_server() as (received, environment):
+        for name, value in environment.items():
+            monkeypatch.setenv(name, value)
+        yield received
 
 
 def test_a_file_is_written_and_one_segment_is_read_by_ranges(requests: Requests, tmp_path: Path) -> None:
