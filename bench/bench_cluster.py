@@ -16,8 +16,8 @@ executors: a depth sequence of a moving camera by each kind of `--workers`; the 
 of one process. killed: the same by dask and processes, where the client or the scheduler is killed after the
 third part, and the same call is made again.
 
-objects: a file and a store in a bucket on loopback; the requests that read one segment of the file, and a box
-of 8^3 samples of the store.
+objects: a file and a store of 256^3 samples in a bucket on loopback; the requests that read one segment of
+the file, and a box of 8^3 samples of the store.
 
 A quick run takes 512 frames, 2^8 samples along each axis for tiles, and n_w 6 and 7. What needs a library or
 the optional folder of real inputs is not measured without it.
@@ -202,7 +202,7 @@ def killed() -> Figures:
     """Kill the client or the scheduler after the third part of the sequence, and run the same call again."""
     if not (SEQUENCE.is_dir() and Path("/proc").is_dir()):
         return {}
-    rows = {"client of processes": lost("processes:2", 0)}
+    rows = {"client of processes": lost("processes:2", is_scheduler=False)}
     if find_spec("distributed"):
         rows |= {
             f"{victim} of dask": lost("dask", victim == "scheduler") for victim in ("client", "scheduler")
@@ -237,14 +237,14 @@ def lost(workers: str, is_scheduler: bool) -> Figures:
         }
 
 
-def objects(nw: int) -> Figures:
+def objects() -> Figures:
     """Write a file and a store to a bucket; return the requests of writing, and of reading a part."""
     if not (find_spec("moto") and find_spec("obstore")):
         return {}
-    spec = replace(SMALL, nw=nw)
+    parts = replace(SMALL, frames=(0, 256), touch=TouchSpec(effort="fast", segment_frames=32))
     with bucket_server() as (requests, environment):
         os.environ.update(environment)
-        done = encode(SOURCE, "s3://bucket/a.touch", replace(spec, frames=(0, 1024)))
+        done = encode(SOURCE, "s3://bucket/a.touch", parts)
         puts = len(requests.lines)
         requests.lines.clear()
         with TouchReader("s3://bucket/a.touch") as reader:
@@ -253,7 +253,7 @@ def objects(nw: int) -> Figures:
         file = {"bytes": done.file_bytes, "puts": puts, "ranges": requests.of("GET", "", 206)}
         file |= {"whole": requests.of("GET", "", 200), "received_bytes": received}
         requests.lines.clear()
-        tiled = encode_tiles(TILED, "s3://bucket/a.zarr", spec)
+        tiled = encode_tiles(TILED, "s3://bucket/a.zarr", replace(SMALL, nw=8))
         store: Figures = {"bytes": tiled.file_bytes, "puts": requests.of("PUT", "", 200)}
         array = import_module("zarr").open_array(
             _object_store("s3://bucket/a.zarr"), path="forces_n", mode="r"
@@ -287,7 +287,7 @@ def measure(frames: int, is_huge: int, rounds: int, low_nw: int) -> Figures:
         "memory": memory(low_nw),
         "executors": executors(),
         "killed": killed(),
-        "objects": objects(low_nw - 1),
+        "objects": objects(),
     }
 
 

@@ -27,6 +27,7 @@ from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import HapticMedium
 from touchfield.medium.stores.npz import write_npz
 from touchfield.pipeline import segments
+from touchfield.pipeline.tiles import encode_tiles
 
 GRID = Grid((16, 16, 16), (0.005,) * 3, (0.0,) * 3)
 SPEC = EncodeSpec(nw=4, touch=TouchSpec(segment_frames=2, effort="fast"), representation="voxel")
@@ -103,7 +104,9 @@ def test_an_error_of_the_work_is_told_from_one_of_the_executor() -> None:
 def test_an_object_that_is_no_executor_is_refused(source: Path, tmp_path: Path) -> None:
     with pytest.raises(InvalidArgument, match="executor: found a int; expected an object with submit or map"):
         encode(source, tmp_path / "a.touch", SPEC, executor=2)  # type: ignore[arg-type]
-    assert not (tmp_path / "a.touch").exists()
+    with pytest.raises(InvalidArgument, match="executor: found a int"):
+        encode_tiles("sample:shapes", tmp_path / "a.zarr", SPEC, executor=2)  # type: ignore[arg-type]
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from threading import Thread
 from typing import Any, Final, Protocol
 
 from touchfield.compute.threads import worker_count
-from touchfield.errors import SourceError, TouchfieldError, import_extra
+from touchfield.errors import InvalidArgument, SourceError, TouchfieldError, import_extra
 from touchfield.plugins import plugins
 
 _MAX_PROCESSES: Final = 1024
@@ -53,6 +53,14 @@ class MapExecutor(Protocol):
 
 
 TaskExecutor = SubmitExecutor | MapExecutor
+
+
+def require_executor(executor: object) -> None:
+    """Raise `InvalidArgument` for an object that is no executor; None passes."""
+    has_method = any(callable(getattr(executor, name, None)) for name in ("submit", "map"))
+    if executor is not None and not has_method:
+        expected = "an object with submit or map, such as concurrent.futures.ProcessPoolExecutor"
+        raise InvalidArgument("executor", f"a {type(executor).__name__}", expected)
 
 
 @dataclass(frozen=True)

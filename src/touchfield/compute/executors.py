@@ -21,6 +21,7 @@ from touchfield.compute.executor_kinds import (
     TaskExecutor,
     TaskFuture,
     executor_kinds,
+    require_executor,
 )
 from touchfield.compute.threads import worker_count
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
@@ -86,12 +87,10 @@ def _results_of(
     executor: TaskExecutor, work: Callable[[Item], Result], items: Iterable[Item]
 ) -> Iterator[Result]:
     """Run the work by an executor, one task at a time if it can `submit`."""
+    require_executor(executor)
     if callable(getattr(executor, "submit", None)):
         return _submitted(cast("SubmitExecutor", executor), work, items, _MAX_SUBMITTED, step=_of_worker)
-    if callable(getattr(executor, "map", None)):
-        return _mapped(cast("MapExecutor", executor), work, items)
-    expected = "an object with submit or map, such as concurrent.futures.ProcessPoolExecutor"
-    raise InvalidArgument("executor", f"a {type(executor).__name__}", expected)
+    return _mapped(cast("MapExecutor", executor), work, items)
 
 
 def _submitted(

@@ -15,7 +15,7 @@ from touchfield.codec.objects.encoder import ObjectsEncoder
 from touchfield.codec.objects.layout import CodedObject
 from touchfield.codec.registry import coder
 from touchfield.codec.segment import compression_ratio
-from touchfield.compute.executor_kinds import TaskExecutor
+from touchfield.compute.executor_kinds import TaskExecutor, require_executor
 from touchfield.compute.threads import Progress, silent
 from touchfield.container import ObjectRecord, TouchWriter
 from touchfield.container.remote import is_remote, sender
@@ -110,6 +110,7 @@ def encode(
             "out, spec", f"{out!r:.80}, a {type(spec).__name__}", "a path and an EncodeSpec"
         )
     spec = spec_with(spec, options)
+    require_executor(executor)
     require_ending(out, "OUT.touch", hint="A field is written by `write_field`.")
     send = sender(str(out)) if is_remote(out) else None
     local_path = Path(out) if send is None else Path(f"{Path(out).name}.unsent")

@@ -23,7 +23,7 @@ import numpy as np
 from touchfield._version import __version__
 from touchfield.codec.segment import bound_keys
 from touchfield.codec.touch.spec import CODER, TouchSpec
-from touchfield.compute.executor_kinds import TaskExecutor
+from touchfield.compute.executor_kinds import TaskExecutor, require_executor
 from touchfield.compute.executors import in_order
 from touchfield.compute.threads import Progress, silent
 from touchfield.container.remote import folder_sender, is_remote
@@ -95,6 +95,7 @@ def encode_tiles(
     removed; it stays there if the upload fails. InvalidArgument for options that need more than one tile:
     haptic filters, vibration, another coder, an array of actuators.
     """
+    require_executor(executor)
     require_ending(out, "OUT.zarr")
     if not is_remote(out):
         return _encode_folder(source, Path(out), spec, report, executor)
