@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import pickle
 import signal
+import socket
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -162,6 +163,17 @@ def test_workers_of_a_library_write_the_same_bytes(
             list(in_order(kill_worker, [1], executor=executor))
     assert "\n" not in str(caught.value)
     assert (tmp_path / "a.touch").read_bytes() == alone
+
+
+def test_an_address_of_ray_without_a_listener_is_refused() -> None:
+    pytest.importorskip("ray", reason="the extra ray is not installed")
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    with (
+        pytest.raises(SourceError, match=r"found that ray does not start or answer \(Connection refused\)"),
+        executor_of(f"ray:ray://127.0.0.1:{port}"),
+    ):
+        pass
 
 
 def worker_pid(item: int) -> int:

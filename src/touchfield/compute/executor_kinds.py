@@ -9,6 +9,8 @@ from __future__ import annotations
 import logging
 import multiprocessing
 import os
+import re
+import socket
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
@@ -18,7 +20,7 @@ from threading import Thread
 from typing import Any, Final, Protocol
 
 from touchfield.compute.threads import worker_count
-from touchfield.errors import InvalidArgument, SourceError, TouchfieldError, import_extra
+from touchfield.errors import InvalidArgument, SourceError, TouchfieldError, import_extra, reason
 from touchfield.plugins import plugins
 
 _MAX_PROCESSES: Final = 1024
@@ -212,15 +214,22 @@ def _open_ray(rest: str) -> Iterator[TaskExecutor]:
     else:
         options = {"address": rest}
     try:
+        _require_listener(rest)
         ray.init(log_to_driver=False, logging_level="ERROR", **options)
     except (OSError, ValueError, RuntimeError) as error:
-        found = f"that ray does not start or answer ({(str(error) or type(error).__name__)[:200]})"
+        found = f"that ray does not start or answer ({reason(error)})"
         expected = "the address of a cluster, or a number of workers of this machine"
         raise SourceError(f"--workers ray:{rest}", found, expected, "Start one: ray start --head.") from None
     try:
         yield RayExecutor()
     finally:
         ray.shutdown()
+
+
+def _require_listener(address: str) -> None:
+    """Raise OSError if nothing listens at HOST:PORT or ray://HOST:PORT; ray itself waits for minutes."""
+    if found := re.fullmatch(r"(?:ray://)?\[?([^/\[\]]+?)\]?:(\d{1,5})", address):
+        socket.create_connection((found[1], int(found[2])), _PATIENCE_S).close()
 
 
 # -- dask --------------------------------------------------------------------------------------------------
