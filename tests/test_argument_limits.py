@@ -394,7 +394,7 @@ def test_processes_are_at_most_1024(monkeypatch: pytest.MonkeyPatch) -> None:
         def __exit__(self, *_: object) -> None:
             pass
 
-    monkeypatch.setattr("touchfield.compute.executors.ProcessPoolExecutor", Pool)
+    monkeypatch.setattr("touchfield.compute.executor_kinds.ProcessPoolExecutor", Pool)
     monkeypatch.setenv("TOUCHFIELD_THREADS", "7")
     for count, threads in ((1, 7), (3, 2), (1024, 1)):
         with executor_of(f"processes:{count}") as pool:

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Final
 
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError, reason
 
@@ -32,6 +33,24 @@ def require_plain(path: str | os.PathLike[str], expected: str, *, or_folder: boo
         return
     kind = "a folder" if stat.S_ISDIR(mode) else "a pipe, a socket or a device"
     raise SourceError(os.fspath(path), kind, expected)
+
+
+_ADDRESS: Final = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
+
+
+def is_remote(name: object) -> bool:
+    """True for an address such as https://host/x.touch or s3://bucket/x.touch."""
+    return isinstance(name, str) and _ADDRESS.match(name) is not None
+
+
+def without_secret(url: str) -> str:
+    """An address for messages, without the password and the query.
+
+    A query may contain a token.
+    """
+    scheme, _, rest = url.partition("://")
+    host, slash, path = rest.partition("/")
+    return f"{scheme}://{host.rpartition('@')[2]}{slash}{path.partition('?')[0]}"
 
 
 def is_same_file(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> bool:

@@ -1,5 +1,5 @@
-"""Finds the sources, coders, drivers and filters that other installed Python packages provide as plug-ins, by
-their entry points.
+"""Finds the sources, coders, drivers, filters and executors that other installed Python packages provide as
+plug-ins, by their entry points.
 
 A distribution declares them in its ``pyproject.toml``; each refers to an object like that of a built-in
 module::
@@ -17,7 +17,10 @@ from functools import cache
 from importlib.metadata import EntryPoints, entry_points
 from typing import Any, Final, Protocol
 
-GROUPS: Final = ("touchfield.sources", "touchfield.coders", "touchfield.drivers", "touchfield.filters")
+GROUPS: Final = (
+    *("touchfield.sources", "touchfield.coders", "touchfield.drivers", "touchfield.filters"),
+    "touchfield.executors",
+)
 
 
 class PluginWarning(UserWarning):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -54,16 +56,39 @@ def test_a_store_round_trips(shape: tuple[int, int, int], frames: int, seed: int
         assert [p.name for p in Path(folder).iterdir()] == ["a.zarr"]
 
 
-def test_plain_zarr_and_xarray_read_the_store(tmp_path: Path) -> None:
+PLAIN_READER = """
+import json, sys
+sys.modules["touchfield"] = None  # as if it were not installed
+import zarr
+group = zarr.open_group(sys.argv[1], mode="r")
+force_n = group["forces_n"][1, 3, 4, 5].tolist()
+position_m = [float(group[axis][index]) for axis, index in zip("xyz", (3, 4, 5))]
+print(json.dumps([force_n, position_m, float(group["t"][1]), dict(group.attrs)["touchfield"]]))
+"""
+
+
+def test_plain_zarr_reads_forces_and_positions_without_touchfield(tmp_path: Path) -> None:
     source = medium((20, 9, 17))
     write_zarr(tmp_path / "a.zarr", source)
-    array = zarr.open_array(tmp_path / "a.zarr", path="forces_n", mode="r")
-    assert np.array_equal(array[1], source[1].to_dense())
-    assert array.attrs["units"] == "N" and array.metadata.dimension_names == ("t", "x", "y", "z", "component")
+    command = [sys.executable, "-c", PLAIN_READER, str(tmp_path / "a.zarr")]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    force_n, position_m, time_s, attributes = json.loads(done.stdout)
+    assert force_n == source[1].to_dense()[3, 4, 5].tolist()
+    assert position_m == source.grid.to_m((3, 4, 5)).tolist() and time_s == 1 / source.rate_hz
+    assert attributes["rate_hz"] == source.rate_hz and attributes["axes"] == source.axes
+
+
+def test_xarray_selects_forces_by_metres_and_seconds(tmp_path: Path) -> None:
     xarray = pytest.importorskip("xarray", reason="the extra xarray is not installed")
-    found = xarray.open_zarr(tmp_path / "a.zarr", consolidated=False)
-    assert found.forces_n.dims == ("t", "x", "y", "z", "component")
-    assert np.array_equal(found.forces_n[0].values, source[0].to_dense())
+    source = medium((20, 9, 17))
+    write_zarr(tmp_path / "a.zarr", source)
+    forces = xarray.open_zarr(tmp_path / "a.zarr", consolidated=False).forces_n
+    assert forces.dims == ("t", "x", "y", "z", "component") and forces.units == "N"
+    assert [forces[name].units for name in "txyz"] == ["s", "m", "m", "m"]
+    x, y, z = source.grid.to_m((7, 2, 16))
+    selected = forces.sel(t=1 / source.rate_hz, x=x, y=y, z=z, method="nearest").values
+    assert np.array_equal(selected, source[1].to_dense()[7, 2, 16])
 
 
 def test_foreign_chunks_need_not_be_bricks(tmp_path: Path) -> None:
@@ -95,6 +120,10 @@ def test_levels_of_detail_are_stored(tmp_path: Path) -> None:
         scale, translation = (t[t["type"]] for t in dataset["coordinateTransformations"])
         assert np.allclose(scale[:4], [1 / read_zarr(tmp_path / "a.zarr").rate_hz, *level.grid.spacing_m])
         assert np.allclose(translation[1:4], level.grid.origin_m)
+        for axis, name in enumerate(store[dataset["path"]].dims[1:4]):
+            index = np.zeros((level.grid.shape[axis], 3))
+            index[:, axis] = np.arange(len(index))
+            assert np.array_equal(store[name], level.grid.to_m(index)[:, axis])
     assert read_zarr(tmp_path / "a.zarr")[0].support_count == field.support_count
 
 
@@ -104,7 +133,8 @@ def test_an_empty_part_takes_no_bytes(tmp_path: Path) -> None:
     write_zarr(
         tmp_path / "a.zarr", HapticMedium.from_array(dense, Grid((300, 20, 20), (0.001,) * 3, (0.0,) * 3))
     )
-    files = [p for p in (tmp_path / "a.zarr").rglob("*") if p.is_file() and p.name != "zarr.json"]
+    forces = tmp_path / "a.zarr" / "forces_n"
+    files = [p for p in forces.rglob("*") if p.is_file() and p.name != "zarr.json"]
     assert len(files) == 2 and max(file.stat().st_size for file in files) < 5000
     assert all(
         np.array_equal(read.to_dense(), frame) for read, frame in zip(read_zarr(tmp_path / "a.zarr"), dense)

@@ -57,7 +57,7 @@ def encode(
     to: Annotated[
         str,
         typer.Argument(
-            metavar="OUT", help="The .touch file, also s3://...; or OUT.zarr, tiles of a huge lattice."
+            metavar="OUT", help="The .touch file, or OUT.zarr, tiles of a huge lattice; also s3://..."
         ),
     ],
     with_report: Annotated[
@@ -75,8 +75,8 @@ def encode(
     check_results((source,), None if is_remote(to) else out, plot=plot)
     require_ending(to, "OUT.touch", "OUT.zarr", hint="For a field take: touchfield field.")
     spec, target = encode_spec(options), target_of(options)
-    if is_remote(to) and (target is not None or is_measured or out.suffix == ".zarr"):
-        raise InvalidArgument("--report, --plot, targets and .zarr work with a path, not with an address")
+    if is_remote(to) and (target is not None or is_measured):
+        raise InvalidArgument("--report, --plot and targets work with a path, not with an address")
     if target is not None and workers is not None:
         raise InvalidArgument(
             f"--workers works without {target.option}: one encoding after another finds a target"
@@ -92,8 +92,8 @@ def encode(
         executor_of(workers) as executor,
     ):
         if out.suffix == ".zarr":
-            tiled = pipeline.encode_tiles(source, out, spec, report, executor)
-            return Answer(tiled.summary(), str(out), tiled.notes)
+            tiled = pipeline.encode_tiles(source, to, spec, report, executor)
+            return Answer(tiled.summary(), to, tiled.notes)
         if target is None:
             done = pipeline.encode(source, to, spec, report, executor=executor)
         else:

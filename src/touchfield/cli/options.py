@@ -32,7 +32,9 @@ DeviceCompute = Annotated[
 Workers = Annotated[
     str | None,
     typer.Option(
-        "--workers", help="Who does the work: processes:N of this machine, or dask:ADDRESS, a scheduler."
+        "--workers",
+        help="Who does the work: processes:N, joblib:N or ray:N of this machine, or a cluster: ray:ADDRESS, "
+        "dask:ADDRESS.",
     ),
 ]
 

@@ -22,6 +22,7 @@ from typing import Any, Final, NamedTuple
 from urllib.parse import urljoin, urlsplit
 
 from touchfield.errors import InvalidArgument, SourceError, import_extra
+from touchfield.files import is_remote as is_remote, without_secret as without_secret
 
 _HEAD: Final = 1 << 12
 _TAIL: Final = 1 << 14
@@ -35,7 +36,6 @@ _MIN_RATE: Final = 1 << 14
 """Slowest accepted answer in bytes per second, in addition to `_TIMEOUT_S`."""
 
 _CHUNK: Final = 1 << 16
-_REMOTE: Final = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
 _RANGE: Final = re.compile(r"bytes (\d{1,18})-(\d{1,18})/(\d{1,18})")
 
 
@@ -48,11 +48,6 @@ class _Part(NamedTuple):
     data: bytes
     size: int
     tag: str
-
-
-def is_remote(name: object) -> bool:
-    """True for an address such as https://host/x.touch or s3://bucket/x.touch."""
-    return isinstance(name, str) and _REMOTE.match(name) is not None
 
 
 def is_live(name: object) -> bool:
@@ -73,11 +68,32 @@ def sender(url: str) -> Callable[[Path], None]:
     The file appears there only when it is complete. InvalidArgument for a web server, which cannot be written
     to; SourceError, now or when the function is called, if the store refuses.
     """
+    return _writable_store(url).put
+
+
+def folder_sender(url: str, last: str) -> Callable[[Path], None]:
+    """A function that puts all files of a folder into an object store, below an address (extra ``remote``).
+
+    The file `last`, without which the folder cannot be opened, goes last. Errors are those of `sender`; also
+    InvalidArgument if something is there already.
+    """
+    store = _writable_store(f"{url.rstrip('/')}/{last}")
+    store.require_empty_folder()
+
+    def put(folder: Path) -> None:
+        files = sorted(file for file in folder.rglob("*") if file.is_file())
+        for file in sorted(files, key=lambda file: file == folder / last):
+            store.put(file, file.relative_to(folder).as_posix())
+
+    return put
+
+
+def _writable_store(url: str) -> _ObjectStore:
     if url.lower().startswith(("http://", "https://")) or is_live(url):
         raise InvalidArgument(
             without_secret(url), "an address that is only read", "s3://, gs://, az://, or a path"
         )
-    return _ObjectStore(url).put
+    return _ObjectStore(url)
 
 
 class RemoteFile:
@@ -267,28 +283,30 @@ class _ObjectStore:
                 raise ValueError(f"bytes {answer.range}, where {size} from {offset} were requested")
         return _Part(data, meta["size"], str(meta.get("e_tag") or ""))
 
-    def put(self, file: Path) -> None:
-        """Write a file, in parts if it is large."""
-        with self._translated_errors():
-            self._ask.put(self._store, self._path, file)
+    def put(self, file: Path, name: str | None = None) -> None:
+        """Write a file, in parts if it is large; `name` is its path in the folder of the address."""
+        with self._translated_errors("a store that can be written"):
+            self._ask.put(self._store, name or self._path, file)
+
+    def require_empty_folder(self) -> None:
+        """InvalidArgument if the folder of the address has a file."""
+        with self._translated_errors("a store that can be listed"):
+            first = next(iter(self._ask.list(self._store, chunk_size=1)), None)
+        if first:
+            folder = self._name.rpartition("/")[0]
+            raise InvalidArgument(
+                folder, "something there already", "a new name", "Remove it, or take another name."
+            )
 
     def close(self) -> None:
         """Do nothing: obstore has no connection that must be closed."""
 
     @contextmanager
-    def _translated_errors(self) -> Iterator[None]:
+    def _translated_errors(
+        self, expected: str = "a .touch file in a store that can be read"
+    ) -> Iterator[None]:
         try:
             yield
         except Exception as error:  # errors of obstore and of each kind of store
             found = str(error).partition("\n")[0][:200]
-            raise SourceError(self._name, found, "a .touch file in a store that can be read") from None
-
-
-def without_secret(url: str) -> str:
-    """An address for messages, without the password and the query.
-
-    A query may contain a token.
-    """
-    scheme, _, rest = url.partition("://")
-    host, slash, path = rest.partition("/")
-    return f"{scheme}://{host.rpartition('@')[2]}{slash}{path.partition('?')[0]}"
+            raise SourceError(self._name, found, expected) from None

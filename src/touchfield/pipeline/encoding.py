@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from touchfield.codec.objects.encoder import ObjectsEncoder
 from touchfield.codec.objects.layout import CodedObject
 from touchfield.codec.registry import coder
 from touchfield.codec.segment import compression_ratio
+from touchfield.compute.executor_kinds import TaskExecutor, require_executor
 from touchfield.compute.threads import Progress, silent
 from touchfield.container import ObjectRecord, TouchWriter
 from touchfield.container.remote import is_remote, sender
@@ -87,7 +87,7 @@ def encode(
     report: Progress = silent,
     *,
     grid: Grid | None = None,
-    executor: Executor | None = None,
+    executor: TaskExecutor | None = None,
     **options: Any,
 ) -> Encoded:
     """Turn a source into a ``.touch`` file.
@@ -96,12 +96,13 @@ def encode(
 
     `source` is a path, a scene, a medium, a field or an array. A medium and a field keep their lattice and
     forces. An array has newtons on `grid`: [nx, ny, nz, 3], or [frame, nx, ny, nz, 3] at 30 frames a second.
-    `report` gets ``(done, total)`` in frames. With `executor`, any of `concurrent.futures`, its workers open
-    the path and code ranges of its frames; the bytes are the same. The parts that they finished before an
-    error stay in ``OUT.parts``, and the same call continues from there. `out` may be in an object store
-    (``s3://...``, extra ``remote``): the file is written as ``NAME.unsent`` in the working folder, uploaded
-    as a whole, and removed; it stays there if the upload fails. Raises TouchfieldError, also if nothing in
-    the result can be felt and `spec` does not allow that; no file `out` is then left.
+    `report` gets ``(done, total)`` in frames. With `executor`, any object with `submit` (as in
+    `concurrent.futures`) or `map`, its workers open the path and code ranges of its frames; the bytes are the
+    same. The parts that they finished before an error stay in ``OUT.parts``, and the same call continues from
+    there. `out` may be in an object store (``s3://...``, extra ``remote``): the file is written as
+    ``NAME.unsent`` in the working folder, uploaded as a whole, and removed; it stays there if the upload
+    fails. Raises TouchfieldError, also if nothing in the result can be felt and `spec` does not allow that;
+    no file `out` is then left.
     """
     start_s = time.perf_counter()
     if not (isinstance(out, str | Path) and isinstance(spec, EncodeSpec | None)):
@@ -109,6 +110,7 @@ def encode(
             "out, spec", f"{out!r:.80}, a {type(spec).__name__}", "a path and an EncodeSpec"
         )
     spec = spec_with(spec, options)
+    require_executor(executor)
     require_ending(out, "OUT.touch", hint="A field is written by `write_field`.")
     send = sender(str(out)) if is_remote(out) else None
     local_path = Path(out) if send is None else Path(f"{Path(out).name}.unsent")

@@ -17,6 +17,7 @@ from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.medium.grid import Placement
+from touchfield.medium.stores.zarr_store import read_zarr
 from touchfield.pipeline.decoding import stream_of
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.options import SourceOptions, WatchedOptions
@@ -99,6 +100,8 @@ def open_scene(source: Openable, options: SourceOptions) -> Scene:
         raise InvalidArgument("source", f"a {type(source).__name__}", "a path, sample:NAME or a scene")
     elif is_stream(source):
         return StreamScene(source)
+    elif is_remote(source):
+        scene = StoredScene(read_zarr(source))
     elif str(source).startswith("sample:"):
         from touchfield.sources.samples import sample
 
@@ -118,11 +121,11 @@ def is_data_array(source: object) -> TypeGuard[DataArray]:
 
 
 def is_stream(source: object) -> bool:
-    """True if a source is the path or the address of a ``.touch`` file."""
-    if is_remote(source):
-        return True
+    """True if a source is the path or the address of a ``.touch`` file: any address but that of a store."""
     if not isinstance(source, str | Path):
         return False
+    if is_remote(source):
+        return not str(source).lower().endswith(".zarr")
     return Path(source).suffix.lower() == ".touch" and Path(source).is_file()
 
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -24,8 +23,10 @@ import numpy as np
 from touchfield._version import __version__
 from touchfield.codec.segment import bound_keys
 from touchfield.codec.touch.spec import CODER, TouchSpec
+from touchfield.compute.executor_kinds import TaskExecutor, require_executor
 from touchfield.compute.executors import in_order
 from touchfield.compute.threads import Progress, silent
+from touchfield.container.remote import folder_sender, is_remote
 from touchfield.errors import InvalidArgument, SourceError, require_ending, warn_unbounded
 from touchfield.filters.device_filter import device_medium
 from touchfield.medium import Grid
@@ -81,19 +82,35 @@ class Tiled(Encoded):
 
 def encode_tiles(
     source: str | Path,
-    out: Path,
+    out: str | Path,
     spec: EncodeSpec,
     report: Progress = silent,
-    executor: Executor | None = None,
+    executor: TaskExecutor | None = None,
 ) -> Tiled:
     """Write a source as a zarr store whose chunks are of coder `touch`, tile by tile.
 
     The folder appears once it is complete. After an error the tiles written so far stay in ``OUT.parts``, and
-    the same call continues from there. InvalidArgument for options that need more than one tile: haptic
-    filters, vibration, another coder, an array of actuators.
+    the same call continues from there. `out` may be in an object store (``s3://...``, extra ``remote``): the
+    store is written as the folder ``NAME.unsent`` in the working folder, uploaded, its metadata last, and
+    removed; it stays there if the upload fails. InvalidArgument for options that need more than one tile:
+    haptic filters, vibration, another coder, an array of actuators.
     """
-    start_s = time.perf_counter()
+    require_executor(executor)
     require_ending(out, "OUT.zarr")
+    if not is_remote(out):
+        return _encode_folder(source, Path(out), spec, report, executor)
+    send, folder = folder_sender(str(out), "zarr.json"), Path(f"{Path(out).name}.unsent")
+    tiled = _encode_folder(source, folder, spec, report, executor)
+    send(folder)
+    shutil.rmtree(folder)
+    return tiled
+
+
+def _encode_folder(
+    source: str | Path, out: Path, spec: EncodeSpec, report: Progress, executor: TaskExecutor | None
+) -> Tiled:
+    """Write a source as the folder of a store, tile by tile."""
+    start_s = time.perf_counter()
     voxel_spec = replace(spec, representation="voxel")
     path, prepared = worker_path(source), prepare(source, voxel_spec)
     _require_independent_tiles(spec, prepared, out)

@@ -12,7 +12,6 @@ import json
 import shutil
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import replace
 from itertools import chain
@@ -22,6 +21,7 @@ from typing import Any, Final, NamedTuple
 
 from touchfield._version import __version__
 from touchfield.codec.registry import field_encoder
+from touchfield.compute.executor_kinds import TaskExecutor
 from touchfield.compute.executors import in_order
 from touchfield.compute.threads import Progress
 from touchfield.container import Head, TouchReader, TouchWriter
@@ -107,7 +107,7 @@ def encode_with_workers(
     source: str,
     prepared: Prepared,
     provenance: Mapping[str, str],
-    executor: Executor,
+    executor: TaskExecutor,
     report: Progress,
 ) -> tuple[int, tuple[str, ...]]:
     """Write the voxel representation with the workers of an executor.

@@ -15,7 +15,6 @@ import warnings
 import zipfile
 import zlib
 from collections.abc import Mapping
-from concurrent.futures import Executor
 from dataclasses import astuple, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -25,6 +24,7 @@ import numpy as np
 from touchfield.arrays import Float64s
 from touchfield.atomic import atomic_path, is_temporary
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
+from touchfield.compute.executor_kinds import TaskExecutor
 from touchfield.compute.executors import in_order
 from touchfield.compute.threads import Progress, silent
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError, as_source_error, with_notes
@@ -154,7 +154,10 @@ class Indexed(Result):
 
 
 def index_folder(
-    folder: str | Path, path: Path | None = None, report: Progress = silent, executor: Executor | None = None
+    folder: str | Path,
+    path: Path | None = None,
+    report: Progress = silent,
+    executor: TaskExecutor | None = None,
 ) -> Indexed:
     """Index the .touch files in a folder and its subfolders by their descriptors.
 

@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from itertools import chain, pairwise, product
 from pathlib import Path
@@ -23,6 +22,7 @@ from typing import Any, Final, NamedTuple
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.registry import coder, field_decoder, field_encoder
 from touchfield.codec.touch.spec import TouchSpec
+from touchfield.compute.executor_kinds import TaskExecutor
 from touchfield.compute.executors import in_order
 from touchfield.compute.threads import Progress, silent
 from touchfield.errors import InvalidArgument, is_finite, with_notes
@@ -375,7 +375,7 @@ def plan(
     spec: EncodeSpec | None = None,
     search: PlanGrid | None = None,
     report: Progress = silent,
-    executor: Executor | None = None,
+    executor: TaskExecutor | None = None,
 ) -> Plan:
     """Encode a few frames of a source with every setting; choose the best within a budget.
 

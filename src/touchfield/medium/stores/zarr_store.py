@@ -1,8 +1,9 @@
 """Writes and reads a medium as a zarr version 3 store, for programs that read parts of it.
 
 Chunks consist of whole bricks and are grouped in shards. The group has attributes (the lattice, the rate,
-other metadata) and the array ``forces_n`` float32 [t, x, y, z, component]; levels of detail are
-``forces_n_1``, ``forces_n_2``, ..., whose lattices the attribute ``multiscales`` describes, as in OME-NGFF. A
+other metadata), the array ``forces_n`` float32 [t, x, y, z, component], and the coordinates ``t`` in seconds
+and ``x``, ``y``, ``z`` in metres, float64. Levels of detail are ``forces_n_1``, ``forces_n_2``, ..., whose
+lattices the attribute ``multiscales`` describes, as in OME-NGFF, and the coordinates ``x_1``, ``x_2``, .... A
 chunk without a force is not written. Chunks are compressed by zstd, or by another codec such as the coder
 `touch` (`touchfield.codec.zarr_codec`). A shard is one file, the unit of writing.
 """
@@ -21,9 +22,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from touchfield.arrays import Float32s
+from touchfield.arrays import Float32s, Float64s
 from touchfield.compute.threads import Progress, silent
 from touchfield.errors import InvalidArgument, SourceError, import_extra
+from touchfield.files import is_remote, without_secret
 from touchfield.medium.field import ForceField
 from touchfield.medium.grid import BRICK, Grid
 from touchfield.medium.medium import HapticMedium
@@ -32,7 +34,6 @@ Box = tuple[tuple[int, int, int], tuple[int, int, int]]
 """First sample and shape of a part of a lattice."""
 
 ARRAY: Final = "forces_n"
-DIMENSIONS: Final = ("t", "x", "y", "z", "component")
 _AXES: Final = (
     {"name": "t", "type": "time", "unit": "second"},
     *({"name": axis, "type": "space", "unit": "meter"} for axis in "xyz"),
@@ -93,7 +94,12 @@ def create(
     scales = [{"name": ARRAY, "type": "level of detail", "axes": list(_AXES), "datasets": datasets}]
     group = zarr.create_group(store, zarr_format=3, attributes={"touchfield": about, "multiscales": scales})
     coding = {"serializer": dict(codec), "compressors": None} if codec else {}
+    _write_coordinate(group, "t", "time", "s", np.arange(len(medium)) / medium.rate_hz)
     for level, level_medium in enumerate((medium, *levels)):
+        for axis, name in enumerate(_level_axes(level)):
+            index = np.zeros((level_medium.grid.shape[axis], 3))
+            index[:, axis] = np.arange(len(index))
+            _write_coordinate(group, name, "distance", "m", level_medium.grid.to_m(index)[:, axis])
         chunk, shard = _chunks(level_medium.grid)
         group.create_array(
             _level_name(level),
@@ -102,10 +108,30 @@ def create(
             shards=(1, *shard, 3),
             dtype="float32",
             fill_value=0.0,
-            dimension_names=[f"{name}_{level}" if level and name in "xyz" else name for name in DIMENSIONS],
-            attributes={"units": "N"},
+            dimension_names=["t", *_level_axes(level), "component"],
+            attributes={"units": "N", "long_name": "force on the hand", "components": list("xyz")},
             **coding,
         )
+
+
+def _write_coordinate(group: Any, name: str, quantity: str, unit: str, values: Float64s) -> None:
+    """Write the values of a dimension, in one chunk."""
+    attributes = {"units": unit, "long_name": quantity}
+    array = group.create_array(
+        name,
+        shape=values.shape,
+        chunks=values.shape,
+        dtype="float64",
+        fill_value=np.nan,  # of a coordinate that is lost
+        dimension_names=[name],
+        attributes=attributes,
+    )
+    array[:] = values
+
+
+def _level_axes(level: int) -> list[str]:
+    """Return the names of a level's axes, which are those of its coordinates."""
+    return [f"{axis}_{level}" if level else axis for axis in "xyz"]
 
 
 def _level_name(level: int) -> str:
@@ -189,24 +215,25 @@ def cut(field: ForceField, low: Sequence[int], shape: tuple[int, int, int]) -> F
 
 
 def read_zarr(path: str | Path) -> HapticMedium:
-    """Open a store that `write_zarr` or `touchfield encode` wrote.
+    """Open a store that `write_zarr` or `touchfield encode` wrote, by its path or address (``s3://...``).
 
-    Frames are read on access. Raises `MissingExtra` without zarr; `SourceError` if it is not such a store, or
-    (when a frame is read) a chunk is damaged.
+    Frames are read on access; of a store at an address only the chunks of a frame, by range requests.
+    Raises `MissingExtra` without zarr, or without obstore for an address; `SourceError` if it is not such a
+    store, or (when a frame is read) a chunk is damaged.
     """
-    zarr = _zarr()
-    about, (shape, chunk) = _json(Path(path) / "zarr.json").get("attributes"), _layout(Path(path))
+    zarr, opened = _zarr(), _Opened(path)
+    about, (shape, chunk) = opened.metadata("zarr.json").get("attributes"), _layout(opened)
     about = about.get("touchfield") if isinstance(about, dict) else None
     if not isinstance(about, dict):
-        raise SourceError(str(path), "a zarr store of something else", "one with the attribute touchfield")
+        raise SourceError(opened.name, "a zarr store of something else", "one with the attribute touchfield")
     try:
         grid = Grid((shape[1], shape[2], shape[3]), tuple(about["spacing_m"]), tuple(about["origin_m"]))
-        array = zarr.open_array(str(path), path=ARRAY, mode="r")
+        array = zarr.open_array(opened.store, path=ARRAY, mode="r")
         return HapticMedium(
             grid,
             float(about["rate_hz"]),
             shape[0],
-            lambda i: _frame(array, i, grid, chunk, str(path)),
+            lambda i: _frame(array, i, grid, chunk, opened.name),
             axes=str(about["axes"])[:_MAX_TEXT],
             tags=tuple(str(tag) for tag in about["tags"])[:8],
             friction=float(about["friction"]),
@@ -214,27 +241,65 @@ def read_zarr(path: str | Path) -> HapticMedium:
         )
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         found = f"values that cannot be used ({error})"
-        raise SourceError(f"{path}, attribute touchfield", found, "what touchfield writes") from None
+        raise SourceError(f"{opened.name}, attribute touchfield", found, "what touchfield writes") from None
 
 
-def _json(file: Path) -> dict[str, Any]:
-    try:
-        if file.stat().st_size > _MAX_TEXT:
-            raise SourceError(str(file), f"{file.stat().st_size} bytes", f"at most {_MAX_TEXT}")
-        members = json.loads(file.read_text("utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise SourceError(str(file), f"that it cannot be read ({error})", "a zarr store, version 3") from None
-    if not isinstance(members, dict) or members.get("zarr_format") != 3:
-        raise SourceError(str(file), "another format", "zarr, version 3")
-    return members
+class _Opened:
+    """A store in a folder, or at an address of an object store.
+
+    name : str; for messages, without a secret.
+    store : what zarr opens, read-only.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self._path, self._objects = Path(path), None
+        self.name, self.store = str(path), str(path)
+        if is_remote(path):
+            self.name = without_secret(str(path))
+            self._obstore = import_extra("obstore", self.name, "obstore", "remote")
+            with self._translated_errors():
+                self._objects = self._obstore.store.from_url(str(path))
+            self.store = _zarr().storage.ObjectStore(self._objects, read_only=True)
+
+    def metadata(self, file: str) -> dict[str, Any]:
+        """Read a file of metadata, at most `_MAX_TEXT` bytes of JSON."""
+        where = f"{self.name}/{file}"
+        with self._translated_errors():
+            data = self._head(file)
+        if len(data) > _MAX_TEXT:
+            raise SourceError(where, f"more than {_MAX_TEXT} bytes", f"at most {_MAX_TEXT}")
+        try:
+            members = json.loads(data.decode("utf-8"))
+        except (ValueError, RecursionError) as error:
+            found = f"that it cannot be read ({error})"
+            raise SourceError(where, found, "a zarr store, version 3") from None
+        if not isinstance(members, dict) or members.get("zarr_format") != 3:
+            raise SourceError(where, "another format", "zarr, version 3")
+        return members
+
+    def _head(self, file: str) -> bytes:
+        """The first bytes of a file, one more than metadata may have."""
+        if self._objects is None:
+            with (self._path / file).open("rb") as stream:
+                return stream.read(_MAX_TEXT + 1)
+        answer = self._obstore.get(self._objects, file, options={"range": (0, _MAX_TEXT + 1)})
+        return bytes(answer.bytes())
+
+    @contextmanager
+    def _translated_errors(self) -> Iterator[None]:
+        try:
+            yield
+        except Exception as error:  # errors of the system, of obstore and of each kind of store
+            found = f"that it cannot be read ({str(error).partition(chr(10))[0][:200]})"
+            raise SourceError(self.name, found, "a zarr store, version 3") from None
 
 
-def _layout(path: Path) -> tuple[list[int], list[int]]:
+def _layout(opened: _Opened) -> tuple[list[int], list[int]]:
     """Read the shape and chunks of the array, checked before anything is allocated.
 
     The store is untrusted input.
     """
-    about, where = _json(path / ARRAY / "zarr.json"), f"{path}, array {ARRAY}"
+    about, where = opened.metadata(f"{ARRAY}/zarr.json"), f"{opened.name}, array {ARRAY}"
     try:
         shape = [int(n) for n in about["shape"]]
         chunk = [int(n) for n in about["chunk_grid"]["configuration"]["chunk_shape"]]
