@@ -76,6 +76,10 @@ class Child:
             self.pipe, self.process = self._started()
         self.name = name
         answer = self._answer((name,), START_SECONDS)
+        if answer is None:  # as on a machine that had no time for it
+            self.process.kill()
+            self.pipe, self.process = self._started()
+            answer = self._answer((name,), START_SECONDS)
         if answer != "ready":
             raise RuntimeError(answer or f"{name}: the process ended while it read valid inputs")
 

@@ -123,6 +123,10 @@ def test_wavelets_and_waves(tmp_path: Path) -> None:
     assert second_result.drives[[0, 5], 0, 0] == pytest.approx([0.6, 0.3], abs=0.005)
 
 
+REFERENCE = packet(5, [(0, 1), (0, 8), (0, 16), (0, 8), (1, 16), (7, 16), (1, 2), (0, 25)])
+"""Effect 7, which only names another one."""
+
+
 @pytest.mark.parametrize(
     ("data", "message"),
     [
@@ -134,6 +138,10 @@ def test_wavelets_and_waves(tmp_path: Path) -> None:
         (head(6, band(0, 3, 1, LINEAR)), "a band of channel 3"),
         (head(6, channel(0, 1.0), band(0, 0, 6, [])), "a band of type 6"),
         (head(6, channel(0, 1.0)) + unit(1, 1, curve(0, (0, 1.0))), "effects of band 0"),
+        (
+            head(6, channel(0, 1.0), band(0, 0, 1, LINEAR)) + unit(1, 1, REFERENCE, curve(0, (0, 1.0))),
+            "key frames of effect 7",
+        ),
         (unit(0, 0, pack([(1, 6), (9, 17), (0, 1)])), "packet's length"),
         (unit(0, 0, packet(2, [(9, 8)])), "8 more"),
     ],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import sqlite3
 import struct
 import tracemalloc
@@ -18,12 +19,12 @@ import pytest
 import layout_makers as layouts
 import scene_makers as scenes
 from touchfield.devices import device
-from touchfield.errors import DeviceError, SourceError, TouchfieldError
+from touchfield.errors import DeviceError, InvalidArgument, SourceError, TouchfieldError
 from touchfield.files import library_faults, read_bytes
 from touchfield.medium.deformation import read_deformation
-from touchfield.medium.grid import Placement
+from touchfield.medium.grid import Grid, Placement
 from touchfield.network.demux import demux
-from touchfield.sources.camera import DepthCode
+from touchfield.sources.camera import DepthCode, Intrinsics
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.recordings.mcap_chunks import require_distinct_chunks
 from touchfield.sources.recordings.recording import read_recording
@@ -231,6 +232,16 @@ def test_odd_numbers_of_pictures_give_no_warning() -> None:
     assert DepthCode(1.0)(values).tolist() == [0.0, np.float32(1e38), 2.0, 0.0, 0.0]
     flat = Placement.fit([[0, 0, 0], [1, 1, 5e-324]], (0.1, 0.1, 0.1))
     assert flat.scale == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("length_m", [1e-320, 1e-101, 1e101, math.inf, math.nan])
+def test_lengths_whose_products_overflow_are_refused(length_m: float) -> None:
+    with pytest.raises(InvalidArgument, match=r"grid spacing_m: found .* expected three lengths from 1e-100"):
+        Grid((2, 2, 2), (1.0, length_m, 1.0), (0.0, 0.0, 0.0))
+    with pytest.raises(InvalidArgument, match="placement scale"):
+        Placement(length_m)
+    with pytest.raises(InvalidArgument, match=r"intrinsics: found fy = .* 1e-12 to 1e\+12 pixels"):
+        Intrinsics(1.0, length_m, 0.0, 0.0)
 
 
 def test_any_error_of_a_library_becomes_one_of_ours() -> None:

@@ -233,6 +233,8 @@ def _data(document: _Document, bits: _Bits) -> None:
         if effect is None or fields["effect_type"] != "Basis":
             document.effects[name] = fields
             band["effects"].append(fields)
+        elif effect["effect_type"] != "Basis":
+            raise SourceError(bits.where, f"key frames of effect {name[1]}", "an effect that has key frames")
         else:
             effect["keyframes"] += fields["keyframes"]
 

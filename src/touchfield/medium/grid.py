@@ -34,6 +34,7 @@ LOCAL: Final = np.stack([*np.indices((BRICK,) * 3)], axis=-1)
 """Indices of the samples within a brick, int64 [8, 8, 8, 3]."""
 
 MAX_SAMPLES_PER_AXIS = 1 << 20
+MAX_M = 1e100  # of a spacing, its inverse and an origin: products of two are finite
 
 
 @dataclass(frozen=True)
@@ -66,10 +67,12 @@ class Grid:
             raise InvalidArgument(
                 "grid shape", repr(self.shape), f"three counts from 1 to {MAX_SAMPLES_PER_AXIS}"
             )
-        if len(spacing) != 3 or any(not (h > 0 and math.isfinite(h)) for h in spacing):
-            raise InvalidArgument("grid spacing_m", repr(self.spacing_m), "three positive lengths in metres")
-        if len(origin) != 3 or not all(math.isfinite(x) for x in origin):
-            raise InvalidArgument("grid origin_m", repr(self.origin_m), "three finite coordinates in metres")
+        if len(spacing) != 3 or any(not 1 / MAX_M <= h <= MAX_M for h in spacing):
+            expected = f"three lengths from {1 / MAX_M:g} to {MAX_M:g} m"
+            raise InvalidArgument("grid spacing_m", repr(self.spacing_m), expected)
+        if len(origin) != 3 or not all(abs(x) <= MAX_M for x in origin):
+            expected = f"three coordinates of at most {MAX_M:g} m"
+            raise InvalidArgument("grid origin_m", repr(self.origin_m), expected)
         object.__setattr__(self, "shape", shape)
         object.__setattr__(self, "spacing_m", spacing)
         object.__setattr__(self, "origin_m", origin)
@@ -181,12 +184,11 @@ class Placement:
 
     def __post_init__(self) -> None:
         scale, offset = float(self.scale), tuple(float(x) for x in self.offset_m)
-        if not (scale > 0 and math.isfinite(scale) and math.isfinite(1 / scale)):
-            raise InvalidArgument("placement scale", repr(self.scale), "a positive number")
-        if len(offset) != 3 or not all(map(math.isfinite, offset)):
-            raise InvalidArgument(
-                "placement offset_m", repr(self.offset_m), "three finite coordinates in metres"
-            )
+        if not 1 / MAX_M <= scale <= MAX_M:
+            raise InvalidArgument("placement scale", repr(self.scale), f"{1 / MAX_M:g} to {MAX_M:g}")
+        if len(offset) != 3 or not all(abs(x) <= MAX_M for x in offset):
+            expected = f"three coordinates of at most {MAX_M:g} m"
+            raise InvalidArgument("placement offset_m", repr(self.offset_m), expected)
         object.__setattr__(self, "scale", scale)
         object.__setattr__(self, "offset_m", offset)
 

@@ -13,7 +13,6 @@ avoids this. A rate below that of the source takes samples in the same way, with
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -34,6 +33,7 @@ INTERPOLATIONS: Final = ("linear", "nearest")
 
 STEP_RANGE_PER_M: Final = (5e-4, 2e-2)  # limits of the noise step g, 1/m: 0.5 mm to 2 cm at a depth of 1 m
 _MIN_DEPTH_M: Final = 1e-18  # float32 holds its inverse, and products of that
+MAX_PX: Final = 1e12  # of a focal length, its inverse and a centre: float32 holds products of two
 MAX_FRAMES: Final = 1 << 20  # frames of the longest interpolated sequence: 17 minutes at 1 kHz
 _SNAP_FRAMES: Final = 1e-6
 """Times this close to a source frame, in frames, show that frame without interpolation."""
@@ -56,10 +56,10 @@ class Intrinsics:
     def __post_init__(self) -> None:
         for name in ("fx", "fy", "cx", "cy"):
             value = float(getattr(self, name))
-            if not math.isfinite(value) or (name[0] == "f" and value <= 0):
-                raise InvalidArgument(
-                    "intrinsics", f"{name} = {value}", "finite pixels, focal lengths positive"
-                )
+            is_focal = name[0] == "f"
+            if not abs(value) <= MAX_PX or (is_focal and value < 1 / MAX_PX):
+                least = f"{1 / MAX_PX:g}" if is_focal else f"-{MAX_PX:g}"
+                raise InvalidArgument("intrinsics", f"{name} = {value}", f"{least} to {MAX_PX:g} pixels")
 
 
 def require_frame(frame: int, count: int, name: str = "") -> None:
