@@ -1,8 +1,8 @@
 """Lists the kinds of source, recognises which kind a path is, and opens it as a scene.
 
 Other distributions add kinds through entry points of the group ``touchfield.sources``, each a `SourceKind`. A
-kind of this package is either a module that ends in ``KIND = SourceKind(...)`` with a line in `_ENTRIES`, or a
-row of the table of depth layouts (``touchfield.sources.depth.layouts``) with a line that names module and
+kind of this package is either a module that ends in ``KIND = SourceKind(...)`` with a line in `_ENTRIES`, or
+a row of the table of depth layouts (``touchfield.sources.depth.layouts``) with a line that names module and
 row. The modules must be cheap to import: heavy libraries (numba, Pillow) are imported where they are used.
 """
 
