@@ -141,8 +141,7 @@ TASKS = {
     "lod": ("tasks.editing:levels_of_detail",),
     "partition": ("tasks.matching:read_medium", "pipeline.partition:partition_workspace"),
     "texture": (
-        "sources.recordings.recording:read_recording",
-        "tasks.texture:texture_of",
+        "tasks.texture:texture_of_files",
         "tasks.texture:merge_materials",
         "tasks.texture:store_materials",
         "render.material:write_table",
@@ -188,6 +187,7 @@ RESULTS: dict[str, Any] = {
     "open_sender": (Stub(name="fine"), Stub(name="fine sender")),
     "coarse_layer": (Stub(name="coarse"), Stub(name="coarse sender")),
     "check_play": {"can_play": True},
+    "texture_of_files": (Stub(name="oak"), ()),
     "examine": {},
 }
 

@@ -31,6 +31,8 @@ _ENTRIES: Final = (  # in the order in which they are tried: specific kinds befo
     "physics.urdf",
     "stored",
     "depth.recorders.ros_bag",
+    "recordings.cluster_textures",
+    "recordings.matlab_contacts",
     "recordings.contact_trace",
     "animation.animated_mesh",
     "clouds.cloud_files",
@@ -133,6 +135,11 @@ def open_source(path: str | Path, options: SourceOptions | None = None) -> Scene
     for kind in _kinds_in_order(is_file=not path.is_dir()):
         if kind.recognise(path):
             return kind.open(path, options)
+    from touchfield.sources.recordings.texture_sets import texture_only
+
+    error = texture_only(path)
+    if error is not None:
+        raise error
     if not path.is_dir():
         raise unread_file(path)
     found = f"no kind of source that is known, but {contents(path)}"
