@@ -135,9 +135,8 @@ def open_source(path: str | Path, options: SourceOptions | None = None) -> Scene
     for kind in _kinds_in_order(is_file=not path.is_dir()):
         if kind.recognise(path):
             return kind.open(path, options)
-    from touchfield.sources.recordings.texture_sets import texture_only
-
-    error = texture_only(path)
+    textures = import_module("touchfield.sources.recordings.texture_sets")  # as a kind: it is needed rarely
+    error: SourceError | None = textures.texture_only(path)
     if error is not None:
         raise error
     if not path.is_dir():
