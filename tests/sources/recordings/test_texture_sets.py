@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +14,10 @@ from texture_makers import AR, GAIN, MA, variance, write_mat, write_models, writ
 from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.perception.vibrotactile import BANDS_HZ, band_rms, dft321, handle_force_n
-from touchfield.sources.recordings.cluster_textures import read_slides
+from touchfield.sources.recordings import matlab_contacts
+from touchfield.sources.recordings.cluster_textures import KIND, read_slides
 from touchfield.sources.recordings.contact_trace import ContactScene
-from touchfield.sources.recordings.matlab_contacts import _require_bounded, read_matlab_contacts
+from touchfield.sources.recordings.matlab_contacts import read_matlab_contacts
 from touchfield.sources.recordings.penn_hatt import read_texture_models
 from touchfield.sources.recordings.recording import STANDARD_GRAVITY_M_S2
 from touchfield.sources.recordings.texture_sets import read_texture_recording
@@ -169,9 +169,10 @@ def test_slides_of_one_texture_and_force_are_contacts_on_a_plane(tmp_path: Path)
     light, _ = read_slides(folder / "force" / "3_0_40_500_0.csv")
     np.testing.assert_allclose(light.forces_n[:, 2], 0.5)
     assert np.ptp(light.positions_m[:, 0]) < 1e-9  # one direction only
-    scene = open_source(tmp_path)
-    assert isinstance(scene, ContactScene) and scene.notes[:2] == notes
-    assert isinstance(open_source(folder / "position" / "10_0_40_1000_0.csv"), ContactScene)
+    assert all(KIND.recognise(path) for path in (tmp_path, folder.parent, folder))
+    assert not KIND.recognise(folder / "force")
+    scene = open_source(folder / "position" / "10_0_40_1000_0.csv")
+    assert isinstance(scene, ContactScene) and scene.notes[0].startswith("1 recording of texture 10")
 
 
 def test_slides_are_encoded_from_their_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -196,7 +197,7 @@ def test_a_slide_without_its_positions_is_refused(tmp_path: Path) -> None:
 # -- MATLAB ------------------------------------------------------------------------------------------------
 
 
-def spiral(count: int = 400) -> tuple[np.ndarray, np.ndarray]:
+def spiral(count: int = 60) -> tuple[np.ndarray, np.ndarray]:
     angle = np.linspace(0, 6 * np.pi, count)
     points = 0.02 * np.stack([np.cos(angle), np.sin(angle), angle / 20])
     return points, -50 * points
@@ -219,8 +220,8 @@ def test_matlab_files_of_other_contents_are_refused(tmp_path: Path) -> None:
     points, forces = spiral()
     path = tmp_path / "a.mat"
     for recording, message in (
-        ({"pos": points.T, "F": forces}, r"symbol_data\(1\)\.pos: found float64 of shape \(400, 3\)"),
-        ({"pos": points, "F": forces[:, 1:]}, r"symbol_data\(1\): found 400 positions and 399 forces"),
+        ({"pos": points.T, "F": forces}, r"symbol_data\(1\)\.pos: found float64 of shape \(60, 3\)"),
+        ({"pos": points, "F": forces[:, 1:]}, r"symbol_data\(1\): found 60 positions and 59 forces"),
         ({"pos": points, "F": forces * np.nan}, r"symbol_data\(1\)\.F: found a number that is not finite"),
         ({"x": points}, r"a\.mat: found symbol_data, remark; expected a MATLAB 5 file"),
         ({"pos": "left", "F": forces}, r"symbol_data\(1\)\.pos: found "),
@@ -235,13 +236,19 @@ def test_matlab_files_of_other_contents_are_refused(tmp_path: Path) -> None:
             open_source(path)
 
 
-def test_a_matlab_file_that_unpacks_to_gigabytes_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
-    packer = zlib.compressobj(9)
-    packed = b"".join(packer.compress(bytes(1 << 24)) for _ in range(20)) + packer.flush()
-    head = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"
-    data = head + (15).to_bytes(4, "little") + len(packed).to_bytes(4, "little") + packed
-    with pytest.raises(SourceError, match="found more than 268435456 bytes, unpacked"):
-        _require_bounded(tmp_path / "a.mat", data)
+def test_a_matlab_file_that_unpacks_to_too_much_is_refused_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    points, forces = spiral(2000)
+    path = write_mat(tmp_path / "a.mat", [{"pos": points, "F": 0 * forces}])
+    unpacked = 2 * points.nbytes
+    assert path.stat().st_size < unpacked
+    monkeypatch.setattr(matlab_contacts, "_MAX_UNPACKED", unpacked)  # the heads of the arrays are on top
+    monkeypatch.setattr(matlab_contacts, "_CHUNK", 1 << 10)
+    with pytest.raises(SourceError, match=f"found more than {unpacked} bytes, unpacked"):
+        read_matlab_contacts(path)
+    monkeypatch.setattr(matlab_contacts, "_MAX_UNPACKED", unpacked + 4096)
+    assert len(read_matlab_contacts(path)[0].positions_m) == 2000
 
 
 @pytest.mark.shared

@@ -68,9 +68,9 @@ def _select(path: Path) -> _Selection:
 
 
 def _notes(names: dict[str, ClusterName], wanted: ClusterName, count: int) -> tuple[str, ...]:
+    counted = f"{count} recording{'s' * (count > 1)} of texture {wanted.texture} at {wanted.force_n:g} N"
     note = (
-        f"{count} recordings of texture {wanted.texture} at {wanted.force_n:g} N: heights were not recorded, "
-        "so that the surface is flat and the force points out of it."
+        f"{counted}: heights were not recorded, so that the surface is flat and the force points out of it."
     )
     others = sorted({(name.texture, name.force_n) for name in names.values()})
     left_out = len(others) - 1

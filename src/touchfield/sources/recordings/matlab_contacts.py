@@ -27,6 +27,7 @@ from touchfield.sources.scene import Scene
 _EXPECTED: Final = "a MATLAB 5 file with structures of pos and F, 3 x T each"
 _MAX_BYTES: Final = 1 << 26
 _MAX_UNPACKED: Final = 1 << 28
+_CHUNK: Final = 1 << 20
 _HEAD: Final = b"MATLAB 5.0 MAT-file"
 _HEAD_BYTES: Final = 128
 _COMPRESSED: Final = 15  # data type miCOMPRESSED
@@ -40,14 +41,19 @@ def _require_bounded(path: Path, data: bytes) -> None:
     while at + 8 <= len(data):
         kind, size = struct.unpack_from(order + "2I", data, at)
         part = data[at + 8 : at + 8 + size]
-        if kind == _COMPRESSED:
-            unpacker = zlib.decompressobj()
-            total += len(unpacker.decompress(part, _MAX_UNPACKED - total + 1))
-        else:
-            total += len(part)
+        total += _unpacked_size(part, _MAX_UNPACKED - total + 1) if kind == _COMPRESSED else len(part)
         if total > _MAX_UNPACKED:
             raise SourceError(str(path), f"more than {_MAX_UNPACKED} bytes, unpacked", _EXPECTED)
         at += 8 + size
+
+
+def _unpacked_size(part: bytes, limit: int) -> int:
+    """Return the size of compressed bytes, or if it is larger a size of at least `limit`."""
+    unpacker, size = zlib.decompressobj(), 0
+    while part and size < limit and not unpacker.eof:
+        size += len(unpacker.decompress(part, _CHUNK))
+        part = unpacker.unconsumed_tail
+    return size
 
 
 def read_matlab_contacts(path: Path) -> tuple[ContactTrace, tuple[str, ...]]:
