@@ -79,7 +79,7 @@ def _xz(data: bytes) -> bytes:
     return lzma.compress(data, lzma.FORMAT_RAW, filters=filters)
 
 
-def touch_rows(forces_n: Float32s, row: int) -> tuple[int, Float32s]:
+def touch_rows(forces_n: Float32s, row: int) -> tuple[int, Float64s]:
     """Return bytes and decoded forces of coder `touch`, `row` samples as one frame of its own segment."""
     grid = tf.Grid((row, 1, 1), (0.01,) * 3, (0.0,) * 3)
     encoder = TouchEncoder(grid, TouchSpec(k=K, f0_n=F0_N, effort="fast"))
@@ -92,7 +92,7 @@ def touch_rows(forces_n: Float32s, row: int) -> tuple[int, Float32s]:
         body = encoder.encode_segment([tf.ForceField.from_dense(grid, dense[:, None, None])]).body
         total += len(body)
         parts.append(next(iter(decoder.frames(body, 1))).to_dense().reshape(-1, 3)[: len(part)])
-    return total, np.concatenate(parts)
+    return total, np.concatenate(parts).astype(np.float64)
 
 
 def touch_ticks(forces_n: Float32s) -> int:

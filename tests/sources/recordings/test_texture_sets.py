@@ -176,12 +176,11 @@ def test_slides_of_one_texture_and_force_are_contacts_on_a_plane(tmp_path: Path)
 
 
 def test_slides_are_encoded_from_their_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for direction in (0, 90):
-        write_slide(tmp_path / "set" / "sensor_data", direction=direction)
+    write_slide(tmp_path / "set" / "sensor_data", speed=60)
     arguments = ["encode", str(tmp_path / "set"), str(tmp_path / "a.touch"), "--nw", "4", "--json"]
     assert _exit_code(arguments) == 0
     notes = json.loads(capsys.readouterr().out)["notes"]
-    assert any("2 recordings of texture 3 at 1 N" in note for note in notes)
+    assert any("1 recording of texture 3 at 1 N" in note for note in notes)
 
 
 def test_a_slide_without_its_positions_is_refused(tmp_path: Path) -> None:
@@ -224,7 +223,7 @@ def test_matlab_files_of_other_contents_are_refused(tmp_path: Path) -> None:
         ({"pos": points, "F": forces[:, 1:]}, r"symbol_data\(1\): found 60 positions and 59 forces"),
         ({"pos": points, "F": forces * np.nan}, r"symbol_data\(1\)\.F: found a number that is not finite"),
         ({"x": points}, r"a\.mat: found symbol_data, remark; expected a MATLAB 5 file"),
-        ({"pos": "left", "F": forces}, r"symbol_data\(1\)\.pos: found "),
+        ({"pos": "left", "F": forces}, r"symbol_data\(1\)\.pos: found str"),
     ):
         write_mat(path, [recording])
         with pytest.raises(SourceError, match=message):
