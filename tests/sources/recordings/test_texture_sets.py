@@ -116,6 +116,16 @@ def test_accelerations_of_the_cluster_dataset_state_speed_and_force(tmp_path: Pa
         texture_of_files(files, (0.02, 0.06, 0.02, 0.06), (1.0,) * 4)
 
 
+def test_a_recording_is_known_by_its_folder_although_the_path_has_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = Path(write_slide(tmp_path, speed=60))
+    monkeypatch.chdir(tmp_path / "accel")
+    assert read_texture_recording(name).speed_m_s == 0.06
+    monkeypatch.chdir(tmp_path / "force")
+    assert KIND.recognise(name)
+
+
 def test_accelerations_of_the_lmt_database_take_a_scale(tmp_path: Path) -> None:
     path = tmp_path / "Training" / "Accel" / "G1Made_query0.txt"
     path.parent.mkdir(parents=True)
@@ -228,6 +238,9 @@ def test_matlab_files_of_other_contents_are_refused(tmp_path: Path) -> None:
         write_mat(path, [recording])
         with pytest.raises(SourceError, match=message):
             open_source(path)
+    path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(512))
+    with pytest.raises(SourceError, match=r"found no MATLAB 5 file.*save\(FILE, '-v7'\)"):
+        open_source(path)
     whole = write_mat(path, [{"pos": points, "F": forces}]).read_bytes()
     for end in range(128, len(whole), len(whole) // 23):
         path.write_bytes(whole[:end])
@@ -269,10 +282,11 @@ def test_encode_names_the_command_for_textures(tmp_path: Path, capsys: pytest.Ca
     accel = tmp_path / "slides" / "accel"
     for path, what in (
         (models, "'Models_Made Oak.xml'"),
-        (models.parent, "'Models_MATERIAL.xml'"),
-        (lmt.parents[1], "'Accel/*.txt'"),
-        (accel, "'accel/TEXTURE_*.csv'"),
-        (accel / name, f"'{name}'"),
+        (models.parent, "Models_MATERIAL.xml"),
+        (lmt.parents[1], "Accel/NAME.txt"),
+        (lmt.parents[2], "Accel/NAME.txt"),
+        (accel, "accel/NAME.csv"),
+        (accel / name, name),
     ):
         assert _exit_code(["encode", str(path), str(tmp_path / "a.touch")]) == 1
         error = capsys.readouterr().err

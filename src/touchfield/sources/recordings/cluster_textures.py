@@ -19,7 +19,7 @@ from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium.trace import ContactTrace
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.recordings.contact_trace import ContactScene
-from touchfield.sources.recordings.texture_sets import ClusterName, cluster_name, read_columns
+from touchfield.sources.recordings.texture_sets import ClusterName, cluster_name, folder_name, read_columns
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import Scene
 
@@ -39,8 +39,8 @@ class _Selection(NamedTuple):
 def _folder(path: Path) -> Path | None:
     """Return the folder of force/ and position/ that a path names; None if there is none."""
     if path.is_file():
-        folder = path.parent.parent
-        is_member = path.parent.name in ("force", "position") and cluster_name(path) is not None
+        folder = path.absolute().parent.parent
+        is_member = folder_name(path) in ("force", "position") and cluster_name(path) is not None
         return folder if is_member and (folder / "force" / path.name).is_file() else None
     for folder in (path, path / "sensor_data", path / "texture_dataset" / "sensor_data"):
         if all((folder / name).is_dir() for name in ("force", "position")):

@@ -126,10 +126,7 @@ def _columns(value: object, where: str) -> Float64s:
 
 
 def _recognise(path: Path) -> bool:
-    if path.suffix.lower() != ".mat" or not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return file.read(len(_HEAD)) == _HEAD
+    return path.suffix.lower() == ".mat" and path.is_file()
 
 
 def _open(path: Path, options: SourceOptions) -> Scene:

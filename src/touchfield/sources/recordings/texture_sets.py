@@ -63,13 +63,13 @@ def read_texture_recording(path: Path, full_scale_m_s2: float = STANDARD_GRAVITY
     full_scale_m_s2 : float; acceleration of a full-scale sample of a ``.wav``, and of 1.0 of the LMT set.
     Raises `SourceError` as `read_recording`.
     """
-    name = cluster_name(path) if path.parent.name == "accel" else None
+    name = cluster_name(path) if folder_name(path) == "accel" else None
     if name is not None:
         rate_hz, values = _evenly_timed(path, read_columns(path, ("time", "X", "Y", "Z")))
         recording = Recording(rate_hz, STANDARD_GRAVITY_M_S2 * (values - values.mean(axis=0)))
         note = f"{path.name}: unevenly timed; resampled to {rate_hz:.0f} Hz, without its mean (gravity)."
         return TextureRecording(recording, name.speed_m_s, name.force_n, (note,))
-    if path.suffix.lower() == ".txt" and path.parent.name in LMT_FOLDERS:
+    if path.suffix.lower() == ".txt" and folder_name(path) in LMT_FOLDERS:
         column = _numbers(path, read_bytes(path, _MAX_BYTES, "one number on each line"), 0, 1)
         values = np.zeros((len(column), 3))
         values[:, 0] = full_scale_m_s2 * column[:, 0]
@@ -130,19 +130,35 @@ def _evenly_timed(path: Path, rows: Float64s) -> tuple[float, Float64s]:
 
 def texture_only(path: Path) -> SourceError | None:
     """Return the error for texture models and accelerations, of which no field can be made; else None."""
-    what = None
-    if path.is_dir():
-        if any((path / name).is_dir() for name in LMT_FOLDERS):
-            what = "accelerations of the LMT Haptic Texture Database", "Accel/*.txt"
-        elif any(is_texture_models(file) for file in sorted(path.glob("Models_*.xml"))[:1]):
-            what = "texture models of the Penn Haptic Texture Toolkit", "Models_MATERIAL.xml"
-        elif path.name == "accel" and any(cluster_name(file) for file in path.glob("*.csv")):
-            what = "accelerations of the Cluster dataset", "accel/TEXTURE_*.csv"
-    elif is_texture_models(path):
-        what = "texture models of the Penn Haptic Texture Toolkit", path.name
-    elif path.parent.name == "accel" and cluster_name(path):
-        what = "an acceleration of the Cluster dataset", path.name
-    if what is None:
+    found = _texture_files(path)
+    if found is None:
         return None
-    fix = f"Make a material: touchfield texture '{what[1]}' -o NAME.json"
-    return SourceError(str(path), f"{what[0]}, without positions", "forces at positions", fix)
+    what, files = found
+    fix = f"Make a material: touchfield texture {files} -o NAME.json"
+    return SourceError(str(path), f"{what}, without positions", "forces at positions", fix)
+
+
+def _texture_files(path: Path) -> tuple[str, str] | None:
+    """Return what a path of textures is, and the files to name; None if it is none."""
+    if path.is_file():
+        if is_texture_models(path):
+            return "texture models of the Penn Haptic Texture Toolkit", f"'{path.name}'"
+        is_acceleration = folder_name(path) == "accel" and cluster_name(path)
+        return ("an acceleration of the Cluster dataset", path.name) if is_acceleration else None
+    for folder in (path, path / "Training", path / "Testing"):
+        if any(_has(folder / name, "*.txt") for name in LMT_FOLDERS):
+            return "accelerations of the LMT Haptic Texture Database", "Accel/NAME.txt"
+    if any(is_texture_models(file) for file in sorted(path.glob("Models_*.xml"))[:1]):
+        return "texture models of the Penn Haptic Texture Toolkit", "Models_MATERIAL.xml"
+    if path.name == "accel" and any(cluster_name(file) for file in path.glob("*.csv")):
+        return "accelerations of the Cluster dataset", "accel/NAME.csv"
+    return None
+
+
+def _has(folder: Path, pattern: str) -> bool:
+    return next(folder.glob(pattern), None) is not None
+
+
+def folder_name(path: Path) -> str:
+    """Return the name of a file's folder, also if the path does not name it."""
+    return path.absolute().parent.name
