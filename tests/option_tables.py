@@ -177,6 +177,7 @@ ARGUMENTS: Final = {
     "demo": "{tmp}/demo",
     "devices": "",
     "sources": "",
+    "data": "",
     "doctor": "",
     "warmup": "",
 }
@@ -447,6 +448,7 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "connected": Case(None, printed="touchfield doctor --device haply"),
     },
     "sources": {},
+    "data": {},
     "doctor": {
         "device": case("haply", "examine.name", "haply"),
         "delay": case(None, "examine.measures_delay", True),

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.io import savemat
 
+import scene_makers as scenes
+
 Float64s = NDArray[np.float64]
 
 AR = (1.0, -1.2, 0.72)
@@ -82,3 +84,26 @@ def write_mat(path: Path, recordings: list[dict[str, Any]], name: str = "symbol_
             rows[0, n][field] = recording[field]
     savemat(path, {name: rows, "remark": "made"}, do_compression=True)
     return path
+
+
+def write_slides(folder: Path) -> Path:
+    """Write two slides of one texture of the Cluster dataset in its folders."""
+    for direction in (0, 90):
+        write_slide(folder / "sensor_data", direction=direction)
+    return folder
+
+
+def slid() -> tuple[Float64s, Float64s]:
+    """Return positions, metres, and forces, newtons, of `write_slides`."""
+    along = np.linspace(-0.017, 0.017, 30)
+    points = np.zeros((60, 3))
+    points[:30, 1] = points[30:, 0] = along
+    points[:, :2] += 0.05
+    return points, np.tile([0.0, 0.0, 1.0], (60, 1))
+
+
+def write_spring_mat(folder: Path) -> Path:
+    """Write the contacts of `scene_makers.probed` as a MATLAB file."""
+    positions_m, forces_n = scenes.probed()
+    folder.mkdir(parents=True, exist_ok=True)
+    return write_mat(folder / "symbol_data.mat", [{"pos": positions_m.T, "F": forces_n.T}])

@@ -240,7 +240,7 @@ def test_table_names_every_option_of_every_command() -> None:
     options = {name: set(options_of(command)) for name, command in GROUP.commands.items()}
     assert options == {name: set(cases) for name, cases in EXPECTED.items()}
     assert sum(map(len, options.values())) > 600
-    assert {*TASKS, "devices", "sources", "warmup"} == set(options)
+    assert {*TASKS, "devices", "sources", "data", "warmup"} == set(options)
 
 
 @pytest.mark.parametrize("command", [name for name, cases in EXPECTED.items() if cases])

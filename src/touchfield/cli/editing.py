@@ -230,7 +230,7 @@ def _draw(path: Path, materials: tuple[Material, ...]) -> None:
     from touchfield.viewer.plots import draw_textures
 
     rows = {
-        f"{material.name}, {1e3 * speed:g} mm/s, {force:g} N": material.levels_n[i, j]
+        f"{material.name}, {1e3 * speed:.4g} mm/s, {force:.4g} N": material.levels_n[i, j]
         for material in materials
         for i, speed in enumerate(material.speeds_m_s)
         for j, force in enumerate(material.forces_n)
