@@ -181,6 +181,7 @@ ARGUMENTS: Final = {
     "demo": "{tmp}/demo",
     "devices": "",
     "sources": "",
+    "data": "",
     "doctor": "",
     "warmup": "",
 }
@@ -282,11 +283,11 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
     },
     "texture": {
         "out": case("{tmp}/new.json", "write_table.path", "{tmp}/new.json", "--name oak"),
-        "speed-m-s": case("0.1,0.2", "texture_of.speeds_m_s", (0.1, 0.2)),
-        "force-n": case("2,3", "texture_of.forces_n", (2.0, 3.0)),
-        "name": case("oak", "texture_of.name", "oak"),
-        "friction": case("0.4", "texture_of.friction", 0.4),
-        "full-scale-m-s2": case("20", "read_recording.full_scale_m_s2", 20.0),
+        "speed-m-s": case("0.1,0.2", "texture_of_files.speeds_m_s", (0.1, 0.2)),
+        "force-n": case("2,3", "texture_of_files.forces_n", (2.0, 3.0)),
+        "name": case("oak", "texture_of_files.name", "oak"),
+        "friction": case("0.4", "texture_of_files.friction", 0.4),
+        "full-scale-m-s2": case("20", "texture_of_files.full_scale_m_s2", 20.0),
         "into": case(
             "{tmp}/in.touch",
             "store_materials.stream",
@@ -460,6 +461,7 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "connected": Case(None, printed="touchfield doctor --device haply"),
     },
     "sources": {},
+    "data": {},
     "doctor": {
         "device": case("haply", "examine.name", "haply"),
         "delay": case(None, "examine.measures_delay", True),

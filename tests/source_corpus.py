@@ -14,6 +14,7 @@ import recording_makers as recordings
 import room_makers as room
 import scene_makers as scenes
 import source_truth as truth
+import texture_makers as textures
 
 CAMERA = ",".join(map(str, room.CAMERA))
 SEEN, SEEN_ONCE = truth.seen_by_cameras(), truth.seen_by_cameras((0,), 1)
@@ -45,6 +46,7 @@ FIELD = truth.forces(*scenes.field_points())
 BLINK = truth.driven(0.66, (6, 6), 0.1, 0.8)
 MOVED_UP = truth.box((0, 1, 0), (1, 2, 1))
 SPRING = truth.forces(*(values[:300] for values in scenes.probed()))
+SLID = truth.forces(*textures.slid())
 DOTS = truth.driven(0.03, (2, 3), 0.08, 0.12)
 
 
@@ -250,6 +252,8 @@ CORPUS = [
         scenes.write_contacts,
         SPRING,
     ),
+    Input("matlab contacts", "recorded contacts: MATLAB", textures.write_spring_mat, SPRING),
+    Input("cluster textures", "recorded contacts: Cluster dataset", textures.write_slides, SLID),
     Input("film", "video, for a vest", scenes.write_film, BLINK, VEST, needs=("av",)),
     Input("gif", "video, for a vest", scenes.write_gif, BLINK, VEST, needs=("av",)),
     Input(

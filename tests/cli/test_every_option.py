@@ -141,8 +141,7 @@ TASKS = {
     "lod": ("tasks.editing:levels_of_detail",),
     "partition": ("tasks.matching:read_medium", "pipeline.partition:partition_workspace"),
     "texture": (
-        "sources.recordings.recording:read_recording",
-        "tasks.texture:texture_of",
+        "tasks.texture:texture_of_files",
         "tasks.texture:merge_materials",
         "tasks.texture:store_materials",
         "render.material:write_table",
@@ -189,6 +188,7 @@ RESULTS: dict[str, Any] = {
     "open_sender": (Stub(name="fine"), Stub(name="fine sender")),
     "coarse_layer": (Stub(name="coarse"), Stub(name="coarse sender")),
     "check_play": {"can_play": True},
+    "texture_of_files": (Stub(name="oak"), ()),
     "examine": {},
 }
 
@@ -241,7 +241,7 @@ def test_table_names_every_option_of_every_command() -> None:
     options = {name: set(options_of(command)) for name, command in GROUP.commands.items()}
     assert options == {name: set(cases) for name, cases in EXPECTED.items()}
     assert sum(map(len, options.values())) > 600
-    assert {*TASKS, "devices", "sources", "warmup"} == set(options)
+    assert {*TASKS, "devices", "sources", "data", "warmup"} == set(options)
 
 
 @pytest.mark.parametrize("command", [name for name, cases in EXPECTED.items() if cases])

@@ -169,7 +169,7 @@ def partition(
     "play oak-table.touch --offline --plot forces.png",
 )
 def texture(
-    sources: Annotated[list[Path], "Recordings (.wav, .csv), or tables (.json)."],
+    sources: Annotated[list[Path], "Recordings (.wav, .csv, .txt), models (.xml), or tables (.json)."],
     out: Annotated[Path, typer.Option("-o", "--out", help="Table to write, .json; with --into OUT.touch.")],
     speed_m_s: Annotated[str | None, "Speed of each recording, or one for all: 0.05,0.1."] = None,
     force_n: Annotated[str | None, "Force of each recording, or one for all: 1."] = None,
@@ -181,20 +181,33 @@ def texture(
 ) -> Answer:
     """Make a material of recorded accelerations; put materials into a stream."""
     from touchfield.render.material import read_materials, write_table
-    from touchfield.sources.recordings.recording import read_recording
-    from touchfield.tasks.texture import merge_materials, store_materials, texture_of
+    from touchfield.sources.recordings.penn_hatt import read_texture_models
+    from touchfield.tasks.texture import (
+        merge_materials,
+        store_materials,
+        texture_of_files,
+        texture_of_models,
+    )
 
     check_results((*sources, into), out, plot=plot)
     tables = [read_materials(path) for path in sources if path.suffix.lower() == ".json"]
-    recorded = [path for path in sources if path.suffix.lower() != ".json"]
+    models = [path for path in sources if path.suffix.lower() == ".xml"]
+    tables += [(texture_of_models(read_texture_models(path)),) for path in models]
+    recorded = [path for path in sources if path.suffix.lower() not in (".json", ".xml")]
+    notes: tuple[str, ...] = ()
     if recorded:
-        recordings = [read_recording(path, full_scale_m_s2) for path in recorded]
         count = len(recorded)
         expected = f"one number, or one for each of {count} recordings: 0.05,0.1"
         named = ("--speed-m-s", speed_m_s), ("--force-n", force_n)
-        values = [numbers_of(option, text, (1, count), expected) for option, text in named]
-        speeds, forces = ((numbers * count)[:count] for numbers in values)  # one number is that of all
-        tables.append((texture_of(recordings, speeds, forces, name or out.stem, friction),))
+        given = [
+            None if text is None else (count * numbers_of(option, text, (1, count), expected))[:count]
+            for option, text in named  # one number is that of all
+        ]
+        speeds, forces = given
+        material, notes = texture_of_files(
+            recorded, speeds, forces, name or out.stem, friction, full_scale_m_s2
+        )
+        tables.append((material,))
     elif speed_m_s or force_n or name or friction is not None:
         raise InvalidArgument(
             "--speed-m-s, --force-n, --name and --friction are those of recordings; a table has its own"
@@ -207,7 +220,8 @@ def texture(
     if plot is not None:
         _draw(plot, materials)
     names = [material.name for material in materials]
-    return Answer({"file": str(out), "file_bytes": out.stat().st_size, "materials": names}, str(out))
+    values = {"file": str(out), "file_bytes": out.stat().st_size, "materials": names}
+    return Answer(values, str(out), notes)
 
 
 def _draw(path: Path, materials: tuple[Material, ...]) -> None:
@@ -216,7 +230,7 @@ def _draw(path: Path, materials: tuple[Material, ...]) -> None:
     from touchfield.viewer.plots import draw_textures
 
     rows = {
-        f"{material.name}, {1e3 * speed:g} mm/s, {force:g} N": material.levels_n[i, j]
+        f"{material.name}, {1e3 * speed:.4g} mm/s, {force:.4g} N": material.levels_n[i, j]
         for material in materials
         for i, speed in enumerate(material.speeds_m_s)
         for j, force in enumerate(material.forces_n)

@@ -139,7 +139,9 @@ COMMANDS: Final = {
     "study": "study",
     "reduce": "editing",
     **dict.fromkeys(("index", "search", "similar", "correlate", "points"), "library"),
-    **dict.fromkeys(("demo", "devices", "sources", "doctor", "warmup"), "setup"),
+    **dict.fromkeys(("demo", "devices", "sources"), "setup"),
+    "data": "data",
+    **dict.fromkeys(("doctor", "warmup"), "setup"),
 }
 """Module of each command, in the order of the help. Importing the module registers the command."""
 

@@ -1,8 +1,8 @@
 """Lists the kinds of source, recognises which kind a path is, and opens it as a scene.
 
 Other distributions add kinds through entry points of the group ``touchfield.sources``, each a `SourceKind`. A
-kind of this package is either a module that ends in ``KIND = SourceKind(...)`` with a line in `MODULES`, or a
-row of the table of depth layouts (``touchfield.sources.depth.layouts``) with a line that names module and
+kind of this package is either a module that ends in ``KIND = SourceKind(...)`` with a line in `_ENTRIES`, or
+a row of the table of depth layouts (``touchfield.sources.depth.layouts``) with a line that names module and
 row. The modules must be cheap to import: heavy libraries (numba, Pillow) are imported where they are used.
 """
 
@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from pathlib import Path
+from typing import Final
 
 from touchfield.errors import SourceError, require_one_of
 from touchfield.files import require_plain
@@ -23,55 +24,45 @@ from touchfield.sources.options import SourceOptions
 from touchfield.sources.scene import Scene
 from touchfield.sources.unread_files import READABLE_FOLDERS, unread_file
 
-MODULES = (  # in the order in which they are tried: specific kinds before general ones
+_ENTRIES: Final = (  # in the order in which they are tried: specific kinds before general ones
     "physics.toml_file",
     "shapes.analytic_scene",
     "physics.mjcf",
     "physics.urdf",
     "stored",
     "depth.recorders.ros_bag",
+    "recordings.cluster_textures",
+    "recordings.matlab_contacts",
     "recordings.contact_trace",
     "animation.animated_mesh",
     "clouds.cloud_files",
     "mesh.mesh_files",
-    "depth.recorders.stray_scanner",
-    "depth.recorders.polycam",
-    "depth.recorders.nerfstudio",
-    "depth.recorders.bundlefusion",
-    "depth.recorders.realsense",
-    "depth.layouts:tum",
-    "depth.layouts:redwood",
-    "depth.layouts:sun3d",
-    "depth.layouts:3dmatch",
-    "depth.recorders.open3d_recording",
+    "depth.recorders.stray_scanner/",
+    "depth.recorders.polycam/",
+    "depth.recorders.nerfstudio/",
+    "depth.recorders.bundlefusion/",
+    "depth.recorders.realsense/",
+    "depth.layouts:tum/",
+    "depth.layouts:redwood/",
+    "depth.layouts:sun3d/",
+    "depth.layouts:3dmatch/",
+    "depth.recorders.open3d_recording/",
     "depth.layouts:depth-video",
     "depth.inverse_depth:relative-depth",
     "video.saliency",
     "depth.layouts:depth-stack",
     "depth.recorders.tiff_stack",
-    "depth.layouts:depth-folder",
+    "depth.layouts:depth-folder/",
     "depth.recorders.disparity_npz",
     "depth.inverse_depth:disparity",
     "terrain.height_files",
     "depth.layouts:depth-map",
 )
+"""Modules of the kinds, or "MODULE:ROW" of a table; an entry that ends in "/" recognises folders only."""
 
+MODULES: Final = tuple(entry.removesuffix("/") for entry in _ENTRIES)
 
-FOLDER_MODULES = frozenset(
-    (
-        "depth.recorders.stray_scanner",
-        "depth.recorders.polycam",
-        "depth.recorders.nerfstudio",
-        "depth.recorders.bundlefusion",
-        "depth.recorders.realsense",
-        "depth.layouts:tum",
-        "depth.layouts:redwood",
-        "depth.layouts:sun3d",
-        "depth.layouts:3dmatch",
-        "depth.recorders.open3d_recording",
-        "depth.layouts:depth-folder",
-    )
-)
+FOLDER_MODULES: Final = frozenset(entry.removesuffix("/") for entry in _ENTRIES if entry.endswith("/"))
 """Those of `MODULES` that recognise folders only, and are not imported for a file."""
 
 
@@ -144,6 +135,10 @@ def open_source(path: str | Path, options: SourceOptions | None = None) -> Scene
     for kind in _kinds_in_order(is_file=not path.is_dir()):
         if kind.recognise(path):
             return kind.open(path, options)
+    textures = import_module("touchfield.sources.recordings.texture_sets")  # as a kind: it is needed rarely
+    error: SourceError | None = textures.texture_only(path)
+    if error is not None:
+        raise error
     if not path.is_dir():
         raise unread_file(path)
     found = f"no kind of source that is known, but {contents(path)}"

@@ -224,7 +224,7 @@ def require_contacts(trace: ContactTrace, where: str) -> None:
 
 
 class ContactScene(Scene):
-    """Recorded forces as a static field.
+    """Recorded forces as a static field; `notes` on how they were read come first in its notes.
 
     Raises `SourceError` as `require_contacts` does, or if there are too few contacts.
     """
@@ -235,8 +235,9 @@ class ContactScene(Scene):
     has_law = False
     has_decoded_notes = True
 
-    def __init__(self, trace: ContactTrace, where: str = "trace") -> None:
+    def __init__(self, trace: ContactTrace, where: str = "trace", notes: tuple[str, ...] = ()) -> None:
         require_contacts(trace, where)
+        self._source_notes = notes
         self._trace, self._averages = trace, thin_contacts(trace.positions_m, trace.forces_n)
         if len(self._averages[0]) < _MIN_POINTS:
             found = f"{len(self._averages[0])} places"
@@ -262,6 +263,7 @@ class ContactScene(Scene):
         self.interpolant, self.reach_m = fit, REACH * fit.length_m
         error = fit.relative_error
         self.notes = (
+            *self._source_notes,
             f"A curl-free field through {len(fit.points_m)} means of {len(self._trace.positions_m)} samples, "
             f"with a leave-one-out error of {100 * error:.3g} % before it is sampled; no force beyond "
             f"{1e3 * self.reach_m:.3g} mm of a sample; the force law is ignored.",
