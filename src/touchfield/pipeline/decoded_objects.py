@@ -21,8 +21,8 @@ from touchfield.medium.budget import require_memory
 from touchfield.pipeline.decoded_frames import SegmentFrames, segment_layout
 from touchfield.pipeline.stream import OpenStream
 
-_BYTES_PER_POSE: Final = 2 * 7 * 8
-"""Seven float64, twice in memory while the segments are joined."""
+_BYTES_PER_POSE: Final = 7 * 8
+"""Seven float64. What the tracks of single segments and of a single object take is small beside them."""
 
 
 def coded_object(record: ObjectRecord) -> CodedObject:
