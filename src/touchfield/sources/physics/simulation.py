@@ -188,10 +188,10 @@ class _PoseRecorder:
         """Return the track of each body, and forget the poses."""
         self._store_block()
         tracks = list[PoseTrack]()
-        for k, poses in enumerate(self._poses):
+        while self._poses:  # each is freed when its track has a copy
+            poses = self._poses.pop()
             tracks.append(PoseTrack(poses[:, :4], poses[:, 4:]))
-            self._poses[k] = poses[:0].copy()  # frees the array: a track has a copy
-        return tracks
+        return tracks[::-1]
 
 
 def start_state(mujoco: Any, model: Any, data: Any) -> tuple[str, ...]:
