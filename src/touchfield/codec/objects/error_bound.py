@@ -139,10 +139,8 @@ class Moves:
         scene = self._scene
         stop = min(start + _BLOCK_FRAMES, scene.frame_count)
         first = max(start - 1, 0)
-        decoded, inner = (
-            self._decode(first, min(stop + 1, scene.frame_count)),
-            slice(start - first, stop - first),
-        )
+        decoded = self._decode(first, min(stop + 1, scene.frame_count))
+        inner = slice(start - first, stop - first)
         poses = [np.hstack([track.quaternions[inner], track.positions_m[inner]]) for track in decoded]
         source = self._motions([body.track for body in scene.objects], slice(start, stop))
         return BlockMoves(np.stack(poses, axis=1), source, self._motions(decoded, inner))
