@@ -75,8 +75,7 @@ class PoseTrack(EqualByValue):
     @property
     def is_constant(self) -> bool:
         """True if all poses are the same."""
-        poses = np.hstack([self.quaternions, self.positions_m])
-        return bool((poses == poses[0]).all())
+        return all(bool((values == values[0]).all()) for values in (self.positions_m, self.quaternions))
 
     def rotation(self, frame: int) -> Float64s:
         """Return R of one frame, float64 [3, 3]."""
@@ -94,16 +93,16 @@ class PoseTrack(EqualByValue):
         """Convert points [..., 3] from the scene to the body frame, metres."""
         return np.asarray((np.asarray(points_m, np.float64) - self.positions_m[frame]) @ self.rotation(frame))
 
-    def velocities(self, rate_hz: float) -> tuple[Float64s, Float64s]:
-        """Return linear and angular velocity in the scene, each float64 [n, 3].
+    def velocities(self, rate_hz: float, frames: slice = slice(None)) -> tuple[Float64s, Float64s]:
+        """Return linear and angular velocity in the scene, each float64 [n, 3], of all or some frames.
 
         The velocity is that of the body's origin, m/s; the angular velocity is in rad/s. They are central
         differences, one-sided at both ends, and zero for a single frame.
         """
-        n = len(self)
+        n, index = len(self), np.arange(len(self))[frames]
         if n == 1:
-            return np.zeros((1, 3)), np.zeros((1, 3))
-        after, before = np.minimum(np.arange(n) + 1, n - 1), np.maximum(np.arange(n) - 1, 0)
+            return np.zeros((len(index), 3)), np.zeros((len(index), 3))
+        after, before = np.minimum(index + 1, n - 1), np.maximum(index - 1, 0)
         dt = (after - before) / rate_hz
         velocity = (self.positions_m[after] - self.positions_m[before]) / dt[:, None]
         rotations = rotation_vectors(self.quaternions[before], self.quaternions[after])
@@ -114,7 +113,10 @@ class PoseTrack(EqualByValue):
 
         The body frame is scaled by the same factor.
         """
-        return PoseTrack(self.quaternions, scale * (self.positions_m - np.asarray(offset_m, np.float64)))
+        track = PoseTrack(self.quaternions, scale * (self.positions_m - np.asarray(offset_m, np.float64)))
+        if np.array_equal(track.quaternions, self.quaternions):  # read-only, so both tracks can share them
+            object.__setattr__(track, "quaternions", self.quaternions)
+        return track
 
     def between(self, start: int, stop: int) -> PoseTrack:
         """Return frames start to stop - 1."""

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from touchfield.arrays import Float64s
 from touchfield.codec.objects.decoder import ObjectsDecoder
 from touchfield.codec.objects.layout import MAX_POSES, CodedObject, Parameters, composed_rule
 from touchfield.codec.registry import coder, field_decoder
@@ -21,8 +22,8 @@ from touchfield.medium.budget import require_memory
 from touchfield.pipeline.decoded_frames import SegmentFrames, segment_layout
 from touchfield.pipeline.stream import OpenStream
 
-_BYTES_PER_POSE: Final = 2 * 7 * 8
-"""Seven float64, twice in memory while the segments are joined."""
+_BYTES_PER_POSE: Final = 7 * 8
+"""Seven float64. What the tracks of single segments and of a single object take is small beside them."""
 
 
 def coded_object(record: ObjectRecord) -> CodedObject:
@@ -57,17 +58,21 @@ class SceneStream(OpenStream):
     @cached_property
     def tracks(self) -> tuple[PoseTrack, ...]:
         """The poses of each object in all frames; reads every segment once."""
-        segments = [
-            self.decoder.tracks(self.reader.read_segment(i), entry.frame_count)
-            for i, entry in enumerate(self.reader.segments)
-        ]
-        return tuple(
-            PoseTrack(
-                np.concatenate([track.quaternions for track in parts]),
-                np.concatenate([track.positions_m for track in parts]),
-            )
-            for parts in zip(*segments, strict=True)
-        )
+        frame_count = sum(entry.frame_count for entry in self.reader.segments)
+        poses, start = list[Float64s](), 0
+        for i, entry in enumerate(self.reader.segments):
+            segment = self.decoder.tracks(self.reader.read_segment(i), entry.frame_count)
+            if not poses:  # not before a segment has proved to be sound
+                poses = [np.empty((frame_count, 7)) for _ in segment]
+            stop = start + entry.frame_count
+            for joined, track in zip(poses, segment, strict=True):
+                joined[start:stop, :4], joined[start:stop, 4:] = track.quaternions, track.positions_m
+            start = stop
+        tracks = list[PoseTrack]()
+        while poses:  # each is freed when its track has a copy
+            joined = poses.pop()
+            tracks.append(PoseTrack(joined[:, :4], joined[:, 4:]))
+        return tuple(reversed(tracks))
 
     @cached_property
     def scene(self) -> HapticScene:

@@ -81,8 +81,8 @@ def test_surface_damping_needs_finer_steps() -> None:
     damping = Damping(2.0, 1000.0, 0.0125)
     coarse, fine = choose_pose_steps(track, 0.03, 1e-5), choose_pose_steps(track, 0.03, 1e-5, damping)
     assert fine.position_m < coarse.position_m
-    assert damping.is_within(track, fine.track(round_poses(track, fine)), 0.03)
-    assert not damping.is_within(track, coarse.track(round_poses(track, coarse)), 0.03)
+    assert damping.is_within(track, fine, 0.03)
+    assert not damping.is_within(track, coarse, 0.03)
 
 
 def test_too_fine_steps_are_refused() -> None:

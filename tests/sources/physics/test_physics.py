@@ -415,17 +415,29 @@ def test_without_the_simulator_the_extra_is_named(monkeypatch: pytest.MonkeyPatc
         sample("falling-4")
 
 
-def test_the_number_of_poses_is_limited() -> None:
-    max_poses = simulation._MAX_POSES
+def test_the_memory_of_poses_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TOUCHFIELD_MEMORY_GIB", "0.5")
+    assert simulation.frames_of("a.toml", 60.0, 1000.0, 100) == 60_000, "more than 2^22 poses"
     assert simulation.frames_of("a.toml", 2.0, 1000.0, 3) == 2000
     assert simulation.frames_of("a.toml", 1e-6, 1000.0) == 1
     assert simulation.frames_of("a.toml", 0.0126, 1000.0) == 13
-    assert simulation.frames_of("a.toml", max_poses / 4000, 1000.0, 4) == max_poses // 4
-    message = r"a\.toml: found 5000 s at 1000 Hz for 3 bodies; expected at most 4194304 poses"
+    message = r"a\.toml: found 1\.1 GiB of poses, 5000 s at 1000 Hz for 3 bodies; expected at most 0\.5 GiB"
     with pytest.raises(InvalidArgument, match=message):
         simulation.frames_of("a.toml", 5000.0, 1000.0, 3)
-    with pytest.raises(InvalidArgument, match="at most"):
-        simulation.frames_of("a.toml", max_poses / 4000, 1000.0, 5)
+
+
+def test_blocks_of_recorded_poses_lose_no_frame() -> None:
+    """A count of frames that is no multiple of a block, so that the last block is partly filled."""
+    frames, bodies = 2 * simulation._BLOCK_FRAMES + 3, 2
+    rng = np.random.default_rng(0)
+    turns, positions = rng.normal(size=(frames, bodies, 4)), rng.normal(size=(frames, bodies, 3))
+    turns /= np.linalg.norm(turns, axis=2, keepdims=True)
+    recorder = simulation._PoseRecorder(frames, bodies)
+    for turn, position in zip(turns, positions, strict=True):
+        recorder.add(turn, position)
+    for body, track in enumerate(recorder.tracks()):
+        expected = PoseTrack(turns[:, body], positions[:, body])
+        assert track == expected
 
 
 def test_names_and_contacts_of_a_table_are_checked_at_their_edges(tmp_path: Path) -> None:

@@ -54,6 +54,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.medium import HapticObject, HapticScene, PoseTrack
 
 _POSITION_COST, _QUATERNION_COST = 3, 4  # components that take one more bit each when the step is halved
+_SEARCH_FRAMES: Final = 512  # poses that are rounded and compared at once in the search of steps
 
 
 class Damping(NamedTuple):
@@ -66,26 +67,28 @@ class Damping(NamedTuple):
     rate_hz: float
     max_error_n: float
 
-    def is_within(self, source: PoseTrack, decoded: PoseTrack, reach_m: float) -> bool:
-        """True if the bound holds everywhere within `reach_m` of the body's origin."""
+    def is_within(self, source: PoseTrack, steps: PoseSteps, reach_m: float) -> bool:
+        """True if the bound holds everywhere within `reach_m` of the body's origin, with rounded poses."""
         if not self.n_s_per_m or source.is_constant:
             return True
+        decoded = steps.track(round_poses(source, steps))
         (v, spin), (v1, spin1) = source.velocities(self.rate_hz), decoded.velocities(self.rate_hz)
         with np.errstate(over="ignore", invalid="ignore"):
             error = np.linalg.norm(v1 - v, axis=1) + np.linalg.norm(spin1 - spin, axis=1) * reach_m
             return bool(self.n_s_per_m * error.max() <= self.max_error_n)
 
 
-def round_poses(track: PoseTrack, steps: PoseSteps) -> Int64s:
-    """Nearest multiples of the steps, int64 [n, 7].
+def round_poses(track: PoseTrack, steps: PoseSteps, frames: slice = slice(None)) -> Int64s:
+    """Nearest multiples of the steps, int64 [n, 7], of all or some frames.
 
     InvalidArgument if a position exceeds 2^50 steps.
     """
-    farthest = float(np.abs(track.positions_m).max())
+    positions_m, quaternions = track.positions_m[frames], track.quaternions[frames]
+    farthest = float(np.abs(positions_m).max())
     if farthest > MAX_STEPS * steps.position_m:
         expected = f"{MAX_STEPS * steps.position_m:g} m at most with a step of {steps.position_m:g} m"
         raise InvalidArgument("pose track positions_m", f"{farthest:g} m from the origin", expected)
-    numbers = track.positions_m / steps.position_m, track.quaternions / steps.quaternion
+    numbers = positions_m / steps.position_m, quaternions / steps.quaternion
     return np.rint(np.concatenate(numbers, axis=1)).astype(np.int64)
 
 
@@ -103,21 +106,34 @@ def choose_pose_steps(
     ]
     spans = [max(coarsest[0] - POSITION_POWERS[0] + 1, 0), max(coarsest[1] - QUATERNION_POWERS[0] + 1, 0)]
     halvings = sorted(np.ndindex(*spans), key=lambda d: _POSITION_COST * d[0] + _QUATERNION_COST * d[1])
+    farthest_m = np.abs(track.positions_m).max()
     for position_halvings, quaternion_halvings in halvings:
         steps = PoseSteps(
             2.0 ** (coarsest[0] - position_halvings), 2.0 ** (coarsest[1] - quaternion_halvings)
         )
-        if np.abs(track.positions_m).max() > MAX_STEPS * steps.position_m:
+        if farthest_m > MAX_STEPS * steps.position_m or not _is_in_place(track, steps, reach_m, tolerance_m):
             continue
-        decoded = steps.track(round_poses(track, steps))
-        is_in_place = displacement_m(track, decoded, reach_m).max() <= tolerance_m
-        if is_in_place and (damping is None or damping.is_within(track, decoded, reach_m)):
+        if damping is None or damping.is_within(track, steps, reach_m):
             return steps
     found = f"poses that keep to {1e6 * tolerance_m:g} um"
     if damping is not None and damping.n_s_per_m:
         found += f", and a damping of {damping.n_s_per_m:g} N s/m at {damping.rate_hz:g} Hz"
     mend = "Take a smaller surface damping, or a body nearer to its origin."
     raise InvalidArgument("pose track", found, "steps of 2^-40 m and 2^-30 at least", mend)
+
+
+def _is_in_place(track: PoseTrack, steps: PoseSteps, reach_m: float, tolerance_m: float) -> bool:
+    """True if rounding to the steps moves no point within `reach_m` by more than a tolerance.
+
+    Steps that are too coarse fail in the first blocks, so that a search costs little more than one pass.
+    """
+    frame_count = 1 if track.is_constant else len(track)
+    for start in range(0, frame_count, _SEARCH_FRAMES):
+        frames = slice(start, min(start + _SEARCH_FRAMES, frame_count))
+        decoded = steps.track(round_poses(track, steps, frames))
+        if not displacement_m(track, decoded, reach_m, frames).max() <= tolerance_m:
+            return False
+    return True
 
 
 def encode_poses(track: PoseTrack, steps: PoseSteps) -> bytes:
@@ -379,11 +395,16 @@ class ObjectsEncoder:
 
     @cached_property
     def _moves(self) -> Moves:
-        tracks = [
-            steps.track(round_poses(body.track, steps))
-            for body, steps in zip(self._scene.objects, self._steps)
-        ]
-        return Moves.of(self._scene, tracks)
+        bodies, all_steps = self._scene.objects, self._steps
+
+        def decode(start: int, stop: int) -> list[PoseTrack]:
+            frames = slice(start, stop)
+            return [
+                steps.track(round_poses(body.track, steps, frames))
+                for body, steps in zip(bodies, all_steps, strict=True)
+            ]
+
+        return Moves(self._scene, decode)
 
     def _check(self, rule: ComposedRule, coded: list[_Fields], frames: Sequence[int]) -> BoundCheck:
         """Check frames against the rule; if a body deforms, they are those of one segment."""

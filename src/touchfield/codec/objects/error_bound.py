@@ -10,10 +10,10 @@ accuracy could satisfy a bound voxel by voxel.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Final, NamedTuple
+from functools import cached_property, lru_cache
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ from touchfield.medium.field import brick_keys
 # fraction of F_max; the receiver also treats a body's own force below it as the rounding of a position
 _FLOOR_FRACTION: Final = 1e-9
 _CHUNK_FRAMES: Final = 32
+_BLOCK_FRAMES: Final = 2048  # frames whose moves are in memory at once, 152 bytes for each body and frame
 
 
 @dataclass(frozen=True)
@@ -98,8 +99,8 @@ class Pair:
         return inexact
 
 
-class Moves(NamedTuple):
-    """Decoded poses, and damping times velocity of source and decoded tracks.
+class BlockMoves(NamedTuple):
+    """Decoded poses, and damping times velocity of source and decoded tracks, in some frames.
 
     `poses`: float64 [frames, bodies, 7]. `source`, `decoded`: b (v, omega), float64 [frames, bodies, 6], with
     b the surface damping, v the velocity and omega the angular velocity.
@@ -109,19 +110,49 @@ class Moves(NamedTuple):
     source: Float64s
     decoded: Float64s
 
+
+class Moves:
+    """Moves of a scene, made for one block of frames at a time; the latest block is cached.
+
+    ``decode(start, stop)`` returns the decoded track of each body in frames start to stop - 1.
+    """
+
+    def __init__(self, scene: HapticScene, decode: Callable[[int, int], Sequence[PoseTrack]]) -> None:
+        self._scene, self._decode = scene, decode
+        self._block = lru_cache(1)(self._make_block)
+
     @classmethod
     def of(cls, scene: HapticScene, decoded: Sequence[PoseTrack]) -> Moves:
         """Moves of a scene whose bodies have the tracks `decoded`."""
-        b = scene.surface_damping_n_s_per_m
+        return cls(scene, lambda start, stop: [track.between(start, stop) for track in decoded])
 
-        def motions(tracks: Sequence[PoseTrack]) -> Float64s:
-            if not b:
-                return np.zeros((scene.frame_count, len(tracks), 6))
-            with np.errstate(over="ignore"):  # the kernels limit infinite values
-                return np.stack([b * np.hstack(track.velocities(scene.rate_hz)) for track in tracks], axis=1)
+    def blocks(self, frames: Sequence[int]) -> Iterator[tuple[Int64s, BlockMoves]]:
+        """Yield the given ascending frames in blocks, and the moves of each block."""
+        indices = np.asarray(frames, np.int64)
+        numbers = indices // _BLOCK_FRAMES
+        for selected in np.split(indices, np.flatnonzero(np.diff(numbers)) + 1):
+            start = int(selected[0]) // _BLOCK_FRAMES * _BLOCK_FRAMES
+            yield selected, BlockMoves(*(column[selected - start] for column in self._block(start)))
 
-        poses = np.stack([np.hstack([track.quaternions, track.positions_m]) for track in decoded], axis=1)
-        return cls(poses, motions([body.track for body in scene.objects]), motions(decoded))
+    def _make_block(self, start: int) -> BlockMoves:
+        """Moves of the block from `start`; its velocities need a frame more on each side."""
+        scene = self._scene
+        stop = min(start + _BLOCK_FRAMES, scene.frame_count)
+        first = max(start - 1, 0)
+        decoded = self._decode(first, min(stop + 1, scene.frame_count))
+        inner = slice(start - first, stop - first)
+        poses = [np.hstack([track.quaternions[inner], track.positions_m[inner]]) for track in decoded]
+        source = self._motions([body.track for body in scene.objects], slice(start, stop))
+        return BlockMoves(np.stack(poses, axis=1), source, self._motions(decoded, inner))
+
+    def _motions(self, tracks: Sequence[PoseTrack], frames: slice) -> Float64s:
+        """Damping times velocity of each track, float64 [frames, bodies, 6]."""
+        b = self._scene.surface_damping_n_s_per_m
+        if not b:
+            return np.zeros((frames.stop - frames.start, len(tracks), 6))
+        rate_hz = self._scene.rate_hz
+        with np.errstate(over="ignore"):  # the kernels limit infinite values
+            return np.stack([b * np.hstack(track.velocities(rate_hz, frames)) for track in tracks], axis=1)
 
 
 @dataclass(frozen=True)
@@ -133,7 +164,7 @@ class ComposedRule:
     f0_n: float
 
     def check(self, pairs: Sequence[Pair], moves: Moves, frames: Sequence[int]) -> BoundCheck:
-        """Check frames of the scene, given the fields and the moves of its bodies."""
+        """Check ascending frames of the scene, given the fields and the moves of its bodies."""
         return self._compare(pairs, moves, frames, is_marking=False)[0]
 
     def violating_samples(self, pairs: Sequence[Pair], moves: Moves, frames: Sequence[int]) -> list[Int64s]:
@@ -172,23 +203,35 @@ class ComposedRule:
             source.supported | decoded.supported, source.cells, decoded.cells,
             bounds, bounds.max(axis=1, initial=0.0), marks,
         )  # fmt: skip
-        frame_indices = np.asarray(frames)
-        selected = Moves(*(np.ascontiguousarray(column[frame_indices]) for column in moves))
-        stays = np.zeros((len(frame_indices), len(pairs)), np.bool_)
-        stays[1:] = np.all([(column[1:] == column[:-1]).all(axis=2) for column in selected], axis=0)
-        lattice = grid.origin_m, grid.spacing_m, grid.shape
-
-        def compare_some(start: int, stop: int) -> BoundCheck:
-            result = BoundCheck.empty(len(pairs))
-            found = result.ratios, result.voxels
-            violations = native.compare_frames(start, stop, bodies, selected, stays, lattice, rule, *found)
-            return replace(result, violations=violations)
-
-        total = BoundCheck.empty(len(pairs))
-        for result in for_chunks(compare_some, len(frame_indices), chunk=_CHUNK_FRAMES):
-            total = total.merged(result)
-        total.voxels[:, 0] = np.where(total.voxels[:, 0] >= 0, frame_indices[total.voxels[:, 0]], -1)
+        lattice, total = (grid.origin_m, grid.spacing_m, grid.shape), BoundCheck.empty(len(pairs))
+        for block_frames, block_moves in moves.blocks(frames):
+            total = total.merged(_compare_block(bodies, block_frames, block_moves, lattice, rule))
         return total, marks
+
+
+def _compare_block(
+    bodies: tuple[Any, ...],
+    frames: Int64s,
+    moves: BlockMoves,
+    lattice: tuple[Any, ...],
+    rule: tuple[float, float, float, float],
+) -> BoundCheck:
+    """Compare the frames of a block on all cores; arguments as of `native.compare_frames`."""
+    body_count = moves.poses.shape[1]
+    stays = np.zeros((len(frames), body_count), np.bool_)
+    stays[1:] = np.all([(column[1:] == column[:-1]).all(axis=2) for column in moves], axis=0)
+
+    def compare_some(start: int, stop: int) -> BoundCheck:
+        result = BoundCheck.empty(body_count)
+        found = result.ratios, result.voxels
+        violations = native.compare_frames(start, stop, bodies, moves, stays, lattice, rule, *found)
+        return replace(result, violations=violations)
+
+    total = BoundCheck.empty(body_count)
+    for result in for_chunks(compare_some, len(frames), chunk=_CHUNK_FRAMES):
+        total = total.merged(result)
+    total.voxels[:, 0] = np.where(total.voxels[:, 0] >= 0, frames[total.voxels[:, 0]], -1)
+    return total
 
 
 def compare_scenes(
@@ -215,14 +258,18 @@ def compare_scenes(
     return total, float(max(displacements_m))
 
 
-def displacement_m(source: PoseTrack, decoded: PoseTrack, reach_m: float) -> Float64s:
+def displacement_m(
+    source: PoseTrack, decoded: PoseTrack, reach_m: float, frames: slice = slice(None)
+) -> Float64s:
     """Upper bound of the displacement of points within `reach_m` of the origin.
 
-    Metres, float64 [n], one for each pose of the tracks.
+    Metres, float64 [n], one for each pose of `decoded`, which are those of `frames` of the source.
     """
-    q, p = source.quaternions, decoded.quaternions
+    q, p = source.quaternions[frames], decoded.quaternions
     turn = 2 * np.linalg.norm(p - (p * q).sum(axis=1, keepdims=True) * q, axis=1)
-    distance_m: Float64s = np.linalg.norm(decoded.positions_m - source.positions_m, axis=1) + turn * reach_m
+    distance_m: Float64s = (
+        np.linalg.norm(decoded.positions_m - source.positions_m[frames], axis=1) + turn * reach_m
+    )
     return distance_m
 
 

@@ -25,6 +25,7 @@ import numpy as np
 
 from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, SourceError, import_extra
+from touchfield.medium.budget import require_memory
 from touchfield.medium.pose_track import PoseTrack
 from touchfield.sources.mesh.mesh_scene import MeshScene
 from touchfield.sources.poses import quaternion_of_euler
@@ -36,7 +37,8 @@ if TYPE_CHECKING:
 FRAME_RATE_HZ: Final = 1000.0  # default frames a second: the rate of haptic rendering
 SECONDS: Final = 2.0  # default duration of a simulation
 START: Final = "touchfield"  # name of the keyframe from which a simulation starts, else the first
-_MAX_POSES: Final = 1 << 22  # bodies times frames; each takes 28 doubles of 8 bytes and their copies
+_BYTES_PER_POSE: Final = 10 * 8  # seven float64 of the source, and three of the position in hand metres
+_BLOCK_FRAMES: Final = 1024  # frames that are recorded before they are added to the tracks
 _MAX_STEPS: Final = 20_000_000  # steps times bodies: up to half a minute of one core
 _STEPS_S: Final = (1e-9, 1e9)
 
@@ -98,14 +100,15 @@ def compile_model(
 def frames_of(where: str, seconds: float, rate_hz: float, body_count: int = 1) -> int:
     """Return the number of frames of a duration, at least one.
 
-    Raises `InvalidArgument` for too many poses.
+    Raises `InvalidArgument` if the poses would take more than `memory_budget_bytes`.
     """
-    frames = seconds * rate_hz
-    if not frames * body_count <= _MAX_POSES:
-        found = f"{seconds:g} s at {rate_hz:g} Hz for {body_count} bodies"
-        mend = "Ask for fewer seconds or a lower rate; the times of poses begin at 0."
-        raise InvalidArgument(where, found, f"at most {_MAX_POSES} poses", mend)
-    return max(round(frames), 1)
+    frames = max(round(seconds * rate_hz), 1)
+    contents = f"poses, {seconds:g} s at {rate_hz:g} Hz for {body_count} bodies"
+    hint = (
+        "Ask for fewer seconds or a lower rate, or set TOUCHFIELD_MEMORY_GIB; the times of poses begin at 0."
+    )
+    require_memory(where, contents, frames * body_count * _BYTES_PER_POSE, hint)
+    return frames
 
 
 def simulate(
@@ -138,7 +141,7 @@ def simulate(
         mend = "Ask for less. Make the step longer."
         raise InvalidArgument(where, found, f"at most {_MAX_STEPS} steps of a body", mend)
     ids = np.asarray(body_ids, np.intp)
-    positions, quaternions = np.empty((frame_count, len(ids), 3)), np.empty((frame_count, len(ids), 4))
+    recorder = _PoseRecorder(frame_count, len(ids))
     driven = [_driven_state(model, body, track, rate_hz) for body, track in (posed or {}).items()]
     with collect_warnings(where, "a simulation that stops", "a model that MuJoCo can step") as messages:
         data = mujoco.MjData(model)
@@ -147,12 +150,48 @@ def simulate(
             for position, motion, poses, velocities in driven:
                 data.qpos[position], data.qvel[motion] = poses[frame], velocities[frame]
             mujoco.mj_kinematics(model, data)
-            positions[frame], quaternions[frame] = data.xpos[ids], data.xquat[ids]
+            recorder.add(data.xquat[ids], data.xpos[ids])
             if frame + 1 < frame_count:
                 mujoco.mj_step(model, data, steps)
             if messages:
                 notes += check_state(mujoco, data, messages, f"{where}, {(frame + 1) / rate_hz:g} s")
-    return [PoseTrack(quaternions[:, k], positions[:, k]) for k in range(len(ids))], notes
+    return recorder.tracks(), notes
+
+
+class _PoseRecorder:
+    """Collects the poses of all bodies frame by frame, into one array for each body.
+
+    Poses arrive for all bodies of a frame and are needed for all frames of a body. They are moved in blocks,
+    so that each pose is in memory once.
+    """
+
+    def __init__(self, frame_count: int, body_count: int) -> None:
+        self._poses = [np.empty((frame_count, 7)) for _ in range(body_count)]
+        self._block = np.empty((min(_BLOCK_FRAMES, frame_count), body_count, 7))
+        self._stored, self._pending = 0, 0
+
+    def add(self, quaternions: Float64s, positions_m: Float64s) -> None:
+        """Add a frame: the quaternions [bodies, 4] and the positions [bodies, 3]."""
+        row = self._block[self._pending]
+        row[:, :4], row[:, 4:] = quaternions, positions_m
+        self._pending += 1
+        if self._pending == len(self._block):
+            self._store_block()
+
+    def _store_block(self) -> None:
+        stop = self._stored + self._pending
+        for k, poses in enumerate(self._poses):
+            poses[self._stored : stop] = self._block[: self._pending, k]
+        self._stored, self._pending = stop, 0
+
+    def tracks(self) -> list[PoseTrack]:
+        """Return the track of each body, and forget the poses."""
+        self._store_block()
+        tracks = list[PoseTrack]()
+        while self._poses:  # each is freed when its track has a copy
+            poses = self._poses.pop()
+            tracks.append(PoseTrack(poses[:, :4], poses[:, 4:]))
+        return tracks[::-1]
 
 
 def start_state(mujoco: Any, model: Any, data: Any) -> tuple[str, ...]:
