@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -119,7 +119,7 @@ class Moves:
 
     def __init__(self, scene: HapticScene, decode: Callable[[int, int], Sequence[PoseTrack]]) -> None:
         self._scene, self._decode = scene, decode
-        self._block = lru_cache(1)(self._make_block)
+        self._latest: tuple[int, BlockMoves] | None = None  # start of a block, and its moves
 
     @classmethod
     def of(cls, scene: HapticScene, decoded: Sequence[PoseTrack]) -> Moves:
@@ -132,7 +132,9 @@ class Moves:
         numbers = indices // _BLOCK_FRAMES
         for selected in np.split(indices, np.flatnonzero(np.diff(numbers)) + 1):
             start = int(selected[0]) // _BLOCK_FRAMES * _BLOCK_FRAMES
-            yield selected, BlockMoves(*(column[selected - start] for column in self._block(start)))
+            if self._latest is None or self._latest[0] != start:
+                self._latest = start, self._make_block(start)
+            yield selected, BlockMoves(*(column[selected - start] for column in self._latest[1]))
 
     def _make_block(self, start: int) -> BlockMoves:
         """Moves of the block from `start`; its velocities need a frame more on each side."""
