@@ -47,7 +47,8 @@ def entropy(
     `samples`: Counts, or arrays of integers or booleans of one shape. `column`: the one variable of the
     counts to use. `estimator`: one of `touchfield.measure.estimators.ESTIMATORS`; given probabilities have an
     exact entropy. `interval`: whether to compute one; it takes about as long again as the counting, plus
-    up to 700 evaluations of the plug-in estimate. `blocks`: number of blocks of arrays for an interval, 8 or more.
+    up to 700 evaluations of the plug-in estimate. `blocks`: number of blocks of arrays for an interval, 8 or
+    more.
     """
     e = _Entropies(samples, estimator, interval, blocks)
     if column is not None:

@@ -62,8 +62,8 @@ class Dependence(Report):
     """How dependent the samples of a quantity are, measured by their influence on it.
 
     `correlation_length`: side of the cube of samples (of the interval, in time) that counts as one
-    independent sample, in samples, at least 1; NaN if unknown. `effective_blocks`: number of independent blocks with the
-    same standard error. `blocks`: number of blocks that were counted.
+    independent sample, in samples, at least 1; NaN if unknown. `effective_blocks`: number of independent
+    blocks with the same standard error. `blocks`: number of blocks that were counted.
     """
 
     correlation_length: float
