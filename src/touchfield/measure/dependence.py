@@ -36,7 +36,11 @@ _MAX_DECAY: Final = 0.7
 _MIN_FREQUENCIES: Final = 7
 _SAMPLED_CELLS: Final = 512
 _STEP: Final = 1e-3
-_ROUNDING: Final = 1e-12
+_ROUNDING: Final = 1e-13
+_MAX_SLOWEST_DECAY: Final = 1.0
+"""Largest (L w)^2 of the slowest cosine; beyond, the blocks span too few lengths of the dependence."""
+_MIN_CONTRIBUTING: Final = 4
+"""Smallest 3 B over the kurtosis of the influences: 3 for each block that has any, at most about B."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +65,8 @@ class SamplingError:
     expected value minus truth. `freedom`: degrees of freedom of `error`. `effective_blocks`: number of
     independent blocks with the same error, at most that of the blocks. `correlation_length`: side of the
     cube (interval, square) of samples that counts as one independent sample, in samples, at least 1; NaN if
-    there is no error.
+    there is no error. `is_resolved`: whether the blocks span enough lengths of the dependence, and more than
+    one of them contributes.
     """
 
     value: float
@@ -70,6 +75,7 @@ class SamplingError:
     freedom: float
     effective_blocks: float
     correlation_length: float
+    is_resolved: bool
 
 
 def sampling_error(statistic: Statistic, blocks: Int64s, layout: BlockLayout) -> SamplingError:
@@ -79,7 +85,7 @@ def sampling_error(statistic: Statistic, blocks: Int64s, layout: BlockLayout) ->
     counts of each block, with the order of `layout`, 8 or more. The statistic is evaluated about B + 600
     times. InvalidArgument if it is not finite.
     """
-    counts = blocks.reshape(len(blocks), -1).astype(np.float64)
+    counts = blocks.reshape(len(blocks), -1).astype(np.float64, order="C")  # one order of summation
     cells, total = blocks.shape[1:], counts.sum(axis=0)
 
     def value_of(weights: Float64s) -> float:
@@ -93,18 +99,17 @@ def sampling_error(statistic: Statistic, blocks: Int64s, layout: BlockLayout) ->
     influences -= influences.mean()
     size = math.sqrt(len(counts)) * float(np.abs(influences).max())
     if size <= _ROUNDING * max(1.0, abs(value)):
-        return SamplingError(value, 0.0, 0.0, len(counts) - 1, len(counts), math.nan)
+        return SamplingError(value, 0.0, 0.0, len(counts) - 1, len(counts), math.nan, True)
     order, squared = _frequencies(layout.shape)
     power = len(counts) * _cosine_transform(influences.reshape(layout.shape)).reshape(-1)[order] ** 2
     variance, decay, used = _spectrum_at_zero(power, squared)
     bias = _bias(
         value_of, value, counts, layout.shape, order[:_BIAS_COSINES], decay * squared[:_BIAS_COSINES]
     )
-    # blocks without influence are none: of normal influences, the second term is about 1
-    few = 3 * float((influences**2).sum()) ** 2 / float((influences**4).sum()) / len(counts)
-    effective = min(1.0, float(power.mean()) / variance, few) * len(counts)
+    contributing = 3 * float((influences**2).sum()) ** 2 / float((influences**4).sum())
+    effective = min(len(counts), float(power.mean()) / variance * len(counts), contributing)
     per_sample = _influence_variance(value_of, value, total)
-    together = total.sum() * variance / per_sample / layout.frames if per_sample > 0 else math.nan
+    together = float(total.sum()) * variance / per_sample / layout.frames if per_sample > 0 else math.nan
     return SamplingError(
         value,
         math.sqrt(variance),
@@ -112,6 +117,7 @@ def sampling_error(statistic: Statistic, blocks: Int64s, layout: BlockLayout) ->
         _freedom(squared[:used]),
         effective,
         max(1.0, together ** (1 / layout.dimensions)) if per_sample > 0 else math.nan,
+        contributing >= _MIN_CONTRIBUTING and decay * squared[0] <= _MAX_SLOWEST_DECAY,
     )
 
 

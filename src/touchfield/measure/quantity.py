@@ -10,8 +10,8 @@ narrow. The standard error comes from the counts in blocks of neighbouring sampl
 (`touchfield.measure.dependence`), and is widened by the estimated bias. The interval is t standard errors to
 both sides of the estimate without its bias, and of a bias-corrected estimate as well; it always contains the
 estimate. A `Dependence` states the correlation length of the samples and the effective number of blocks.
-With fewer than `MIN_EFFECTIVE_BLOCKS` there is no interval, and a quantity that does not vary has none
-either: both are noted.
+If the blocks span too few lengths of the dependence, or one of them holds all that varies, there is no
+interval, and a quantity that does not vary has none either: both are noted.
 
 `bench/bench_intervals.py` measures the coverage of 95 % intervals, which is documented there and tested in
 `tests/measure/test_spread.py`.
@@ -32,8 +32,6 @@ from touchfield.measure.dependence import BlockLayout, Statistic, sampling_error
 from touchfield.measure.estimators import as_array
 
 MIN_BLOCKS: Final = 8
-MIN_EFFECTIVE_BLOCKS: Final = 8
-"""Number of independent blocks below which an interval is refused."""
 
 
 WEIGHTINGS = ("samples", "voxel", "object", "interaction")
@@ -194,10 +192,10 @@ def spread(
         return Spread(None, None, ("no interval: no block differs from another",))
     blocks = len(counts)
     dependence = Dependence(found.correlation_length, found.effective_blocks, blocks)
-    if found.effective_blocks < MIN_EFFECTIVE_BLOCKS:
+    if not found.is_resolved:
         few = (
-            f"no interval: the samples are dependent over {found.correlation_length:.3g} samples, so that "
-            f"{blocks} blocks count as {found.effective_blocks:.1f}, fewer than {MIN_EFFECTIVE_BLOCKS}"
+            f"no interval: the samples are dependent over {found.correlation_length:.3g} samples or more, "
+            f"and {blocks} blocks count as {found.effective_blocks:.1f}, too few"
         )
         return Spread(None, dependence, (few,))
     # the correction of the bias is uncertain by about its own size
