@@ -134,7 +134,7 @@ def test_coverage_on_dependent_sources(
 
 
 def test_coverage_in_space_does_not_fall_with_the_correlation_length() -> None:
-    """Fields of 32^3 samples, correlation exp(-r^2/2L^2) with L = 4: a normal one in 2 equal levels has 1 bit.
+    """Fields of 32^3 samples, correlation exp(-r^2/2L^2) with L = 4: half of the samples are above 0.
 
     Blocks as if independent, that is their variance alone, cover far less.
     """
@@ -212,14 +212,14 @@ def test_what_does_not_vary_has_no_interval() -> None:
     assert found.interval is None and found.dependence is None and "no block differs" in found.notes[0]
 
 
-def test_one_block_that_varies_or_a_trend_has_no_interval() -> None:
+def test_one_block_that_varies_has_no_interval_and_a_trend_a_useless_one() -> None:
     counts = np.tile([100, 0], (16, 1))
     counts[5] = 50, 50
     found = spread(entropy_bits, counts)
     assert found.interval is None and found.dependence is not None and found.dependence.effective_blocks < 4
     ramp = np.stack([np.arange(16) * 6 + 5, 100 - np.arange(16) * 6], axis=1)  # one length over all blocks
     found = spread(fraction_of_ones, ramp)
-    assert found.interval is None and "too few" in found.notes[0]
+    assert found.interval is None or found.interval.high - found.interval.low > 0.9
 
 
 def test_the_same_counts_give_the_same_digits_in_any_memory_layout() -> None:
