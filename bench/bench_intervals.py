@@ -92,32 +92,29 @@ def quantities(s: FieldSymbols, t: FieldSymbols, rendered: FieldSymbols) -> dict
     }
 
 
+def row(drawn: list[Quantity], truth: float) -> dict[str, float]:
+    """Return the coverage of a quantity, and the medians of what it states."""
+    intervals = [q.interval for q in drawn if q.interval is not None]
+    dependences = [q.dependence for q in drawn if q.dependence is not None]
+    return {
+        "covered_percent": 100 * float(np.mean([i.low <= truth <= i.high for i in intervals])),
+        "refused_percent": 100 - 100 * len(intervals) / len(drawn),
+        "width": float(np.median([i.high - i.low for i in intervals])),
+        "truth": truth,
+        "correlation_length": float(np.median([d.correlation_length for d in dependences])),
+        "effective_blocks": float(np.median([d.effective_blocks for d in dependences])),
+    }
+
+
 def measure(volumes: int) -> Figures:
-    """Measure coverage by length and quantity."""
+    """Measure coverage by length and quantity; lengths, widths and blocks are medians."""
     truth, rows = true_values(), []
     for length in LENGTHS:
         rng = np.random.default_rng(length)
         found = [quantities(*fields) for fields in pairs(rng, length, volumes)]
         for name, true_value in truth.items():
             drawn = [q[name] for q in found]
-            intervals = [q.interval for q in drawn if q.interval is not None]
-            dependences = [q.dependence for q in drawn if q.dependence is not None]
-            lengths = [d.correlation_length for d in dependences]
-            rows.append(
-                {
-                    "quantity": name,
-                    "length": length,
-                    "covered_percent": 100
-                    * float(np.mean([i.low <= true_value <= i.high for i in intervals])),
-                    "refused_percent": 100 - 100 * len(intervals) / len(drawn),
-                    "median_width": float(np.median([i.high - i.low for i in intervals])),
-                    "truth": true_value,
-                    "median_correlation_length": float(
-                        np.median([d.correlation_length for d in dependences])
-                    ),
-                    "median_effective_blocks": float(np.median([d.effective_blocks for d in dependences])),
-                }
-            )
+            rows.append({"quantity": name, "length": length, **row(drawn, true_value)})
     return {"fields": 8 * volumes, "rows": rows}
 
 
