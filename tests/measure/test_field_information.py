@@ -128,8 +128,9 @@ def test_repeated_frames_do_not_narrow_the_interval() -> None:
     f = field(grid_of(64, 64, 64), 2, 1.0)
     for over in ("voxel", "object"):
         single, repeated = field_entropy(f, over).interval, field_entropy([f] * 5, over).interval
-        assert single is not None and repeated is not None
-        assert (repeated.low, repeated.high) == pytest.approx((single.low, single.high), abs=1e-9)
+        assert (single is None) == (repeated is None) == (over == "voxel"), "its voxels have a trend"
+        if single is not None and repeated is not None:
+            assert (repeated.low, repeated.high) == pytest.approx((single.low, single.high), abs=1e-9)
 
 
 def test_fields_without_an_interval() -> None:

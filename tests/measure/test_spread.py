@@ -212,14 +212,14 @@ def test_what_does_not_vary_has_no_interval() -> None:
     assert found.interval is None and found.dependence is None and "no block differs" in found.notes[0]
 
 
-def test_one_block_that_varies_has_no_interval_and_a_trend_a_useless_one() -> None:
+def test_one_block_that_varies_has_no_interval_and_a_trend_a_wide_one() -> None:
     counts = np.tile([100, 0], (16, 1))
     counts[5] = 50, 50
     found = spread(entropy_bits, counts)
     assert found.interval is None and found.dependence is not None and found.dependence.effective_blocks < 4
     ramp = np.stack([np.arange(16) * 6 + 5, 100 - np.arange(16) * 6], axis=1)  # one length over all blocks
     found = spread(fraction_of_ones, ramp)
-    assert found.interval is None or found.interval.high - found.interval.low > 0.9
+    assert found.interval is None or found.interval.high - found.interval.low > 0.5
 
 
 def test_the_same_counts_give_the_same_digits_in_any_memory_layout() -> None:

@@ -33,12 +33,13 @@ _AMPLITUDE: Final = 0.3
 _BIAS_COSINES: Final = 26
 _MAX_DECAY: Final = 0.7
 """Largest L w of the frequencies that are used, if these are at least a quarter of all."""
-_MIN_FREQUENCIES: Final = 7
+_MIN_FREQUENCIES: Final = 12
 _SAMPLED_CELLS: Final = 512
 _STEP: Final = 1e-3
 _ROUNDING: Final = 1e-13
 _MAX_SLOWEST_DECAY: Final = 1.0
 """Largest (L w)^2 of the slowest cosine; beyond, the blocks span too few lengths of the dependence."""
+_MIN_EFFECTIVE: Final = 2
 _MIN_CONTRIBUTING: Final = 4
 """Smallest 3 B over the kurtosis of the influences: 3 for each block that has any, at most about B."""
 
@@ -102,6 +103,7 @@ def sampling_error(statistic: Statistic, blocks: Int64s, layout: BlockLayout) ->
         return SamplingError(value, 0.0, 0.0, len(counts) - 1, len(counts), math.nan, True)
     order, squared = _frequencies(layout.shape)
     power = len(counts) * _cosine_transform(influences.reshape(layout.shape)).reshape(-1)[order] ** 2
+    coarse_decay = _fit(power, squared)[1]  # of all cosines: less exact, and far less noisy
     variance, decay, used = _spectrum_at_zero(power, squared)
     bias = _bias(
         value_of, value, counts, layout.shape, order[:_BIAS_COSINES], decay * squared[:_BIAS_COSINES]
@@ -117,7 +119,9 @@ def sampling_error(statistic: Statistic, blocks: Int64s, layout: BlockLayout) ->
         _freedom(squared[:used]),
         effective,
         max(1.0, together ** (1 / layout.dimensions)) if per_sample > 0 else math.nan,
-        contributing >= _MIN_CONTRIBUTING and decay * squared[0] <= _MAX_SLOWEST_DECAY,
+        effective >= _MIN_EFFECTIVE
+        and contributing >= _MIN_CONTRIBUTING
+        and coarse_decay * squared[0] <= _MAX_SLOWEST_DECAY,
     )
 
 
