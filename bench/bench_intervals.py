@@ -79,7 +79,7 @@ def pairs(rng: np.random.Generator, length: float, volumes: int) -> Iterator[tup
 def quantities(s: FieldSymbols, t: FieldSymbols, rendered: FieldSymbols) -> dict[str, Quantity]:
     """Measure the four quantities of a field."""
     both = field_counts(s, t, ("voxel",))["voxel"]
-    counts = tuple(field_counts(f, overs=("voxel",))["voxel"] for f in (s, rendered))
+    counts = field_counts(s, overs=("voxel",))["voxel"], field_counts(rendered, overs=("voxel",))["voxel"]
     shared = shared_counts((s, rendered), (GRID, GRID), counts)
     ratio = None if shared is None else paired_ratio(shared, (GRID.voxel_count,) * 2, math.inf)
     per_frame = [entropy(c).times(GRID.voxel_count, "bit/frame") for c in counts]

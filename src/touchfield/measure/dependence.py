@@ -116,7 +116,7 @@ def sampling_error(statistic: Statistic, blocks: Int64s, layout: BlockLayout) ->
         value,
         math.sqrt(variance),
         bias,
-        _freedom(squared[:used]),
+        _freedom(squared[:used]) if decay > 0 else used,
         effective,
         max(1.0, together ** (1 / layout.dimensions)) if per_sample > 0 else math.nan,
         effective >= _MIN_EFFECTIVE
@@ -177,7 +177,7 @@ def _fit(power: Float64s, squared: Float64s) -> tuple[float, float]:
 
 
 def _freedom(squared: Float64s) -> float:
-    """Degrees of freedom of s, from the Fisher information of log s and d."""
+    """Degrees of freedom of s beside d > 0, from the Fisher information of log s and d."""
     columns = np.stack([np.ones_like(squared), squared])
     return float(1 / np.linalg.inv(columns @ columns.T)[0, 0])
 
