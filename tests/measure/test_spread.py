@@ -207,6 +207,13 @@ def test_interval_contains_an_estimate_beyond_its_bound(value: float, expected: 
     assert found is not None and (found.low, found.high) == pytest.approx(expected, abs=1e-2)
 
 
+def test_length_and_blocks_of_a_trend_stay_within_their_range() -> None:
+    counts = np.stack([np.arange(64) * 6 + 5, 400 - np.arange(64) * 6], axis=1)
+    found = sampling_error(fraction_of_ones, counts, BlockLayout((64,)))
+    assert not found.is_resolved and found.effective_blocks == 1
+    assert 1 <= found.correlation_length <= counts.sum()
+
+
 def test_what_does_not_vary_has_no_interval() -> None:
     found = spread(entropy_bits, np.full((10, 4), 25))
     assert found.interval is None and found.dependence is None and "no block differs" in found.notes[0]

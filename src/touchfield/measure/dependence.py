@@ -64,9 +64,9 @@ class SamplingError:
 
     `value`: the statistic of all samples. `error`: standard error, 0 if no block has any influence. `bias`:
     expected value minus truth. `freedom`: degrees of freedom of `error`. `effective_blocks`: number of
-    independent blocks with the same error, at most that of the blocks. `correlation_length`: side of the
-    cube (interval, square) of samples that counts as one independent sample, in samples, at least 1; NaN if
-    there is no error. `is_resolved`: whether the blocks span enough lengths of the dependence, and more than
+    independent blocks with the same error, from 1 to that of the blocks. `correlation_length`: side of the
+    cube (interval, square) of samples that counts as one independent sample, in samples, from 1 to the side
+    of all; NaN if there is no error. `is_resolved`: whether the blocks span enough lengths of the dependence, and more than
     one of them contributes.
     """
 
@@ -109,9 +109,10 @@ def sampling_error(statistic: Statistic, blocks: Int64s, layout: BlockLayout) ->
         value_of, value, counts, layout.shape, order[:_BIAS_COSINES], decay * squared[:_BIAS_COSINES]
     )
     contributing = 3 * float((influences**2).sum()) ** 2 / float((influences**4).sum())
-    effective = min(len(counts), float(power.mean()) / variance * len(counts), contributing)
+    effective = max(1.0, min(len(counts), float(power.mean()) / variance * len(counts), contributing))
     per_sample = _influence_variance(value_of, value, total)
-    together = float(total.sum()) * variance / per_sample / layout.frames if per_sample > 0 else math.nan
+    in_space = float(total.sum()) / layout.frames
+    together = min(1.0, variance / per_sample) * in_space if per_sample > 0 else math.nan
     return SamplingError(
         value,
         math.sqrt(variance),
