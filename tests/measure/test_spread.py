@@ -208,10 +208,11 @@ def test_interval_contains_an_estimate_beyond_its_bound(value: float, expected: 
 
 
 def test_length_and_blocks_of_a_trend_stay_within_their_range() -> None:
-    counts = np.stack([np.arange(64) * 6 + 5, 400 - np.arange(64) * 6], axis=1)
-    found = sampling_error(fraction_of_ones, counts, BlockLayout((64,)))
-    assert not found.is_resolved and found.effective_blocks == 1
-    assert 1 <= found.correlation_length <= counts.sum()
+    for blocks in (8, 16, 64):
+        counts = np.stack([np.arange(blocks) * 6 + 5, 400 - np.arange(blocks) * 6], axis=1)
+        found = sampling_error(fraction_of_ones, counts, BlockLayout((blocks,)))
+        assert 1 <= found.effective_blocks <= blocks / 4
+        assert blocks < found.correlation_length <= counts.sum()
 
 
 def test_what_does_not_vary_has_no_interval() -> None:

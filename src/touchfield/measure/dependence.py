@@ -66,8 +66,8 @@ class SamplingError:
     expected value minus truth. `freedom`: degrees of freedom of `error`. `effective_blocks`: number of
     independent blocks with the same error, from 1 to that of the blocks. `correlation_length`: side of the
     cube (interval, square) of samples that counts as one independent sample, in samples, from 1 to the side
-    of all; NaN if there is no error. `is_resolved`: whether the blocks span enough lengths of the dependence, and more than
-    one of them contributes.
+    of all; NaN if there is no error. `is_resolved`: whether the blocks span enough lengths of the dependence,
+    and more than one of them contributes.
     """
 
     value: float
@@ -122,7 +122,7 @@ def sampling_error(statistic: Statistic, blocks: Int64s, layout: BlockLayout) ->
         max(1.0, together ** (1 / layout.dimensions)) if per_sample > 0 else math.nan,
         effective >= _MIN_EFFECTIVE
         and contributing >= _MIN_CONTRIBUTING
-        and coarse_decay * squared[0] <= _MAX_SLOWEST_DECAY,
+        and coarse_decay * float(squared[0]) <= _MAX_SLOWEST_DECAY,
     )
 
 
