@@ -211,7 +211,7 @@ def test_length_and_blocks_of_a_trend_stay_within_their_range() -> None:
     for blocks in (8, 16, 64):
         counts = np.stack([np.arange(blocks) * 6 + 5, 400 - np.arange(blocks) * 6], axis=1)
         found = sampling_error(fraction_of_ones, counts, BlockLayout((blocks,)))
-        assert 1 <= found.effective_blocks <= blocks / 4
+        assert 1 <= found.effective_blocks <= blocks / 2
         assert blocks < found.correlation_length <= counts.sum()
 
 
