@@ -215,6 +215,15 @@ def test_length_and_blocks_of_a_trend_stay_within_their_range() -> None:
         assert blocks < found.correlation_length <= counts.sum()
 
 
+def test_influences_of_one_frequency() -> None:
+    """A spectrum of a single cosine, of any frequency, has an error or is refused."""
+    for frequency in range(1, 32):
+        wave = np.cos(np.pi * frequency * (np.arange(32) + 0.5) / 32)
+        ones = np.rint(5000 + 4000 * wave).astype(np.int64)
+        found = sampling_error(fraction_of_ones, np.stack([10_000 - ones, ones], axis=1), BlockLayout((32,)))
+        assert found.error > 0 and found.freedom > 0 and math.isfinite(found.bias)
+
+
 def test_what_does_not_vary_has_no_interval() -> None:
     found = spread(entropy_bits, np.full((10, 4), 25))
     assert found.interval is None and found.dependence is None and "no block differs" in found.notes[0]

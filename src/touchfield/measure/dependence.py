@@ -82,7 +82,7 @@ class SamplingError:
 def sampling_error(statistic: Statistic, blocks: Int64s, layout: BlockLayout) -> SamplingError:
     """Return the error of a statistic of counts; see the module.
 
-    `statistic`: finite for all counts between half and twice the given ones. `blocks` int64 [B, *cells]: the
+    `statistic`: finite for all counts between 0.15 and 1.85 times the given ones. `blocks` int64 [B, *cells]: the
     counts of each block, with the order of `layout`, 8 or more. The statistic is evaluated about B + 600
     times. InvalidArgument if it is not finite.
     """
@@ -154,7 +154,7 @@ def _spectrum_at_zero(power: Float64s, squared: Float64s) -> tuple[float, float,
     while True:
         s, decay = _fit(power[:used], squared[:used])
         fewer = max(fewest, int((decay * squared <= _MAX_DECAY**2).sum()))
-        if fewer >= used:
+        if fewer >= used or not power[:fewer].any():
             return s, decay, used
         used = fewer
 
