@@ -82,8 +82,8 @@ class SamplingError:
 def sampling_error(statistic: Statistic, blocks: Int64s, layout: BlockLayout) -> SamplingError:
     """Return the error of a statistic of counts; see the module.
 
-    `statistic`: finite for all counts between 0.15 and 1.85 times the given ones. `blocks` int64 [B, *cells]: the
-    counts of each block, with the order of `layout`, 8 or more. The statistic is evaluated about B + 600
+    `statistic`: finite for all counts between 0.15 and 1.85 times the given ones. `blocks` int64 [B, *cells]:
+    the counts of each block, with the order of `layout`, 8 or more. The statistic is evaluated about B + 600
     times. InvalidArgument if it is not finite.
     """
     counts = blocks.reshape(len(blocks), -1).astype(np.float64, order="C")  # one order of summation
@@ -162,11 +162,13 @@ def _spectrum_at_zero(power: Float64s, squared: Float64s) -> tuple[float, float,
 def _fit(power: Float64s, squared: Float64s) -> tuple[float, float]:
     """Maximise Whittle's likelihood of power = s exp(-d w^2) chi^2_1 over s and d >= 0."""
 
-    def slope(decay: float) -> float:
-        weights = power * np.exp(decay * (squared - squared[-1]))
-        return float((weights * squared).sum() / weights.sum() - squared.mean())
+    positive, at = power[power > 0], squared[power > 0]
 
-    low, high, limit = 0.0, 1.0, 700 / squared[-1]  # beyond the limit, weights are zero
+    def slope(decay: float) -> float:
+        weights = positive * np.exp(decay * (at - at[-1]))
+        return float((weights * at).sum() / weights.sum() - squared.mean())
+
+    low, high, limit = 0.0, 1.0, 300 / squared[-1]  # the exponential remains finite
     if slope(0.0) >= 0:
         return float(power.mean()), 0.0
     while slope(high) < 0 and high < limit:
