@@ -233,7 +233,7 @@ def _capacities(m: Measurement) -> list[Row]:
     rows = []
     for name, c in m.capacities.items():
         # no interval where that of H(M(W)) is unknown: it would speak of H(W) alone, and be too narrow
-        unknown = c.rendered.interval is None and c.wmr.dependence is None
+        unknown = c.rendered.interval is None
         available = f"of the {c.codomain_bits:,.0f} that the stimulus could carry"
         for quantity, label, meaning in (
             (c.capacity, name, available),

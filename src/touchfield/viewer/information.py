@@ -91,7 +91,7 @@ def _draw_devices(panel: Any, capacities: Mapping[str, Capacity]) -> None:
         panel.barh(low, 1.0, color=_LOST, height=0.36)
         panel.barh(low, wmr, color=_RENDERED, height=0.36)
         i = c.wmr.interval
-        if i is not None and (c.rendered.interval is not None or c.wmr.dependence is not None):
+        if i is not None and c.rendered.interval is not None:
             panel.plot([i.low, i.high], [low, low], color="black", lw=1.6, solid_capstyle="butt", marker="|",
                        clip_on=False)  # fmt: skip
         text = (
