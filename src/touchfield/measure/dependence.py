@@ -117,7 +117,7 @@ def sampling_error(statistic: Statistic, blocks: Int64s, layout: BlockLayout) ->
         value,
         math.sqrt(variance),
         bias,
-        _freedom(squared[:used]) if decay > 0 else used,
+        _freedom(squared[:used]) if coarse_decay > 0 else used,
         effective,
         max(1.0, together ** (1 / layout.dimensions)) if per_sample > 0 else math.nan,
         effective >= _MIN_EFFECTIVE
