@@ -9,12 +9,13 @@ dependence is less well known.
 source          n    B coverage
 =========== ===== ==== ========
 Markov       4096    8    100 %
-the same     4096   16     98 %
-the same     4096   64     97 %
+the same     4096   16     96 %
+the same     4096   64     96 %
 AR(1)        1024   32     99 %
-the same     4096   16     99 %
+the same     4096   16     98 %
 the same     4096   64     98 %
-independent  1000   16     99 %
+independent  1000    8     98 %
+the same     1000   16     98 %
 the same     4096   64     98 %
 =========== ===== ==== ========
 
