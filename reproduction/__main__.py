@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from reproduction.experiment import Experiment, Inputs, experiment, experiments
+from reproduction.origin import origin
 from reproduction.page import Made, command, plain, write_finding, write_page
 from reproduction.scenes import user_inputs
 from touchfield.cli.main import Json, run
@@ -60,11 +62,12 @@ def run_reproduction(
     chosen = experiments() if is_all else tuple(dict.fromkeys(experiment(name) for name in names))
     _check_folders(out, depth)
     user_inputs(tuple(depth))  # a folder at fault is told before the work
-    made = [_made(one, out, tuple(depth), quick) for one in chosen]
+    source = origin(depth)
+    made = [_made(one, Inputs(out, tuple(depth), quick=quick), source) for one in chosen]
     failed = [one for one in made if one.error is not None]
     if len(failed) == len(made) and failed[0].error is not None:
         raise failed[0].error
-    page = write_page(out, made, command([ALL], depth, quick)) if is_all else None
+    page = write_page(out, made, command([ALL], depth, quick), source) if is_all else None
     _say(made, out, page, as_json)
     for one in failed:
         if one.error is not None:
@@ -88,14 +91,15 @@ def _check_folders(out: Path, depth: Sequence[Path]) -> None:
         ) from None
 
 
-def _made(one: Experiment, out: Path, depth: tuple[Path, ...], quick: bool) -> Made:
+def _made(one: Experiment, inputs: Inputs, source: dict[str, Any]) -> Made:
     with progress(one.name, "step") as report:
         try:
-            finding = one.run(Inputs(out, depth, report, quick))
+            finding = one.run(replace(inputs, report=report))
         except TouchfieldError as error:
             return Made(one, error=error)
     # a page is the same whatever was asked for beside it
-    write_finding(out, one, finding, command([one.name], depth, quick))
+    made_by = command([one.name], inputs.depth, inputs.quick)
+    write_finding(inputs.folder, one, finding, made_by, source)
     return Made(one, finding)
 
 

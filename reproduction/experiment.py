@@ -37,6 +37,7 @@ from touchfield.errors import InvalidArgument, MissingExtra
 
 __all__ = [
     "MODULES",
+    "SEEDS",
     "Experiment",
     "Finding",
     "Inputs",
@@ -58,6 +59,9 @@ MODULES = (
     "figure_9",
 )
 """In the order of the page; ``table_1`` is called table1 on the command line."""
+
+SEEDS = {"lattice_starts": 0, "sensor_noise": 0, "directions": 8}
+"""The seed of everything that is drawn at random."""
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from reproduction.experiment import Experiment, Finding, Inputs, markdown_table, require_drawing
+from reproduction.experiment import SEEDS, Experiment, Finding, Inputs, markdown_table, require_drawing
 from reproduction.polyhedron_picture import Shell, draw_shells, face_angles_deg
 from touchfield.codec.paper.directions import Codebook
 from touchfield.viewer.page import titled_figure, write_png
@@ -84,7 +84,7 @@ def run(inputs: Inputs) -> Finding:
 
 def mean_square_chord_db(codebook: Codebook, draws: int) -> float:
     """10 log10 of the mean squared distance of random unit vectors to their vertices; seeded."""
-    vectors = np.random.default_rng(8).standard_normal((draws, 3))
+    vectors = np.random.default_rng(SEEDS["directions"]).standard_normal((draws, 3))
     unit = (vectors / np.linalg.norm(vectors, axis=1, keepdims=True)).astype(np.float32)
     chord = unit - codebook.vertices[codebook.nearest(unit)]
     return float(10 * np.log10((chord * chord).sum(axis=1).mean()))

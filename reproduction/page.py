@@ -1,7 +1,7 @@
 """Writes the results of experiments as files: NAME.md and NAME.json for each, and one page for all of them.
 
-A page names the command that makes it again and the versions that made it, and nothing of the machine, so
-that two machines give the same page. Every file is there whole or not at all.
+A page names the command that makes it again, the versions, hashes and seeds that made it, and nothing of the
+machine, so that two machines give the same page. Every file is there whole or not at all.
 """
 
 from __future__ import annotations
@@ -63,7 +63,9 @@ def versions() -> dict[str, str]:
     return found
 
 
-def write_finding(folder: Path, experiment: Experiment, finding: Finding, made_by: str) -> Path:
+def write_finding(
+    folder: Path, experiment: Experiment, finding: Finding, made_by: str, source: Mapping[str, Any]
+) -> Path:
     """Write NAME.md and NAME.json; the path of the page.
 
     Parameters
@@ -72,14 +74,17 @@ def write_finding(folder: Path, experiment: Experiment, finding: Finding, made_b
         Where its pictures are already.
     made_by : str
         As `command` gives it.
+    source : dict
+        As `reproduction.origin.origin` gives it.
     """
     page = folder / f"{experiment.name}.md"
-    _write(page, f"# {experiment.title}\n\n{_made_by(made_by)}\n{finding.markdown.rstrip()}\n")
+    _write(page, f"# {experiment.title}\n\n{_made_by(made_by, source)}\n{finding.markdown.rstrip()}\n")
     told = {
         "name": experiment.name,
         "title": experiment.title,
         "command": made_by,
         "versions": versions(),
+        "origin": plain(source),
         "pictures": [picture.name for picture in finding.pictures],
         "data": plain(finding.data),
     }
@@ -87,12 +92,12 @@ def write_finding(folder: Path, experiment: Experiment, finding: Finding, made_b
     return page
 
 
-def write_page(folder: Path, made: Sequence[Made], made_by: str) -> Path:
+def write_page(folder: Path, made: Sequence[Made], made_by: str, source: Mapping[str, Any]) -> Path:
     """Write the page of all experiments; what could not be made is told where it would stand."""
     lines = [
         "# The paper's tables and figures, made again\n",
         _INTRODUCTION,
-        _made_by(made_by),
+        _made_by(made_by, source),
         "## Contents\n",
     ]
     for one in made:
@@ -127,9 +132,11 @@ def plain(value: Any) -> Any:
     return value
 
 
-def _made_by(made_by: str) -> str:
+def _made_by(made_by: str, source: Mapping[str, Any]) -> str:
     with_versions = ", ".join(f"{name} {number}" for name, number in versions().items())
-    return f"Made by `{made_by}` with {with_versions}.\n"
+    hashes = [f"code {source['code']}", *(f"{name} {value}" for name, value in source["inputs"].items())]
+    seeds = ", ".join(f"{name} {value}" for name, value in source["seeds"].items())
+    return f"Made by `{made_by}` with {with_versions}. Hashes: {', '.join(hashes)}. Seeds: {seeds}.\n"
 
 
 def _write(path: Path, text: str) -> None:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from reproduction.experiment import SEEDS
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.sources.camera import DepthSequence
 from touchfield.sources.options import SourceOptions
@@ -168,7 +169,11 @@ class NoisyPair(DepthSequence):
         if frame == 0 or not self.noise_per_m:
             return depth
         known = depth > 0
-        noise = np.random.default_rng(0).standard_normal(depth.shape) * self.noise_per_m * np.sqrt(2)
+        noise = (
+            np.random.default_rng(SEEDS["sensor_noise"]).standard_normal(depth.shape)
+            * self.noise_per_m
+            * np.sqrt(2)
+        )
         inverse = np.divide(1.0, depth, out=np.ones(depth.shape), where=known) + noise
         shown: Float32s = np.where(known & (inverse > 0), 1 / np.maximum(inverse, 1e-9), 0).astype(np.float32)
         return shown

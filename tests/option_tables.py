@@ -9,6 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from touchfield.cli.citations import cited_commands, sources_of
+
 MISSING: Final = "<missing>"
 CALLED: Final = "<called>"
 STUB: Final = "<stub>"
@@ -470,4 +472,6 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
 }
 
 for _command in set(ARGUMENTS) - {"serve", "warmup"}:
+    if _command in cited_commands():
+        EXPECTED[_command]["cite"] = case(None, "show.sources", sources_of(_command))
     EXPECTED[_command]["json"] = case(None, "run_demo.as_json", True) if _command == "demo" else _JSON

@@ -37,15 +37,16 @@ print(f"{found.supported_voxels:,} of {found.voxels:,} voxels hold a force; Q ha
 # ## The table
 #
 # Everything is in bits *per frame*: bits per sample would say nothing, because each device has other samples.
-# The range behind each ratio comes from a block bootstrap, since neighbouring voxels are anything but
-# independent. "Could be told" is the literal reading of equation 1, $\log_2$ of the number of states of the
-# device.
+# The range behind each ratio allows for the dependence of neighbouring voxels. A ratio that is 1 whatever the
+# scene has none. "Could be told" is the literal reading of equation 1, $\log_2$ of the number of states of
+# the device.
 print(f"{'device':15s} {'could be told':>14s} {'C':>10s} {'WMR':>9s}  {'95 % ranges, both':>20s} {'HIL':>8s}")
 for name, c in found.capacities.items():
     i = c.wmr.interval
+    ends = "none" if i is None else f"{i.low:.2e} - {i.high:.2e}"
     print(
         f"{name:15s} {c.codomain_bits:14,.0f} {c.capacity.value:10,.0f} {c.wmr.value:9.2e}  "
-        f"{i.low:9.2e} - {i.high:8.2e} {c.hil.value:8.5f}"
+        f"{ends:>20s} {c.hil.value:8.5f}"
     )
 
 # %%
@@ -57,12 +58,13 @@ for name, c in found.capacities.items():
 # samples of the same field do not count as more information. An array keeps one number for each actuator, and
 # loses depth and direction.
 kept = np.array([c.wmr.value for c in found.capacities.values()])
-ends = np.array([[c.wmr.interval.low, c.wmr.interval.high] for c in found.capacities.values()])
+ranges = {y: c.wmr.interval for y, c in enumerate(found.capacities.values()) if c.wmr.interval is not None}
 lost = np.array([c.hil.value for c in found.capacities.values()])
 place = np.arange(len(DEVICES))
 figure, (left, right) = plt.subplots(1, 2, figsize=(12, 4), sharey=True, layout="constrained")
 left.hlines(place, 1e-6, 1, color="0.9")
-left.hlines(place, ends[:, 0], ends[:, 1], color="#0072b2", lw=6, alpha=0.3)
+for y, i in ranges.items():
+    left.hlines(y, i.low, i.high, color="#0072b2", lw=6, alpha=0.3)
 left.plot(kept, place, "o", color="#0072b2", ms=8)
 for y, value in zip(place, kept, strict=True):
     left.annotate(f"{value:.2g}", (value, y), (0, 9), textcoords="offset points", ha="center", fontsize=9)

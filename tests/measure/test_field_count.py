@@ -50,7 +50,7 @@ def test_one_count_gives_every_entropy(alphabet: int, full: bool, interval: bool
         for estimator in ("plug-in", "miller-madow"):
             separate = field_entropy(frames, over, estimator=estimator, interval=interval)
             assert entropy(counts[over], estimator=estimator) == separate
-            assert (separate.interval is not None) == interval
+            assert (separate.dependence is not None) == interval
         plain = field_entropy(frames, over, interval=False)
         assert entropy(counts[over], interval=False) == plain
 

@@ -106,15 +106,14 @@ def test_stationary_trace_has_no_entropy() -> None:
 def test_interval_uses_blocks_of_time() -> None:
     symbols = symbols_of(3)
     together = interaction_entropy(walk(4000), symbols, blocks=16)
-    spread = together.interval
-    assert spread is not None and spread.low <= together.value <= spread.high
-    assert interaction_entropy(walk(4000), symbols, blocks=16) == together  # seeded
+    assert together == interaction_entropy(walk(4000), symbols, blocks=16)
+    assert together.dependence is not None
     shuffled = np.random.default_rng(0).permutation(walk(4000).positions_m)
     shuffled_entropy = interaction_entropy(Trace.regular(shuffled), symbols, blocks=16)
     assert shuffled_entropy.value == pytest.approx(together.value, abs=1e-12)
-    assert shuffled_entropy.interval is not None
-    # the interval accounts for dependence
-    assert spread.high - spread.low > 3 * (shuffled_entropy.interval.high - shuffled_entropy.interval.low)
+    assert shuffled_entropy.interval is not None and shuffled_entropy.dependence is not None
+    assert shuffled_entropy.dependence.correlation_length < 3
+    assert together.dependence.correlation_length > 9 * shuffled_entropy.dependence.correlation_length
 
 
 @pytest.mark.parametrize("estimator", ["plug-in", "miller-madow", "chao-wang-jost"])
@@ -123,10 +122,9 @@ def test_interval_is_limited_by_the_alphabet(estimator: str) -> None:
     symbols = FieldSymbols.from_dense(GRID, rng.integers(0, 2, GRID.shape), 2, "given")
     found = interaction_entropy(walk(1000), symbols, blocks=8, estimator=estimator).interval
     assert found is not None and 0 <= found.low < found.high <= 1
-    assert ("basic" in found.method) == (estimator == "plug-in")
     rare = Trace.regular(np.concatenate([np.tile(GRID.to_m([2, 3, 4]), (990, 1)), walk(10).positions_m]))
     seldom = interaction_entropy(rare, symbols, estimator=estimator).interval
-    assert seldom is not None and 0 <= seldom.low < seldom.high
+    assert seldom is None or 0 <= seldom.low < seldom.high
 
 
 def test_short_trace_has_no_interval_and_a_note() -> None:
@@ -403,7 +401,8 @@ def test_recorded_hand_meets_more_entropy_than_all_voxels(shared_data: Path, tmp
     assert 0 < mu.outside < 0.3 * len(hand) and met.samples == len(hand) - mu.outside
     weight = np.bincount(symbols.symbols_at(mu.indices), weights=mu.counts)
     assert met.value == pytest.approx(stats.entropy(weight, base=2), abs=1e-12)
-    assert met.interval is not None and met.interval.low < met.value < met.interval.high
+    assert met.interval is None or met.interval.low < met.value < met.interval.high
+    assert met.dependence is not None and met.dependence.correlation_length > 100
     everywhere = stats.entropy(np.bincount(symbols.to_dense().ravel()), base=2)
     assert met.value > everywhere + 0.5  # a hand stays where forces vary
 

@@ -1,4 +1,4 @@
-"""The paired bootstrap of a ratio: a slow reference, coverage for enumerated truth, and undefined ratios."""
+"""The paired interval of a ratio: coverage for enumerated truth, and undefined ratios."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.measure.capacity import capacity, paired_ratio
 from touchfield.measure.counts import Counts
 from touchfield.measure.estimators import binary_entropy_bits, entropy_bits
-from touchfield.measure.quantity import Interval, Quantity, interval
+from touchfield.measure.quantity import Interval, Quantity, Spread, spread
 
 Ints = NDArray[np.int64]
 
@@ -51,19 +51,20 @@ def both(blocks: tuple[Ints, Ints]) -> tuple[Counts, Counts]:
     return first, second
 
 
-def test_paired_interval_agrees_with_one_resample_at_a_time() -> None:
+def test_paired_interval_is_that_of_both_tables() -> None:
     w = levels(np.random.default_rng(1), 960)
     rendered_counts, reference_counts = counts_in_blocks(w[::2] // 8, 12), counts_in_blocks(w, 12)
     found = paired_ratio(both((reference_counts, rendered_counts)), (1, 1), math.inf)
-    drawn = np.random.default_rng(0).multinomial(12, [1 / 12] * 12, size=200)
-    values = np.array([entropy_bits(t @ rendered_counts) / entropy_bits(t @ reference_counts) for t in drawn])
-    low, high = np.quantile(values, [0.025, 0.975])
-    reach = math.sqrt(12 / 11) * stats.t.ppf(0.975, 11) / stats.norm.ppf(0.975)
-    estimate = entropy_bits(rendered_counts.sum(0)) / entropy_bits(reference_counts.sum(0))
-    middle = 2 * estimate - values.mean()
-    expected = min(middle - reach * (high - values.mean()), estimate), middle + reach * (values.mean() - low)
-    assert found is not None and (found.low, found.high) == pytest.approx(expected, abs=1e-12)
-    assert found.method == "paired block bootstrap (basic), 12 blocks, 200 resamples" and found.level == 0.95
+    expected = spread(
+        lambda c: entropy_bits(c[64:]) / entropy_bits(c[:64]),
+        np.concatenate([reference_counts, rendered_counts], axis=1),
+    )
+    assert found is not None and found.interval is not None and expected.interval is not None
+    assert (found.interval.low, found.interval.high) == pytest.approx(
+        (expected.interval.low, expected.interval.high), rel=1e-9
+    )
+    assert found.interval.method.startswith("paired, spectrum of 12 blocks") and found.interval.level == 0.95
+    assert found.dependence is not None and math.isnan(found.dependence.correlation_length)
 
 
 @pytest.mark.parametrize(
@@ -99,45 +100,50 @@ def test_coverage_where_the_truth_is_enumerated(
         w = source(rng, n)
         counts = counts_in_blocks(w, blocks), counts_in_blocks(mapping(w), blocks)
         found = paired_ratio(both(counts), (n, n // fewer), math.inf)
-        assert found is not None
-        covered += found.low <= truth <= found.high
+        assert found is not None and found.interval is not None
+        covered += found.interval.low <= truth <= found.interval.high
         if draw % 8:
             continue
-        widths.append(found.high - found.low)
-        h, c = (interval(entropy_bits, k, 50) for k in counts)
+        widths.append(found.interval.high - found.interval.low)
+        h, c = (spread(entropy_bits, k).interval for k in counts)
+        assert h is not None and c is not None
         corners.append(c.high / h.low / fewer - c.low / h.high / fewer)
     assert 68 <= covered <= 80  # 95 %: fewer than 68 of 80 have probability 10^-4
     assert np.mean(widths) < 0.4 * np.mean(corners)
 
 
-def test_relabelling_has_ratio_one_without_width() -> None:
+def test_relabelling_has_ratio_one_and_no_interval() -> None:
     w = levels(np.random.default_rng(4), 2048)
     counts = counts_in_blocks(w, 16), counts_in_blocks(63 - w, 16)
     found = paired_ratio(both(counts), (2048, 2048), math.inf)
-    assert found is not None and (found.low, found.high) == pytest.approx((1, 1), abs=1e-12)
+    assert found is not None and found.interval is None and "no block differs" in found.notes[0]
+    q = frame_bits(10.0)
+    wmr = capacity(q, q, 20.0, ratio=found).wmr
+    assert wmr.value == 1 and wmr.interval is None and "no interval" in wmr.notes[-1]
 
 
 def test_paired_interval_of_other_estimators() -> None:
     w = levels(np.random.default_rng(5), 2048)
     counts = counts_in_blocks(w, 16), counts_in_blocks(w // 8, 16)
     corrected = paired_ratio(both(counts), (2048, 2048), math.inf, "miller-madow")
-    assert corrected is not None and "normal" in corrected.method
+    assert corrected is not None and corrected.interval is not None
     limited = paired_ratio(both(counts), (2048, 2048), 100.0)
-    assert limited is not None and limited.high < 100 / 2048  # limited by the capacity of the device
+    assert limited is not None and limited.interval is not None
+    assert limited.interval.high < 100 / 2048  # limited by the capacity of the device
 
 
 def test_without_variation_there_is_no_ratio() -> None:
-    """Only one of 12 blocks varies; a third of the resamples omit it."""
     counts = np.zeros((12, 64), np.int64)
     counts[:, 0], counts[5, :2] = 10, (5, 5)
-    assert paired_ratio(both((counts, counts)), (1, 1), math.inf) is None
+    one_block = paired_ratio(both((counts, counts // 5)), (1, 1), math.inf)
+    assert one_block is not None and one_block.interval is None
     counts[5, 1] = 0
     assert paired_ratio(both((counts, counts)), (1, 1), math.inf) is None
 
 
 def test_too_few_blocks() -> None:
     few = np.ones((7, 64), np.int64)
-    with pytest.raises(InvalidArgument, match="7 blocks with a sample; expected at least 8"):
+    with pytest.raises(InvalidArgument, match="7 blocks; expected at least 8"):
         paired_ratio(both((few, few)), (1, 1), math.inf)
 
 
@@ -151,7 +157,9 @@ def frame_bits(value: float) -> Quantity:
 
 
 def test_wmr_has_the_interval_of_the_pair_and_hil_its_mirror_image() -> None:
-    found = capacity(frame_bits(10.0), frame_bits(6.0), 20.0, ratio=Interval(0.55, 0.7, 0.95, "paired"))
+    found = capacity(
+        frame_bits(10.0), frame_bits(6.0), 20.0, ratio=Spread(Interval(0.55, 0.7, 0.95, "paired"), None)
+    )
     assert found.wmr.interval == Interval(0.55, 0.7, 0.95, "paired")
     assert found.hil.interval is not None
     assert (found.hil.interval.low, found.hil.interval.high) == pytest.approx((0.3, 0.45))
@@ -160,12 +168,19 @@ def test_wmr_has_the_interval_of_the_pair_and_hil_its_mirror_image() -> None:
     assert separate.wmr.interval is not None and separate.wmr.interval.high == 1
 
 
-@pytest.mark.parametrize(
-    ("limits", "expected"), [((0.9, 1.2), (0.9, 1.0)), ((1.05, 1.2), (1.0, 1.0)), ((0.5, 0.8), (0.5, 1.0))]
-)
+@pytest.mark.parametrize(("limits", "expected"), [((0.9, 1.2), (0.9, 1.0)), ((0.5, 0.8), (0.5, 1.0))])
 def test_interval_is_limited_to_one_and_contains_the_estimate(
     limits: tuple[float, float], expected: tuple[float, float]
 ) -> None:
-    found = capacity(frame_bits(10.0), frame_bits(11.0), 20.0, ratio=Interval(*limits, 0.95, "paired"))
+    found = capacity(
+        frame_bits(10.0), frame_bits(11.0), 20.0, ratio=Spread(Interval(*limits, 0.95, "paired"), None)
+    )
     i = found.wmr.interval
     assert found.wmr.value == 1 and i is not None and (i.low, i.high) == expected
+
+
+def test_interval_beyond_one_is_none() -> None:
+    above = Spread(Interval(1.05, 1.2, 0.95, "paired"), None)
+    found = capacity(frame_bits(10.0), frame_bits(11.0), 20.0, ratio=above)
+    assert found.wmr.value == 1 and found.wmr.interval is None and found.hil.interval is None
+    assert "no interval: WMR is 1" in found.notes[-1]

@@ -12,7 +12,7 @@ import pytest
 
 import touchfield as tf
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.measure import Interval, Quantity, capacity
+from touchfield.measure import Interval, Quantity, Spread, capacity
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.pipeline import encode, prepare
 from touchfield.pipeline.spec import EncodeSpec
@@ -139,7 +139,8 @@ def test_bars_and_devices_are_drawn_with_their_numbers(drawn: Drawn) -> None:
     figures = drawn(information)
     bars = [Bar("raw", 96.0), Bar("H(S)", 2.5, (2.0, 3.25)), Bar("this file", 4.75, is_actual=True)]
     bits = Quantity("H", 1000.0, "bit/frame").of(interval=Interval(900.0, 1100.0, 0.95, "x"))
-    of_device = capacity(bits, bits.of(value=250.0), 400.0, ratio=Interval(0.2, 0.3, 0.95, "paired"))
+    ratio = Spread(Interval(0.2, 0.3, 0.95, "paired"), None)
+    of_device = capacity(bits, bits.of(value=250.0), 400.0, ratio=ratio)
     nothing = Quantity("H", 0.0, "bit/frame")
     devices = {"one": of_device, "two": capacity(nothing, nothing, 400.0)}
     draw_information(Path("x.png"), "the title", "the unit", bars, devices)

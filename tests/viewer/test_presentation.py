@@ -19,7 +19,7 @@ from touchfield.cli.main import _exit_code
 from touchfield.cli.output import Answer, show_rows
 from touchfield.cli.view import show_measurement
 from touchfield.devices import devices
-from touchfield.measure import Interval, Quantity, capacity
+from touchfield.measure import Interval, Quantity, Spread, capacity
 from touchfield.medium import ForceField, Grid
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.render.block import COLUMNS
@@ -72,7 +72,7 @@ def test_bits_of_nothing_and_full_devices_are_drawn(tmp_path: Path) -> None:
     bars = [Bar("raw", 96.0), Bar("none", 0.0, (0.0, 1.0)), Bar("-0", -0.0), Bar("too low", -0.2)]
     full, none = (Quantity("H", bits, "bit/frame") for bits in (1e5, 0.0))
     devices = {
-        "all": capacity(full, full, 1e6, ratio=Interval(0.9, 1.0, 0.95, "paired")),
+        "all": capacity(full, full, 1e6, ratio=Spread(Interval(0.9, 1.0, 0.95, "paired"), None)),
         "none": capacity(none, none, 1e6),
     }
     draw_information(tmp_path / "x.png", "x", "bit", bars, devices)

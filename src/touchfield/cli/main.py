@@ -24,6 +24,7 @@ from typing import Annotated, Any, Final
 import typer
 
 from touchfield._version import __version__
+from touchfield.cli.citations import sources_of
 from touchfield.errors import InvalidArgument, TouchfieldError, UnboundedError, printable
 from touchfield.sources.samples import SAMPLES
 
@@ -37,6 +38,7 @@ Options = dict[str, Any]
 Json = Annotated[
     bool, typer.Option("--json", help="Print one machine-readable object; an error, too, as one.")
 ]
+Cite = Annotated[bool, typer.Option("--cite", help="Add the sources behind the figures, to be cited.")]
 Source = Annotated[str, typer.Argument(help=f"File or folder, or {_SAMPLES}.")]
 Stream = Annotated[str, typer.Argument(help="A .touch file, or the address of one: https://...")]
 
@@ -46,7 +48,8 @@ def command(panel: str, *examples: str, name: str | None = None) -> Callable[[Ca
 
     A parameter ``Annotated[TYPE, "help text"]`` becomes an argument or, with a default, an option of the same
     name. The parameter `options` receives the values of `touchfield.cli.options.with_options`. A command
-    that returns an `Answer` also gets ``--json``, and its answer is printed.
+    that returns an `Answer` also gets ``--json``, and ``--cite`` if its figures have sources; its answer is
+    printed.
     """
     epilog = (
         "\n\n".join(["Examples:", *(f"touchfield {example}" for example in examples)]) if examples else None
@@ -59,10 +62,14 @@ def command(panel: str, *examples: str, name: str | None = None) -> Callable[[Ca
         command_parameters = [_described(p) for p in signature.parameters.values() if p.name != "options"]
         if has_answer:
             command_parameters.append(inspect.Parameter("as_json", BY_NAME, default=False, annotation=Json))
+        sources = sources_of(name or function.__name__) if has_answer else ()
+        if sources:
+            command_parameters.append(inspect.Parameter("is_cited", BY_NAME, default=False, annotation=Cite))
         command_parameters.append(inspect.Parameter("context", BY_NAME, annotation=typer.Context))
 
         def call(context: typer.Context, **arguments: Any) -> None:
             as_json = arguments.pop("as_json") if has_answer else False
+            is_cited = arguments.pop("is_cited", False)
             if options:  # options of the command line first, then the defaults
                 arguments["options"] = {
                     key.rstrip("_"): arguments.pop(key) for key in context.params if key in names
@@ -76,7 +83,7 @@ def command(panel: str, *examples: str, name: str | None = None) -> Callable[[Ca
                     raise
                 raise InvalidArgument(typed[error.where], error.found, error.expected, error.hint) from error
             if answer is not None:
-                answer.show(as_json, warning_texts)
+                answer.show(as_json, warning_texts, sources if is_cited else ())
 
         command_function: Any = wraps(function)(call)
         command_function.__signature__ = inspect.Signature([*command_parameters, *options])

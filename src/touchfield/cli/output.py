@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import typer
 
+from touchfield._version import __version__
 from touchfield.errors import InvalidArgument, printable
 from touchfield.files import refuse_overwriting
 from touchfield.viewer.page import require_matplotlib
@@ -83,13 +84,24 @@ class Answer:
     tables: Mapping[str, str] = field(default_factory=dict)
     print_text: Callable[[], None] | None = None
 
-    def show(self, as_json: bool = False, warnings: Sequence[str] = ()) -> None:
-        """Print it as one JSON object with `warnings`, if any, or as text, after warnings were printed."""
+    def show(self, as_json: bool = False, warnings: Sequence[str] = (), sources: Sequence[str] = ()) -> None:
+        """Print it as one JSON object with `warnings`, if any, or as text, after warnings were printed.
+
+        The object has the version of touchfield under the key "touchfield". `sources`, if any, are those
+        behind the figures.
+        """
         if as_json:
-            warned = {"warnings": list(warnings)} if warnings else {}
-            answer = _unsigned_zeros({**self.values, "notes": list(self.notes), **warned})
-            sys.stdout.write(json.dumps(answer, default=_plain, allow_nan=False) + "\n")
-        elif self.print_text is not None:
+            added = {"warnings": list(warnings), "sources": list(sources)}
+            added = {key: texts for key, texts in added.items() if texts}
+            answer = {**self.values, "touchfield": __version__, "notes": list(self.notes), **added}
+            sys.stdout.write(json.dumps(_unsigned_zeros(answer), default=_plain, allow_nan=False) + "\n")
+            return
+        self._print()
+        for source in sources:
+            literal_console().print(f"source: {source}", soft_wrap=True)
+
+    def _print(self) -> None:
+        if self.print_text is not None:
             self.print_text()
         else:
             literal_console().print(self.title, style="bold", soft_wrap=True)

@@ -108,7 +108,7 @@ def _free_name(source: str, stream: str) -> Path:
     return usual if is_free else usual.with_suffix(".compare.png")
 
 
-@command("Study", "measure room.touch", "measure scan.ply --device phantom-omni --device tshirt-32x32")
+@command("Study", "measure room.touch", "measure scan.ply --device phantom-omni --density 5")
 @with_options(rows_of(MeasureSpec), tuple(row for row in SCENE if row.name != "device"))
 def measure(
     options: Options,
@@ -166,6 +166,13 @@ def show_measurement(m: Measurement, notes: tuple[str, ...]) -> None:
     if interval is not None:
         literal_console().print(
             f"intervals ({interval.level:.0%}) speak of {interval.population}", soft_wrap=True
+        )
+    dependence = m.entropy.dependence
+    if dependence is not None:
+        literal_console().print(
+            f"samples of {m.entropy.name} are dependent over {dependence.correlation_length:.3g} samples: "
+            f"{dependence.blocks} blocks count as {dependence.effective_blocks:.3g} independent ones",
+            soft_wrap=True,
         )
     show_notes(_notes(m, notes))
 

@@ -14,7 +14,8 @@ of a collection        `descriptor`, `MediumIndex`
 of a picture           `contact_along_rays`, `picture_correlation`
 =====================  ================================================================================
 
-A measured result is a `Quantity`: its unit, quantiser, weighting, estimator and interval travel with it.
+A measured result is a `Quantity`: its unit, quantiser, weighting, estimator, interval and the
+dependence of its samples travel with it.
 """
 
 from touchfield.measure.capacity import Capacity, capacity, codomain_bits
@@ -35,7 +36,7 @@ from touchfield.measure.information import (
 from touchfield.measure.interaction import interaction_counts, interaction_entropy, visits
 from touchfield.measure.limits import CodingLimits, coding_limits
 from touchfield.measure.passivity import Passivity, loop_work_j, passivity
-from touchfield.measure.quantity import FewSamplesWarning, Interval, Quantity, interval
+from touchfield.measure.quantity import Dependence, FewSamplesWarning, Interval, Quantity, Spread, spread
 from touchfield.measure.retrieval import MediumIndex
 from touchfield.measure.similarity import (
     Contact,
@@ -49,11 +50,12 @@ from touchfield.measure.similarity import (
 from touchfield.medium.trace import Trace, read_trace
 
 __all__ = [
-    "ESTIMATORS", "Capacity", "CodingLimits", "Contact", "Correlation", "Counts", "Descriptor",
+    "ESTIMATORS", "Capacity", "CodingLimits", "Contact", "Correlation", "Counts", "Dependence", "Descriptor",
     "FewSamplesWarning", "FieldSymbols", "Interval", "MediumIndex", "Passivity", "Quantity", "Similarity",
-    "Trace", "capacity", "coding_limits", "codomain_bits", "compression_distance", "conditional_entropy",
+    "Spread", "Trace", "capacity", "coding_limits", "codomain_bits", "compression_distance",
+    "conditional_entropy",
     "contact_along_rays", "descriptor", "entropy", "estimate_bits", "field_counts", "field_entropy",
-    "interaction_counts", "interaction_entropy", "interval", "jensen_shannon_distance", "joint_entropy",
+    "interaction_counts", "interaction_entropy", "jensen_shannon_distance", "joint_entropy",
     "loop_work_j", "mutual_information", "normalised_mutual_information", "passivity", "picture_correlation",
-    "read_trace", "similarity", "variation_of_information", "visits",
+    "read_trace", "similarity", "spread", "variation_of_information", "visits",
 ]  # fmt: skip

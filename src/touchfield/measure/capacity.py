@@ -21,17 +21,19 @@ means WMR = 0, HIL = 1 and is allowed.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from numbers import Integral
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from touchfield.arrays import Int64s
 from touchfield.errors import InvalidArgument, require_not_negative
 from touchfield.measure.counts import Counts
-from touchfield.measure.estimators import estimate_bits
-from touchfield.measure.quantity import Interval, Quantity, Report, interval
+from touchfield.measure.estimators import entropy_bits, estimate_bits
+from touchfield.measure.quantity import Dependence, Interval, Quantity, Report, Spread, spread
 
 _UNIT: Final = "bit/frame"
 _NEVER_TOO_HIGH: Final = ("exact", "plug-in")  # these cannot exceed log2 of the number of symbols
@@ -76,14 +78,15 @@ def codomain_bits(samples_per_frame: int, alphabet: int) -> float:
 
 
 def capacity(
-    reference: Quantity, rendered: Quantity, codomain_bits: float, ratio: Interval | None = None
+    reference: Quantity, rendered: Quantity, codomain_bits: float, ratio: Spread | None = None
 ) -> Capacity:
     """Return C, WMR and HIL of a mapping M of a medium W into a haptic workspace.
 
     Paper eq. 1-3. `reference`, `rendered`: H(W) and H(M(W)), "bit/frame", with the same weighting: of the
     whole quantised frame, or of a sample times the samples of a frame (`Quantity.times`). `codomain_bits`:
-    C_dev, from the function of this name. `ratio`: an interval of H(M(W)) / H(W), resampled together
-    (`paired_ratio`). WMR gets this interval, cut at 1, and HIL its mirror image.
+    C_dev, from the function of this name. `ratio`: the interval of H(M(W)) / H(W) from common blocks
+    (`paired_ratio`). WMR gets this interval, cut at 1, and HIL its mirror image; neither has one if nothing
+    is left of it.
 
     Without `ratio` the intervals of the two entropies are combined by interval arithmetic: min(C / H, 1)
     rises with C and falls with H, so that its bounds are those of opposite corners, at the level 1 - a - b of
@@ -123,36 +126,40 @@ def capacity(
 
 def paired_ratio(
     counts: tuple[Counts, Counts], voxels: tuple[int, int], codomain_bits: float, estimator: str = "plug-in"
-) -> Interval | None:
-    """Return an interval of min(H(M(W)), C_dev) / H(W) from common blocks of space.
+) -> Spread | None:
+    """Return the interval of min(H(M(W)), C_dev) / H(W) from common blocks of space.
 
     M(W) is a function of W, so that the errors of their estimates are correlated and the ratio varies less
     than either. `counts`: of W and of M(W) over voxels, in the same blocks
     (`touchfield.measure.field_count.shared_counts`). `voxels` (int, int): number of voxels of a frame of W
-    and of M(W). `codomain_bits`: C_dev, bits per frame. `estimator`: of both entropies. None if all blocks of
-    a resample contain a single symbol of W. InvalidArgument as in `touchfield.measure.quantity.interval`.
+    and of M(W). `codomain_bits`: C_dev, bits per frame. `estimator`: of both entropies. None if H(W) = 0.
+    The correlation length is not known, because the samples of both are not the same. InvalidArgument as in
+    `touchfield.measure.quantity.spread`.
     """
     medium, rendered = counts
     assert medium.blocks is not None and rendered.blocks is not None
     cells = len(medium.cells)
 
-    def ratio(both: Int64s) -> float:
-        below = voxels[0] * estimate_bits(both[:cells], estimator, medium.alphabet)
-        if below == 0:
-            raise ZeroDivisionError
-        return (
-            min(voxels[1] * estimate_bits(both[cells:], estimator, rendered.alphabet), codomain_bits) / below
-        )
+    def ratio_of(entropy: Callable[[NDArray[Any], int | None], float], both: NDArray[Any]) -> float:
+        above = voxels[1] * entropy(both[cells:], rendered.alphabet)
+        return min(above, codomain_bits) / (voxels[0] * entropy(both[:cells], medium.alphabet))
 
-    together = np.concatenate([medium.blocks, rendered.blocks], axis=1)
-    try:
-        spread = interval(ratio, together, bounds=(0.0, math.inf), corrects_bias=estimator != "plug-in")
-    except ZeroDivisionError:
+    weights = np.concatenate([medium.weights, rendered.weights])
+    if entropy_bits(medium.weights) == 0:
         return None
-    return replace(spread, method=f"paired {spread.method}")
+    found = spread(
+        partial(ratio_of, lambda w, _: entropy_bits(w)),
+        np.concatenate([medium.blocks, rendered.blocks], axis=1),
+        bounds=(0.0, math.inf),
+        layout=medium.layout,
+        estimate=ratio_of(lambda w, k: estimate_bits(w, estimator, k), weights),
+    )
+    dependence = None if found.dependence is None else replace(found.dependence, correlation_length=math.nan)
+    i = None if found.interval is None else replace(found.interval, method=f"paired, {found.interval.method}")
+    return Spread(i, dependence, found.notes)
 
 
-def _of(reference: Quantity, rendered: Quantity, device_bits: float, paired: Interval | None) -> Capacity:
+def _of(reference: Quantity, rendered: Quantity, device_bits: float, paired: Spread | None) -> Capacity:
     bits = min(rendered.value, device_bits, reference.value)
     notes = _guards(reference, rendered, device_bits)
 
@@ -161,22 +168,33 @@ def _of(reference: Quantity, rendered: Quantity, device_bits: float, paired: Int
         return str(notes) if notes == other_notes else f"W: {notes}; M(W): {other_notes}"
 
     base = rendered.of(unit="1", quantiser=of_both("quantiser"), estimator=of_both("estimator"), notes=notes)
-    spread = _spread(reference, rendered, device_bits)
-    c = base.of(name="C", value=bits, unit=_UNIT, interval=None if spread is None else spread[0])
+    corners = _corners(reference, rendered, device_bits)
+    c = base.of(name="C", value=bits, unit=_UNIT, interval=None if corners is None else corners[0])
     if reference.value == 0:
         why = "H(W) = 0: a medium without information loses none, and the ratio does not exist"
         nothing = base.of(value=math.nan, interval=None, notes=(*notes, why))
         return Capacity(reference, rendered, device_bits, c, nothing.of(name="WMR"), nothing.of(name="HIL"))
     ratio, loss = bits / reference.value, max(reference.value - bits, 0.0) / reference.value
-    of_ratio = None if spread is None else spread[1]
+    of_ratio = None if corners is None else corners[1]
     if paired is not None:
-        low, high = min(paired.low, ratio), min(max(paired.high, ratio), 1.0)
-        of_ratio = Interval(low, high, paired.level, paired.method)
-    wmr = base.of(name="WMR", value=ratio, interval=of_ratio)
+        i, notes = paired.interval, (*notes, *paired.notes)
+        of_ratio = None if i is None else replace(i, low=min(i.low, ratio), high=min(max(i.high, ratio), 1.0))
+        base = base.of(dependence=_dependence(paired, reference))
+    if of_ratio is not None and of_ratio.low == of_ratio.high:
+        of_ratio = None
+        notes = (*notes, "no interval: WMR is 1 wherever in their intervals the entropies lie")
+    wmr = base.of(name="WMR", value=ratio, interval=of_ratio, notes=notes)
     i = of_ratio  # HIL = 1 - WMR
     mirrored = None if i is None else Interval(1.0 - i.high, 1.0 - i.low, i.level, i.method)
-    hil = base.of(name="HIL", value=loss, interval=mirrored)
+    hil = base.of(name="HIL", value=loss, interval=mirrored, notes=notes)
     return Capacity(reference, rendered, device_bits, c, wmr, hil)
+
+
+def _dependence(paired: Spread, reference: Quantity) -> Dependence | None:
+    """Return the dependence of a ratio, with the correlation length of W."""
+    if paired.dependence is None or reference.dependence is None:
+        return paired.dependence
+    return replace(paired.dependence, correlation_length=reference.dependence.correlation_length)
 
 
 def _guards(reference: Quantity, rendered: Quantity, device_bits: float) -> tuple[str, ...]:
@@ -198,8 +216,10 @@ def _guards(reference: Quantity, rendered: Quantity, device_bits: float) -> tupl
     return tuple(notes)
 
 
-def _spread(reference: Quantity, rendered: Quantity, device_bits: float) -> tuple[Interval, Interval] | None:
-    """Intervals of C and of WMR."""
+def _corners(reference: Quantity, rendered: Quantity, device_bits: float) -> tuple[Interval, Interval] | None:
+    """Intervals of C and of WMR, by interval arithmetic; None if that of an entropy was refused."""
+    if any(q.interval is None and q.dependence is not None for q in (reference, rendered)):
+        return None
     intervals = [q.interval for q in (reference, rendered) if q.interval is not None]
     if not intervals:
         return None

@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from touchfield.arrays import Float64s, Int64s
 from touchfield.compute.threads import for_chunks
 from touchfield.errors import InvalidArgument
+from touchfield.measure.dependence import BlockLayout
 from touchfield.measure.estimators import as_array, entropy_bits
 from touchfield.measure.quantity import MIN_BLOCKS
 from touchfield.medium.field import frozen, numbers_of
@@ -37,10 +38,10 @@ TOLERANCE: Final = 1e-9
 """Largest deviation from 1 of the sum of given probabilities."""
 
 BLOCKS = 64
-"""Number of blocks of the bootstrap of arrays, if there are enough samples."""
+"""Number of blocks of arrays for an interval, if there are enough samples."""
 
 MAX_BLOCK_CELLS = 1 << 24
-"""Largest number of blocks times cells for a bootstrap: 128 MiB."""
+"""Largest number of blocks times cells for an interval: 128 MiB."""
 
 STRETCH = 1 << 18
 """Number of samples handled at once: 2 MiB of int64."""
@@ -57,10 +58,11 @@ class Counts:
 
     `cells` int64 [K, d]: the symbols of d variables, rows in strictly ascending order, the first column
     slowest. `weights` int64 [K] or float64 [K]: counts of at least 1 each, or probabilities above 0 that sum
-    to 1. `blocks` int64 [B, K]: the same counts in each of at least 8 parts that a bootstrap may draw; None
-    for no interval. `quantiser`, `weighting`: Q and mu, as in `Quantity`. `variables`: their letters, ("X",
-    "Y") for arrays, ("S", "T") for fields. `alphabet`: the number of possible cells, if known: no entropy of
-    all variables exceeds its log2. `notes`: caveats for the reader, such as why there are no blocks.
+    to 1. `blocks` int64 [B, K]: the same counts in each of at least 8 blocks of neighbouring samples, from
+    which intervals come; None for no interval. `layout`: how the blocks lie; None for a row. `quantiser`,
+    `weighting`: Q and mu, as in `Quantity`. `variables`: their letters, ("X", "Y") for arrays, ("S", "T") for
+    fields. `alphabet`: the number of possible cells, if known: no entropy of all variables exceeds its log2.
+    `notes`: caveats for the reader, such as why there are no blocks.
     InvalidArgument if shapes, order or weights are wrong.
     """
 
@@ -72,6 +74,7 @@ class Counts:
     variables: tuple[str, ...] = ("X", "Y")
     alphabet: int | None = None
     notes: tuple[str, ...] = ()
+    layout: BlockLayout | None = None
 
     def __post_init__(self) -> None:
         s, w = np.asarray(self.cells), np.asarray(self.weights)
@@ -152,7 +155,7 @@ class Counts:
     def side_by_side(cls, first: Counts, second: Counts) -> Counts:
         """Combine two separately sampled variables.
 
-        Each is `ABSENT` in the cells of the other, for `jensen_shannon_distance`. Block b of one is drawn
+        Each is `ABSENT` in the cells of the other, for `jensen_shannon_distance`. Block b of one is left out
         together with block b of the other, which is right for paired samples and for independent ones.
         InvalidArgument if one of them is empty.
         """
@@ -165,7 +168,10 @@ class Counts:
         notes = tuple(dict.fromkeys((*first.notes, *second.notes)))
         if blocks is None and not notes and (a is not None or b is not None):
             notes = ("no interval: blocks of one do not match those of the other",)
-        return cls(np.concatenate(pairs), weights, blocks, first.quantiser, first.weighting, notes=notes)
+        return cls(
+            np.concatenate(pairs), weights, blocks, first.quantiser, first.weighting, notes=notes,
+            layout=None if blocks is None else first.layout,
+        )  # fmt: skip
 
     @property
     def total(self) -> int:

@@ -9,7 +9,7 @@ this "artificially escalated". The equation holds exactly for plug-in estimates;
 separately and satisfy it only as n grows. Empty space that no brick covers is counted but never allocated.
 
 Frames may be a lazy sequence; none is kept after it is counted. The first pass counts. The second pass counts
-in blocks for a bootstrap, for which the occurring symbols must be known; over voxels alone a single pass does
+in blocks for an interval, for which the occurring symbols must be known; over voxels alone a single pass does
 both, if a table of all possible symbols fits in memory for every block. The object's counts are those of the
 voxels without symbol 0. A block has all frames of a part of space: over "voxel" the parts are boxes of bricks
 that fill the lattice, over "object" equal numbers of neighbouring bricks of the support.
@@ -28,17 +28,17 @@ from numpy.typing import ArrayLike
 from touchfield.arrays import Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.measure.counts import MAX_BLOCK_CELLS, Counts
+from touchfield.measure.dependence import BlockLayout
 from touchfield.measure.field_symbols import Fields, FramePairs, Frames, frames_changed
 from touchfield.measure.information import entropy
 from touchfield.measure.quantity import MIN_BLOCKS, Quantity
 from touchfield.medium.field import brick_keys, bricks_of
 from touchfield.medium.grid import BRICK, Grid
 
-BLOCKS = 27
-"""Number of blocks, three along each side of a cube: larger blocks capture more of the dependence between
-neighbours."""
+BLOCKS = 64
+"""Number of blocks, four along each side of a cube."""
 
-# -- parts of space for a block bootstrap: boxes of a lattice, or groups of bricks of the support
+# -- blocks of space: boxes of a lattice, or groups of bricks of the support
 
 
 MIN_BLOCK_BRICKS = 8
@@ -69,6 +69,10 @@ class BrickGroups:
         owners = np.empty(len(keys), np.int64)
         owners[curve] = np.arange(len(keys)) * _block_count(max_groups, len(keys)) // len(keys)
         return cls(grid, keys, owners)
+
+    def layout(self, frames: int) -> BlockLayout:
+        """The groups lie in a row, along the curve."""
+        return BlockLayout((self.count,), 3, frames)
 
     @property
     def count(self) -> int:
@@ -128,6 +132,10 @@ class Boxes:
         axes = zip(grid.brick_shape, grid.shape, cuts, strict=True)
         return cls(cuts, tuple(np.repeat(np.arange(n) * of // n, BRICK)[:size] for n, size, of in axes))
 
+    def layout(self, frames: int) -> BlockLayout:
+        """The boxes form a lattice."""
+        return BlockLayout(self.cuts, 3, frames)
+
     @property
     def count(self) -> int:
         """B, the number of boxes."""
@@ -174,7 +182,7 @@ def field_entropy(
 
     `fields`: FieldSymbols or a sequence of them, all of one grid and one Q. `over`: mu, "voxel" for all
     voxels or "object" for those whose symbol is not 0; for visits of a probe see `interaction_entropy`.
-    `blocks`: number of blocks of the bootstrap, 8 or more; about as many are made. InvalidArgument as in
+    `blocks`: number of blocks, 8 or more; about as many are made. InvalidArgument as in
     `field_counts`, and if over "object" there is no support.
     """
     counts = supported(field_counts(fields, overs=(over,), interval=interval, blocks=blocks)[over])
@@ -255,6 +263,7 @@ def _count(
                     by_block,
                     weighting="voxel",
                     alphabet=frames.alphabet,
+                    layout=boxes.layout(frames.count),
                 )
             }
     support_counts, support = _support_counts(frames, interval and "object" in overs)
@@ -283,7 +292,10 @@ def _count(
         )
         table = None if space is None else _with_empty(tables[over], space, frames.count, times)
         notes = (few,) if interval and table is None else ()
-        counts[over] = of(occurring[:, None], times, table, weighting=over, alphabet=alphabet, notes=notes)
+        counts[over] = of(
+            occurring[:, None], times, table, weighting=over, alphabet=alphabet, notes=notes,
+            layout=None if space is None else space.layout(frames.count),
+        )  # fmt: skip
     return counts
 
 
@@ -397,7 +409,7 @@ def shared_counts(
     counts: tuple[Counts, Counts],
     max_boxes: int = 64,
 ) -> tuple[Counts, Counts] | None:
-    """The counts over "voxel" of two media, with common blocks for a joint bootstrap.
+    """The counts over "voxel" of two media, with common blocks for a joint interval.
 
     `fields`: for the medium and the rendered medium, FieldSymbols or a sequence of them. Each frame is
     requested once, those of the medium first. `grids` (Grid, Grid): their lattices in one space, such as hand
@@ -418,5 +430,6 @@ def shared_counts(
     for f, boxes, c in zip(frames, both, counts, strict=True):
         occurring = c.cells[int(c.cells[0, 0] == 0) :, 0]
         table = _support_by_part(f, occurring, {"voxel": boxes})["voxel"]
-        shared.append(replace(c, blocks=_with_empty(table, boxes, f.count, np.asarray(c.weights))))
+        by_box = _with_empty(table, boxes, f.count, np.asarray(c.weights))
+        shared.append(replace(c, blocks=by_box, layout=boxes.layout(f.count)))
     return shared[0], shared[1]

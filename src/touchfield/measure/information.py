@@ -10,8 +10,8 @@ Trans. Inf. Theory 49, 2003).
 
 Quantities of several variables are computed from entropies by one estimator, I = H(X) + H(Y) - H(X,Y) and so
 on, so that the identities between them hold for any estimator. A bias-corrected I(X;Y) may then be negative;
-it is reported as such, with a note, and never clipped. The interval comes from a block bootstrap: neighbours
-are seldom independent, so choose `blocks` so that a block is many times as long as the dependence.
+it is reported as such, with a note, and never clipped. Intervals allow for the dependence of neighbours
+(`touchfield.measure.quantity.spread`).
 FewSamplesWarning if there are fewer than ten samples per symbol; InvalidArgument if there is no sample, one
 is not a whole number, or an option is out of range.
 """
@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -29,11 +28,9 @@ from numpy.typing import ArrayLike
 from touchfield.arrays import Float64s, Int64s
 from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.measure.counts import ABSENT, BLOCKS, Counts
+from touchfield.measure.dependence import Statistic
 from touchfield.measure.estimators import ESTIMATORS, entropy_bits, estimate_bits
-from touchfield.measure.quantity import MIN_BLOCKS, FewSamplesWarning, Interval, Quantity, interval
-
-Statistic = Callable[["Int64s | Float64s"], float]
-"""A function of the weights [K] of cells; NaN where it does not exist."""
+from touchfield.measure.quantity import MIN_BLOCKS, FewSamplesWarning, Quantity, Spread, spread
 
 _FEW = 10  # samples per symbol; fewer cause a warning
 
@@ -49,8 +46,9 @@ def entropy(
 
     `samples`: Counts, or arrays of integers or booleans of one shape. `column`: the one variable of the
     counts to use. `estimator`: one of `touchfield.measure.estimators.ESTIMATORS`; given probabilities have an
-    exact entropy. `interval`: whether to compute one; it takes about as long again as the counting, plus 200
-    evaluations of the estimator. `blocks`: number of blocks of the bootstrap of arrays, 8 or more.
+    exact entropy. `interval`: whether to compute one; it takes about as long again as the counting, plus
+    up to 700 evaluations of the plug-in estimate. `blocks`: number of blocks of arrays for an interval, 8 or
+    more.
     """
     e = _Entropies(samples, estimator, interval, blocks)
     if column is not None:
@@ -265,10 +263,9 @@ class _Entropies:
             few = f"few samples: {self.fewest} for {self.symbols} symbols, fewer than {_FEW} to each"
             notes.append(few)
             warnings.warn(f"{name}: {few}", FewSamplesWarning, stacklevel=3)
-        spread = None
+        found = Spread(None, None)
         if c.blocks is not None and not math.isnan(value):
-            spread, why = self._interval(statistic, c.blocks, max_value)
-            notes += why
+            found = self._spread(statistic, c.blocks, value, max_value)
         return Quantity(
             name,
             value,
@@ -278,23 +275,17 @@ class _Entropies:
             estimator=self.estimator,
             samples=c.total,
             symbols=self.symbols,
-            interval=spread,
-            notes=tuple(notes),
+            interval=found.interval,
+            notes=(*notes, *found.notes),
+            dependence=found.dependence,
         )
 
-    def _interval(
-        self, statistic: Statistic, blocks: Int64s, max_value: float
-    ) -> tuple[Interval | None, list[str]]:
-        filled = int(np.count_nonzero(blocks.any(axis=1)))
-        if filled < MIN_BLOCKS:
-            return None, [f"no interval: {filled} blocks with samples, fewer than {MIN_BLOCKS}"]
-        missing = 0
-
-        def defined(counts: Int64s) -> float:
-            nonlocal missing
-            value = statistic(counts)
-            missing += math.isnan(value)
-            return 0.0 if math.isnan(value) else value
-
-        spread = interval(defined, blocks, bounds=(0.0, max_value), corrects_bias=self.estimator != "plug-in")
-        return spread, [f"{missing} resamples without any variation count as 0"] if missing else []
+    def _spread(self, statistic: Statistic, blocks: Int64s, value: float, max_value: float) -> Spread:
+        """Return the interval of the plug-in statistic, which holds the estimate, too."""
+        estimator, self.estimator = self.estimator, "plug-in"  # the others need whole counts
+        try:
+            return spread(
+                statistic, blocks, bounds=(0.0, max_value), layout=self.counts.layout, estimate=value
+            )
+        finally:
+            self.estimator = estimator

@@ -89,7 +89,7 @@ def interaction_counts(
 
     `symbols`: the quantised field; or a sequence with one for each frame, of one grid and one quantiser,
     which may be lazy. Frame f lasts from f / rate_hz to (f + 1) / rate_hz; only the first frame and those
-    that the trace meets are requested. `interval`: whether to make blocks over time for a bootstrap.
+    that the trace meets are requested. `interval`: whether to make blocks over time.
     `rate_hz`: frames per second, required for a sequence. `blocks`: number of blocks of consecutive samples,
     at least 8. A block should last longer than a hand stays in one place: choose fewer for a short trace.
     InvalidArgument if no sample meets the field, the frames do not fit each other, or an argument is out of

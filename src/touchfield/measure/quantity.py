@@ -5,43 +5,33 @@ Paper section 3.1 names neither Q nor X. Every measure of this package returns a
 the number estimates: the unit, the quantiser Q, the weighting mu of the samples, the estimator, the number of
 samples and symbols, and an interval.
 
-Intervals come from a block bootstrap (the paper gives no intervals). Neighbouring voxels are strongly
-dependent, so that resampling single voxels would give far too narrow an interval. Whole blocks are drawn
-instead, with replacement, as many as there are (E. Carlstein, Annals of Statistics 14, 1986; S. N. Lahiri,
-Resampling Methods for Dependent Data, 2003, chapter 12). As blocks do not overlap, every statistic of counts
-can be resampled from B tables.
+Neighbouring voxels are strongly dependent, so that an interval for independent samples would be far too
+narrow. The standard error comes from the counts in blocks of neighbouring samples
+(`touchfield.measure.dependence`), and is widened by the estimated bias. The interval is t standard errors to
+both sides of the estimate without its bias, and of a bias-corrected estimate as well; it always contains the
+estimate. A `Dependence` states the correlation length of the samples and the effective number of blocks.
+If the blocks span too few lengths of the dependence, or one of them holds all that varies, there is no
+interval, and a quantity that does not vary has none either: both are noted.
 
-Plug-in estimates have the *basic* interval, 2 E - q_high .. 2 E - q_low, for the estimate E and the quantiles
-q of the resamples: a resample has fewer symbols than the data, just as the data have fewer than the source,
-and the percentile interval q_low .. q_high would count this bias twice. Its half-widths are multiplied by
-sqrt(B/(B - 1)) t/z, Student's t with B - 1 degrees of freedom over the normal quantile, and it is extended to
-contain E. A bias-corrected estimate has the *normal* interval, E -+ t sqrt(B/(B - 1)) times the standard
-deviation of the resamples.
-
-The measured coverage is documented in `tests/measure/test_bootstrap.py`: 89 % to 94 % for plug-in estimates
-of dependent samples, where the percentile interval has 58 % to 94 %; 94 % to 97 % for bias-corrected H; 87 %
-to 95 % for ratios. For the plug-in H of Gaussian fields of correlation exp(-r^2/2L^2), 27 blocks cover 92 %
-at 64^3 samples with L = 5, and 77 % with L = 8: there should be 16 blocks or more, each many times as long as
-the dependence.
+`bench/bench_intervals.py` measures the coverage of 95 % intervals, which is documented there and tested in
+`tests/measure/test_spread.py`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from touchfield.arrays import Float64s, Int64s
+from touchfield.arrays import Int64s
 from touchfield.errors import InvalidArgument, require_one_of
+from touchfield.measure.dependence import BlockLayout, Statistic, sampling_error
 from touchfield.measure.estimators import as_array
 
 MIN_BLOCKS: Final = 8
-MIN_REPLICATES: Final = 50
-_CHUNK_VALUES: Final = 1 << 22
 
 
 WEIGHTINGS = ("samples", "voxel", "object", "interaction")
@@ -66,11 +56,25 @@ def _plain(value: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class Interval(Report):
-    """A range for a quantity, in its unit, from a resampling.
+class Dependence(Report):
+    """How dependent the samples of a quantity are, measured by their influence on it.
 
-    `level`: nominal confidence level, such as 0.95. `method`: the method with its numbers, such as "block
-    bootstrap, 27 blocks, 200 resamples".
+    `correlation_length`: side of the cube of samples (of the interval, in time) that counts as one
+    independent sample, in samples, at least 1; NaN if unknown. `effective_blocks`: number of independent
+    blocks with the same standard error. `blocks`: number of blocks that were counted.
+    """
+
+    correlation_length: float
+    effective_blocks: float
+    blocks: int
+
+
+@dataclass(frozen=True)
+class Interval(Report):
+    """A range for a quantity, in its unit.
+
+    `level`: nominal confidence level, such as 0.95. `method`: the method with its numbers, such as "spectrum
+    of 64 blocks, 12.3 degrees of freedom".
     """
 
     population: ClassVar[str] = "media from the source of this one, of which it is a single draw"
@@ -86,6 +90,18 @@ class Interval(Report):
         return super().summary() | {"population": self.population}
 
 
+@dataclass(frozen=True)
+class Spread(Report):
+    """What `spread` found: an interval, or None with a note that says why, and the dependence.
+
+    `dependence` is None if nothing varies.
+    """
+
+    interval: Interval | None
+    dependence: Dependence | None
+    notes: tuple[str, ...] = ()
+
+
 class FewSamplesWarning(UserWarning):
     """Warning for fewer than ten samples per symbol: the bias dominates the estimate."""
 
@@ -98,8 +114,8 @@ class Quantity(Report):
     `notes` then gives the reason. `unit`: "bit/sample", "bit/supported voxel", "bit/frame", "bit", "1",
     "sqrt(bit)". `quantiser` is Q; `weighting` is mu, one of `WEIGHTINGS`; `estimator` is its registered name,
     or "exact" for given probabilities. `samples` is n; `symbols` is K, the number of different symbols that
-    occur (of pairs for a joint quantity). `notes`: caveats, such as few samples, or which guard had an
-    effect.
+    occur (of pairs for a joint quantity). `dependence` states how dependent the samples are; None if it was
+    not measured or nothing varies. `notes`: caveats, such as few samples, or which guard had an effect.
     """
 
     name: str
@@ -112,6 +128,7 @@ class Quantity(Report):
     symbols: int = 0
     interval: Interval | None = None
     notes: tuple[str, ...] = ()
+    dependence: Dependence | None = None
 
     def __post_init__(self) -> None:
         require_one_of("weighting", self.weighting, WEIGHTINGS)
@@ -141,66 +158,60 @@ class Quantity(Report):
         return f"{self.name} = {self.value:.6g}{spread} {self.unit} (Q {self.quantiser}, mu {self.weighting})"
 
 
-# -- the block bootstrap
+# -- intervals from blocks
 
 
-def interval(
-    statistic: Callable[[Int64s], float],
+def spread(
+    statistic: Statistic,
     block_counts: ArrayLike,
-    replicates: int = 200,
     level: float = 0.95,
-    seed: int = 0,
     bounds: tuple[float, float] = (-math.inf, math.inf),
     *,
-    corrects_bias: bool = False,
-) -> Interval:
-    """Return a block-bootstrap interval for a statistic of counts.
+    layout: BlockLayout | None = None,
+    estimate: float | None = None,
+) -> Spread:
+    """Return the interval of a statistic of counts, and the dependence of the samples.
 
-    Blocks are drawn with replacement. The interval always contains the statistic of the sum of the blocks,
-    and has zero width only if the statistic is the same for every resample. Blocks without a sample are
-    omitted. The memory is 16 bytes for each of the B x cells counts, plus 64 MiB.
+    The same counts give the same digits. The memory is 16 bytes for each of the B x cells counts.
 
-    `statistic`: ``statistic(counts)``, a finite number, of counts int64 [*cells] (such as a joint histogram).
-    `block_counts` int [B, *cells]: the counts of each block, at least 8 of them with a sample. `replicates`:
-    number of resamples, at least 50; the statistic is called once for each. `level`: confidence level, inside
-    (0, 1). `seed`: of the draws; the same seed gives the same bits on any number of threads. `bounds`: the
-    smallest and the largest possible value of the estimated quantity. The interval is cut there; if the
-    estimate lies beyond a bound, the interval reaches from it at least to that bound. `corrects_bias`:
-    whether the statistic corrects its own bias; the interval is then the normal one, not the basic one.
-    InvalidArgument if there are fewer than 8 blocks with a sample or 50 replicates; a count is negative or
-    not whole; the level is outside (0, 1); or the statistic is not finite.
+    `statistic`: ``statistic(counts)``, a finite number, of counts float64 [*cells] (such as a joint
+    histogram) that need not be whole. `block_counts` int [B, *cells]: the counts of each block, 8 or more.
+    `level`: confidence level, inside (0, 1). `bounds`: the smallest and the largest possible value of the
+    estimated quantity; the interval is cut there, and extended to an estimate beyond. `layout`: how the
+    blocks lie, in a row if None. `estimate`: a bias-corrected estimate of the same quantity; None for the
+    statistic of all counts. InvalidArgument if there are fewer than 8 blocks; the layout has another number
+    of blocks; a count is negative or not whole; there is no sample; the level is outside (0, 1); or the
+    statistic is not finite.
     """
-    from scipy.special import ndtri, stdtrit
+    from scipy.special import stdtrit
 
-    counts = _checked(block_counts, replicates, level)
-    blocks, upper = len(counts), (1 + level) / 2
-    estimate = _finite(statistic(counts.sum(axis=0)))
-    values = _resample(statistic, counts, replicates, seed)
-
-    def cut(low: float, high: float) -> tuple[float, float]:
-        """Cut an interval at the bounds and extend it to the estimate; 0 instead of -0."""
-        low, high = (min(max(edge, bounds[0]), bounds[1]) for edge in (low, high))
-        return min(low, estimate) + 0.0, max(high, estimate) + 0.0
-
-    # correction for few blocks, with which the resamples vary too little
-    wider = float(math.sqrt(blocks / (blocks - 1)) * stdtrit(blocks - 1, upper) / ndtri(upper))
-    kind, edges = "basic", (estimate, estimate)
-    if not corrects_bias:
-        centre = float(values.mean())
-        low, high = np.quantile(values, [1 - upper, upper])
-        middle = 2 * estimate - centre
-        edges = cut(middle - wider * float(high - centre), middle + wider * float(centre - low))
-    # a basic interval may be cut to zero width at a bound, although the resamples vary
-    if corrects_bias or edges[0] == edges[1]:
-        deviation = (
-            float(values.std(ddof=1)) if values.min() < values.max() else 0.0
-        )  # exactly 0 if all agree
-        half = wider * float(ndtri(upper)) * deviation
-        kind, edges = "normal", cut(estimate - half, estimate + half)
-    return Interval(*edges, level, f"block bootstrap ({kind}), {blocks} blocks, {replicates} resamples")
+    layout = layout or BlockLayout((len(np.atleast_1d(np.asarray(block_counts))),))
+    counts = _checked(block_counts, layout, level)
+    found = sampling_error(statistic, counts, layout)
+    if found.error == 0:
+        return Spread(None, None, ("no interval: no block differs from another",))
+    blocks = len(counts)
+    dependence = Dependence(found.correlation_length, found.effective_blocks, blocks)
+    if not found.is_resolved:
+        few = (
+            f"no interval: the samples are dependent over {found.correlation_length:.3g} samples or more, "
+            f"and {blocks} blocks count as {found.effective_blocks:.1f}, too few"
+        )
+        return Spread(None, dependence, (few,))
+    # the correction of the bias is uncertain by about its own size
+    half = float(stdtrit(found.freedom, (1 + level) / 2)) * math.hypot(found.error, found.bias)
+    estimate = found.value if estimate is None else estimate
+    centres = [found.value - found.bias, *([estimate] if estimate != found.value else [])]
+    low, high = min(centres) - half, max(centres) + half
+    low, high = (min(max(edge, bounds[0]), bounds[1]) for edge in (low, high))
+    method = f"spectrum of {blocks} blocks, {found.freedom:.1f} degrees of freedom"
+    low, high = min(low, estimate) + 0.0, max(high, estimate) + 0.0  # 0, and not -0
+    if low == high:
+        return Spread(None, dependence, ("no interval: all of it lies beyond the bound of the quantity",))
+    return Spread(Interval(low, high, level, method), dependence)
 
 
-def _checked(block_counts: ArrayLike, replicates: int, level: float) -> Int64s:
+def _checked(block_counts: ArrayLike, layout: BlockLayout, level: float) -> Int64s:
     counts = as_array(block_counts, "block_counts")
     if counts.ndim < 2:
         raise InvalidArgument("block_counts", f"shape {counts.shape}", "[B, cells]")
@@ -208,46 +219,14 @@ def _checked(block_counts: ArrayLike, replicates: int, level: float) -> Int64s:
         raise InvalidArgument("block_counts", f"values of type {counts.dtype}", "whole numbers")
     if counts.size and counts.min() < 0:
         raise InvalidArgument("block_counts", f"{counts.min()}", "counts of at least 0")
-    if not (replicates >= MIN_REPLICATES and int(replicates) == replicates):
-        raise InvalidArgument("replicates", f"{replicates}", f"a whole number of at least {MIN_REPLICATES}")
     if not 0 < level < 1:
         raise InvalidArgument("level", f"{level}", "inside (0, 1), such as 0.95")
-    filled = counts[counts.any(axis=tuple(range(1, counts.ndim)))]
-    if len(filled) < MIN_BLOCKS:
+    if len(counts) < MIN_BLOCKS:
         raise InvalidArgument(
-            "block_counts",
-            f"{len(filled)} blocks with a sample",
-            f"at least {MIN_BLOCKS}",
-            "Take smaller blocks.",
+            "block_counts", f"{len(counts)} blocks", f"at least {MIN_BLOCKS}", "Take smaller blocks."
         )
-    return filled.astype(np.int64, copy=False)
-
-
-def _finite(value: float) -> float:
-    if not math.isfinite(value):
-        raise InvalidArgument("statistic", f"{value}", "a finite number for every resample")
-    return float(value)
-
-
-def _resample(statistic: Callable[[Int64s], float], counts: Int64s, replicates: int, seed: int) -> Float64s:
-    """Return the statistic of each resample, [replicates].
-
-    Resamples are multinomial weights times counts, computed in chunks.
-    """
-    blocks, cells = len(counts), counts.shape[1:]
-    flat = counts.reshape(blocks, -1)
-    used = np.flatnonzero(flat.any(axis=0))
-    floats = flat[:, used].astype(
-        np.float64
-    )  # products and sums of whole numbers below 2^53 are exact, in any order
-    rng = np.random.default_rng(seed)
-    weights = rng.multinomial(blocks, np.full(blocks, 1 / blocks), size=replicates).astype(np.float64)
-    at_once = max(1, _CHUNK_VALUES // max(1, flat.shape[1]))
-    values = np.empty(replicates)
-    for start in range(0, replicates, at_once):
-        drawn = weights[start : start + at_once] @ floats
-        full = np.zeros((len(drawn), flat.shape[1]), np.int64)
-        full[:, used] = drawn
-        for i, resample in enumerate(full):
-            values[start + i] = _finite(statistic(resample.reshape(cells)))
-    return values
+    if math.prod(layout.shape) != len(counts):
+        raise InvalidArgument("layout", f"{layout.shape} blocks", f"{len(counts)}, as in block_counts")
+    if not counts.any():
+        raise InvalidArgument("block_counts", "no sample", "at least one")
+    return counts.astype(np.int64, copy=False)

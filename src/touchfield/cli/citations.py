@@ -1,0 +1,58 @@
+"""The sources behind the figures of each command, which ``--cite`` prints.
+
+A source is one line of text: authors, title, where it appeared, year. The modules that compute the figures
+name the same sources, with what is taken from each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
+
+from touchfield._version import __version__
+
+SOURCES: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "touchfield": f"touchfield {__version__}; CITATION.cff of its repository is for a bibliography",
+        "paper": "K. Moustakas and A. S. Lalos, An information-theoretic treatment of passive haptic media",
+        "miller": "G. A. Miller, Note on the bias of information estimates, in Information Theory in "
+        "Psychology, 1955 (estimator miller-madow)",
+        "chao": "A. Chao, Y. T. Wang and L. Jost, Entropy and the species accumulation curve, Methods in "
+        "Ecology and Evolution 4, 2013 (estimator chao-wang-jost)",
+        "whittle": "P. Whittle, On stationary processes in the plane, Biometrika 41, 1954 (intervals)",
+        "mueller": "U. K. Mueller, A theory of robust long-run variance estimation, Journal of Econometrics "
+        "141, 2007 (intervals)",
+        "meila": "M. Meila, Comparing clusterings: an information based distance, Journal of Multivariate "
+        "Analysis 98, 2007 (variation of information)",
+        "endres": "D. M. Endres and J. E. Schindelin, A new metric for probability distributions, IEEE "
+        "Transactions on Information Theory 49, 2003 (Jensen-Shannon distance)",
+        "good": "P. Good, Permutation, Parametric, and Bootstrap Tests of Hypotheses, 2005 (test against "
+        "chance)",
+        "manohar": "K. Manohar et al., 2018, after Z. Drmac and S. Gugercin, 2016 (points that determine "
+        "modes)",
+    }
+)
+"""The text of each source, by a short name."""
+
+_INTERVALS: Final = ("whittle", "mueller")
+_CITED: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "measure": ("miller", "chao", *_INTERVALS, "meila"),
+        "reduce": ("manohar",),
+        "points": ("manohar",),
+        "similar": ("meila", "endres", *_INTERVALS),
+        "correlate": ("miller", "good", *_INTERVALS),
+    }
+)
+
+
+def cited_commands() -> tuple[str, ...]:
+    """Return the commands whose figures have sources."""
+    return tuple(_CITED)
+
+
+def sources_of(command: str) -> tuple[str, ...]:
+    """Return the sources of a command's figures, the software and the paper first; () if it has none."""
+    names = _CITED.get(command)
+    return () if names is None else tuple(SOURCES[name] for name in ("touchfield", "paper", *names))

@@ -1,0 +1,71 @@
+"""`--cite`, the version in results, and CITATION.cff."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from touchfield import __version__
+from touchfield.cli.citations import SOURCES, cited_commands, sources_of
+from touchfield.cli.main import COMMANDS, _exit_code
+from touchfield.cli.output import Answer
+from touchfield.measure.estimators import ESTIMATORS
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def sphere(tmp_path: Path) -> Path:
+    path = tmp_path / "sphere.toml"
+    path.write_text('[[shape]]\nkind = "sphere"\ncenter_m = [0.0, 0.0, 0.0]\nradius_m = 0.05\n')
+    return path
+
+
+def test_measure_prints_its_sources_only_if_asked(sphere: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["measure", str(sphere), "--nw", "4", "--no-limits"]
+    assert _exit_code([*arguments, "--json"]) == 0
+    plain = json.loads(capsys.readouterr().out)
+    assert plain["touchfield"] == __version__ and "sources" not in plain
+    assert _exit_code([*arguments, "--json", "--cite"]) == 0
+    cited = json.loads(capsys.readouterr().out)
+    assert cited.pop("sources") == list(sources_of("measure"))
+    assert cited == plain, "the same figures"
+    assert _exit_code([*arguments, "--cite"]) == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("source: ")]
+    assert lines == [f"source: {text}" for text in sources_of("measure")]
+
+
+def test_every_source_is_of_a_command_and_names_a_year() -> None:
+    used = {text for command in cited_commands() for text in sources_of(command)}
+    assert used == set(SOURCES.values()) and set(cited_commands()) <= set(COMMANDS)
+    assert sources_of("devices") == ()
+    for name, text in SOURCES.items():
+        assert name in ("touchfield", "paper") or re.search(r"\b(19|20)\d\d\b", text)
+    of_measure = " ".join(sources_of("measure"))
+    assert all(name in of_measure for name in ESTIMATORS if name != "plug-in"), "every estimator has a source"
+
+
+def test_modules_name_the_same_sources() -> None:
+    """Each author named by a command is named by a module that computes its figures."""
+    folders = ("measure", "reduction")
+    files = (path for folder in folders for path in (ROOT / "src/touchfield" / folder).glob("*.py"))
+    code = "".join(path.read_text() for path in files)
+    for name in set(SOURCES) - {"touchfield", "paper"}:
+        assert name in code.lower(), name
+
+
+def test_every_answer_has_the_version(capsys: pytest.CaptureFixture[str]) -> None:
+    Answer({"a": np.float64(-0.0)}, "").show(as_json=True)
+    assert json.loads(capsys.readouterr().out) == {"a": 0.0, "touchfield": __version__, "notes": []}
+
+
+def test_citation_file_has_the_version_of_the_package() -> None:
+    text = (ROOT / "CITATION.cff").read_text()
+    assert re.search(r"^version: (.+)$", text, re.MULTILINE).group(1) == __version__  # type: ignore[union-attr]
+    assert all(
+        re.search(rf"^{key}:", text, re.MULTILINE) for key in ("cff-version", "message", "title", "authors")
+    )
