@@ -147,7 +147,7 @@ class CloudScene(Scene):
             from touchfield.sources.clouds.kernels.surface import cloud_forces
 
             for_chunks(cloud_forces, len(points), *arguments, chunk=BRICK**3)
-            buffer.append(part, forces @ rotation, forces.any(axis=(1, 2, 3, 4)))
+            buffer.append(part, forces @ rotation, np.asarray(forces.any(axis=(1, 2, 3, 4))))
         self.report(len(bricks), len(bricks))
         return ForceField(grid, *buffer.take())
 
