@@ -177,7 +177,7 @@ def in_a_process(call: str, *arguments: object) -> Figures:
 def memory(low_nw: int) -> Figures:
     """Encode the scan as a store at two resolutions, and as a file at half of these.
 
-    A file at n_w 10 takes 16 GB in the worker and as much in the client.
+    A file is encoded a frame at a time, and its memory follows the samples with a force.
     """
     if not SCAN.is_file():
         return {}

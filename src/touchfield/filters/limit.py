@@ -7,6 +7,7 @@ import numpy as np
 from touchfield.compute.native import native
 from touchfield.compute.threads import for_chunks
 from touchfield.medium import BRICK, ForceField
+from touchfield.medium.brick_buffer import BATCH_BRICKS, BrickBuffer
 
 
 def limit_forces(field: ForceField, force_max_n: float, floor_n: float = 0.0) -> ForceField:
@@ -14,7 +15,11 @@ def limit_forces(field: ForceField, force_max_n: float, floor_n: float = 0.0) ->
 
     No force of the result is longer than `force_max_n`, and the function is idempotent.
     """
-    forces, has_force = np.empty_like(field.forces_n), np.zeros(len(field.bricks), np.bool_)
-    flat, out = (array.reshape(-1, BRICK**3, 3) for array in (field.forces_n, forces))
-    for_chunks(native.limit_bricks, len(flat), flat, force_max_n, floor_n, out, has_force, chunk=64)
-    return ForceField(field.grid, field.bricks[has_force], forces[has_force])
+    buffer, flat = BrickBuffer(), field.forces_n.reshape(-1, BRICK**3, 3)
+    for start in range(0, len(flat), BATCH_BRICKS):
+        part = flat[start : start + BATCH_BRICKS]
+        out, has_force = np.empty_like(part), np.zeros(len(part), np.bool_)
+        for_chunks(native.limit_bricks, len(part), part, force_max_n, floor_n, out, has_force, chunk=64)
+        bricks = field.bricks[start : start + BATCH_BRICKS]
+        buffer.append(bricks, out.reshape(-1, BRICK, BRICK, BRICK, 3), has_force)
+    return ForceField(field.grid, *buffer.take())

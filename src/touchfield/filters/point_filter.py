@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
+from weakref import ref
 
 import numpy as np
 
@@ -37,15 +38,16 @@ def point_frames(scene: Scene, mapping: DeviceFilter) -> Callable[[int], ForceFi
     force_max_n = mapping.device.force_max_n
     scene.set_lattice(lattice, force_max_n)  # also for the notes of the source
     floor_n = force_max_n * spec.force_floor_share
-    latest: tuple[ForceField, ForceField] | None = None
+    # a weak reference: the fine field takes several times the memory of the result
+    latest: tuple[ref[ForceField], ForceField] | None = None
 
     def frame(i: int) -> ForceField:
         nonlocal latest
         scene.set_lattice(lattice, force_max_n)  # the scene may serve several media in turn
         source, last = scene.field(i, requested, law), latest
-        if last is None or last[0] is not source:
+        if last is None or last[0]() is not source:
             resampled = resample(source.on_grid(fine), grid, spec.low_pass)
-            last = latest = source, limit_forces(resampled, force_max_n, floor_n)
+            last = latest = ref(source), limit_forces(resampled, force_max_n, floor_n)
         return last[1]
 
     return frame

@@ -49,6 +49,7 @@ from touchfield.compute.threads import for_chunks
 from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.filters.region import RigidMotion
 from touchfield.medium import BRICK, ForceField, Grid
+from touchfield.medium.brick_buffer import BATCH_BRICKS, BrickBuffer
 from touchfield.medium.budget import zero_forces
 from touchfield.medium.field import (
     brick_keys,
@@ -63,7 +64,6 @@ from touchfield.medium.grid import CORNERS, ON_A_SAMPLE
 from touchfield.medium.samples import sample
 
 MAX_WEIGHTS: Final = 1 << 24
-_BATCH: Final = 1 << 14
 _SPLINE_KNOT: Final = 0.3189166986852232  # sinc(f T)^4 = 1/2 at f T = this
 _SINC_HALF_WIDTH: Final = 2.0
 _SINC_KAISER_BETA: Final = 5.0
@@ -183,14 +183,11 @@ def resample(field: ForceField, grid: Grid, kernel: str = "spline") -> ForceFiel
     reach = [_reach(axis_weight, bricks) for axis_weight, bricks in zip(weights, field.grid.brick_shape)]
     bricks = bricks_within(grid, np.stack([row[field.bricks[:, a]] for a, row in enumerate(reach)], axis=1))
     source = field.grid.shape, brick_keys(field.grid, field.bricks), field.forces_n
-    results = [(bricks[:0], zero_forces(0))]
-    for start in range(0, len(bricks), _BATCH):  # bounds the memory of output bricks that turn out empty
-        batch = bricks[start : start + _BATCH]
-        forces, has_force = _resample_bricks(batch, source, weights)
-        results.append((batch, forces) if has_force.all() else (batch[has_force], forces[has_force]))
-    if len(results) == 2:
-        return ForceField(grid, *results[1])
-    return ForceField(grid, *(np.concatenate(parts) for parts in zip(*results)))
+    buffer = BrickBuffer()
+    for start in range(0, len(bricks), BATCH_BRICKS):
+        batch = bricks[start : start + BATCH_BRICKS]
+        buffer.append(batch, *_resample_bricks(batch, source, weights))
+    return ForceField(grid, *buffer.take())
 
 
 def _resample_bricks(

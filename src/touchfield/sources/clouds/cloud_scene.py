@@ -24,7 +24,7 @@ from touchfield.arrays import Float64s, Int32s
 from touchfield.compute.threads import for_chunks, worker_count
 from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.medium import BRICK, ForceField, Grid
-from touchfield.medium.budget import zero_forces
+from touchfield.medium.brick_buffer import BrickBuffer
 from touchfield.medium.field import frozen
 from touchfield.medium.grid import LOCAL
 from touchfield.medium.pose_track import checked_rotation
@@ -137,19 +137,19 @@ class CloudScene(Scene):
             return np.isfinite(near_m)
 
         bricks = find_bricks_by_sphere(may_hold, grid)
-        forces = zero_forces(len(bricks))
+        buffer, rotation = BrickBuffer(), self._rotation.T.astype(np.float32)
         for first in range(0, len(bricks), _BRICKS_AT_ONCE):
             self.report(first, len(bricks))
-            part = slice(first, first + _BRICKS_AT_ONCE)
-            points, rows = self._nearest(tree, bricks[part], grid, search_m)
-            arguments = (points, rows, surfels, half_m, profile.table(), forces[part].reshape(-1, 3))
+            part = bricks[first : first + _BRICKS_AT_ONCE]
+            points, rows = self._nearest(tree, part, grid, search_m)
+            forces = np.zeros((len(part), BRICK, BRICK, BRICK, 3), np.float32)
+            arguments = (points, rows, surfels, half_m, profile.table(), forces.reshape(-1, 3))
             from touchfield.sources.clouds.kernels.surface import cloud_forces
 
             for_chunks(cloud_forces, len(points), *arguments, chunk=BRICK**3)
+            buffer.append(part, forces @ rotation, np.asarray(forces.any(axis=(1, 2, 3, 4))))
         self.report(len(bricks), len(bricks))
-        has_force = forces.any(axis=(1, 2, 3, 4))
-        forces = forces[has_force] @ self._rotation.T.astype(np.float32)
-        return ForceField(grid, bricks[has_force], forces)
+        return ForceField(grid, *buffer.take())
 
     def _wall(self, profile: ForceProfile) -> tuple[float, float]:
         """Return half the thickness of a two-sided wall, 0 for a one-sided one, and the reach of forces."""

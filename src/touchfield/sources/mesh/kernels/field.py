@@ -20,10 +20,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from touchfield.arrays import Float32s, Float64s, Int32s, Int64s
+from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from touchfield.compute.jit import inner, kernel
 from touchfield.compute.threads import for_chunks
 from touchfield.medium import Grid
+from touchfield.medium.brick_buffer import BATCH_BRICKS, BrickBuffer
 from touchfield.sources.mesh.kernels import triangle as tri
 from touchfield.sources.mesh.kernels.sign import COLUMN_SHIFT, winding_of_brick
 from touchfield.sources.terrain.kernels import amplitude as amplitude_at
@@ -327,9 +328,11 @@ def _find_bricks(
 
 
 def _find_rim_edges(
-    rim: Float64s, lattice: Float64s, shape: Int64s, reach_m: float, keys: Int64s
+    rim: Float64s | None, lattice: Float64s, shape: Int64s, reach_m: float, keys: Int64s
 ) -> tuple[Int64s, Int64s, Int32s]:
     """Find the edges of a rim that may be within `reach_m` of the bricks with these ascending keys."""
+    if rim is None:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int32)
     bricks, starts, ids = _find_bricks(rim, lattice, shape, np.float32(reach_m / lattice[3:].max()))
     _, by, bz = -(-shape // 8)
     rim_keys = (bricks[:, 0].astype(np.int64) * by + bricks[:, 1]) * bz + bricks[:, 2]
@@ -338,6 +341,22 @@ def _find_rim_edges(
     found = np.flatnonzero(np.append(keys, -1)[index] == rim_keys)
     first[index[found]], last[index[found]] = starts[:-1][found], starts[1:][found]
     return first, last, ids
+
+
+class _Scratch:
+    """Forces, flags and owners of a batch of bricks; the memory is used again by the next batch."""
+
+    def __init__(self, brick_count: int, has_owners: bool) -> None:
+        count = min(brick_count, BATCH_BRICKS)
+        self._forces_n = np.empty((count, 8, 8, 8, 3), np.float32)
+        self._has_force = np.empty(count, np.bool_)
+        self._owners = np.empty((count if has_owners else 0, 8, 8, 8), np.int32)
+
+    def cleared(self, count: int) -> tuple[Float32s, Bools, Int32s]:
+        """Return the arrays of `count` bricks: forces 0, no brick with a force, owners -1 (or none)."""
+        forces_n, has_force, owners = self._forces_n[:count], self._has_force[:count], self._owners[:count]
+        forces_n[:], has_force[:], owners[:] = 0, False, -1
+        return forces_n, has_force, owners
 
 
 def mesh_forces(
@@ -356,7 +375,8 @@ def mesh_forces(
     vertices and edges. `events` are those of `crossings`, empty unless closed or lidded. At distances below
     `tiny_m` metres, forces point along a pseudo-normal. `motion` adds the damping of a moving surface.
     Towards `rim`, the `triangle_table` of edges as degenerate triangles, the force fades over a distance
-    equal to the reach of the force law.
+    equal to the reach of the force law. Candidates are computed in batches, of which only the bricks with a
+    force are kept. Raises `InvalidArgument` if these take more than `memory_budget_bytes`.
     """
     lattice = np.array([*grid.origin_m, *grid.spacing_m])
     shape = np.array(grid.shape, np.int64)
@@ -371,15 +391,19 @@ def mesh_forces(
     spans = np.stack([starts[:-1][order], starts[1:][order]], axis=1)
     columns = np.stack([np.searchsorted(events, columns + e) for e in (0, 1 << COLUMN_SHIFT)], axis=1)
     rule = (band.sidedness, band.half_wall_m, tiny_m)
-    forces, has_force = np.zeros((len(bricks), 8, 8, 8, 3), np.float32), np.zeros(len(bricks), np.bool_)
-    owners = np.full((0 if motion is None and rim is None else len(bricks), 8, 8, 8), -1, np.int32)
-    arguments = ((bricks, spans, ids, columns), surface, (lattice, shape, limits), events, rule, band.pieces)
-    for_chunks(_fill_bricks, len(bricks), *arguments, forces, has_force, owners)
-    if motion is not None:
-        for_chunks(add_motion, len(bricks), bricks, owners, surface[0], lattice, *motion, forces)
-    if rim is not None:
-        width_m = max(band.inner_m, band.outer_m)
-        rim_edges = _find_rim_edges(rim, lattice, shape, 2 * width_m, keys)
-        rim_arguments = rim, rim_edges, width_m
-        for_chunks(fade, len(bricks), bricks, owners, surface[0], lattice, *rim_arguments, forces, has_force)
-    return bricks[has_force], forces[has_force]
+    width_m = max(band.inner_m, band.outer_m)
+    first, last, rim_ids = _find_rim_edges(rim, lattice, shape, 2 * width_m, keys)
+    buffer, scratch = BrickBuffer(), _Scratch(len(bricks), motion is not None or rim is not None)
+    for start in range(0, len(bricks), BATCH_BRICKS):
+        batch = slice(start, start + BATCH_BRICKS)
+        near = bricks[batch]
+        forces, has_force, owners = scratch.cleared(len(near))
+        arguments = ((near, spans[batch], ids, columns[batch]), surface, (lattice, shape, limits), events)
+        for_chunks(_fill_bricks, len(near), *arguments, rule, band.pieces, forces, has_force, owners)
+        if motion is not None:
+            for_chunks(add_motion, len(near), near, owners, surface[0], lattice, *motion, forces)
+        if rim is not None:
+            edges = rim, (first[batch], last[batch], rim_ids), width_m
+            for_chunks(fade, len(near), near, owners, surface[0], lattice, *edges, forces, has_force)
+        buffer.append(near, forces, has_force)
+    return buffer.take()
