@@ -212,6 +212,8 @@ _elements = parts_of(split_by(_element_head, 0), _element, lambda tag: elements 
 def packets(data: bytes, rng: random.Random, size: int = 188) -> bytes:
     """Change, drop, repeat or exchange packets of MPEG-TS."""
     each = [data[at : at + size] for at in range(0, len(data), size)]
+    if not each:
+        return data
     at = rng.randrange(len(each))
     match rng.randrange(6):
         case 0:

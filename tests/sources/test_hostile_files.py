@@ -142,6 +142,12 @@ REFUSED: dict[str, tuple[Callable[[Path], Any], str]] = {
     ),
     "wav of 2 GiB": (lambda f: read_recording(sound(f, PCM, 0x7FFFFFF0)), r"a\.wav: found"),
     "wav of nothing": (lambda f: read_recording(sound(f, PCM, 0)), r"a\.wav: found"),
+    "off with a face of 2^63 corners": (
+        lambda f: open_source(
+            written(f / "a.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n9223372036854775807 0 1 2\n")
+        ),
+        r"a\.off: found a mesh that cannot be read",
+    ),
     "npz by LZMA": (lambda f: read_deformation(packed(f, "a.npz", zipfile.ZIP_LZMA)), "method 14 of zip"),
     "npz by bzip2": (lambda f: read_deformation(packed(f, "a.npz", zipfile.ZIP_BZIP2)), "method 12 of zip"),
     "tiff without its strips": (tall_tiff, r"depth\.tif.*: found strips or tiles of \d+ pixels"),

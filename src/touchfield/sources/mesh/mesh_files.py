@@ -76,6 +76,8 @@ def read_mesh(path: Path) -> MeshData:
             vertices, counts, flat = _READERS[ending](path.read_bytes())
         if len(flat) and not 0 <= flat.min() <= flat.max() < len(vertices):
             raise ValueError(f"a face of vertices that are not there; there are {len(vertices)}")
+        if len(counts) and not 0 <= counts.min() <= counts.max() <= len(flat):
+            raise ValueError(f"a face of {counts.max()} corners; there are {len(flat)}")
     except (ArithmeticError, LookupError, ValueError) as error:
         found = f"a mesh that cannot be read ({type(error).__name__}: {str(error)[:120]})"
         raise SourceError(str(path), found, "a whole mesh file", "Export it again.") from error
