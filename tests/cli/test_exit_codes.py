@@ -92,7 +92,7 @@ READING = {
 }
 """Arguments of each command that reads a file; {in} is a missing file, or a folder."""
 
-NOTHING_READ = {"demo", "devices", "sources", "doctor", "warmup"}
+NOTHING_READ = {"data", "demo", "devices", "sources", "doctor", "warmup"}
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ from importlib import resources
 
 import pytest
 
+from touchfield import __version__
 from touchfield.cli.main import COMMANDS, _exit_code
 from touchfield.datasets import DataCard, data_card, data_cards
 from touchfield.errors import InvalidArgument
@@ -51,10 +52,8 @@ def test_list_and_show_print_the_cards_and_open_no_connection(
     assert values["penn-hatt"]["may_redistribute"] is False
     assert _exit_code(["data", "show", "penn-hatt", "--json"]) == 0
     shown = json.loads(capsys.readouterr().out)
-    assert {**shown, "notes": None} == {
-        **json.loads(json.dumps(asdict(data_card("penn-hatt")))),
-        "notes": None,
-    }
+    expected = json.loads(json.dumps(asdict(data_card("penn-hatt"))))
+    assert {**shown, "notes": None} == {**expected, "notes": None, "touchfield": __version__}
     assert _exit_code(["data", "show", "penn-hatt"]) == 0
     text = capsys.readouterr().out
     assert "Models_MATERIAL.xml" in text and "non-profit" in text

@@ -19,8 +19,8 @@ NEWTONS_PER_M = 400.0
 
 
 @pytest.fixture(scope="module")
-def terrain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray]:
-    """A file of the Jacksboro fault, and the column (x, y) of its highest point, metres."""
+def terrain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray, tf.Grid]:
+    """A file of the Jacksboro fault, its heights, metres, float64 [x, y], and its grid."""
     pytest.importorskip("matplotlib", reason="the elevation model is a sample of matplotlib")
     from matplotlib import cbook
 
@@ -35,14 +35,13 @@ def terrain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray]
     medium = tf.HapticMedium.from_array(force_n, grid, axes="x east, y north, z up")
     path = tmp_path_factory.mktemp("terrain") / "terrain.touch"
     tf.encode(medium, path)
-    column = np.unravel_index(heights_m.argmax(), heights_m.shape)
-    return path, np.array(grid.origin_m[:2]) + np.array(grid.spacing_m[:2]) * column
+    return path, heights_m, grid
 
 
 def test_highest_point_is_found_by_keys_and_speech(
-    page: str, terrain: tuple[Path, np.ndarray], tmp_path: Path
+    page: str, terrain: tuple[Path, np.ndarray, tf.Grid], tmp_path: Path
 ) -> None:
-    path, highest_m = terrain
+    path, heights_m, grid = terrain
     result = drive(
         tmp_path,
         step("goto", url=page),
@@ -63,5 +62,7 @@ def test_highest_point_is_found_by_keys_and_speech(
     middle_m = np.array(head["origin"][:2]) + 0.5 * np.array(head["spacing"][:2]) * (
         np.array(head["shape"][:2]) - 1
     )
-    np.testing.assert_allclose(middle_m + np.array([x_mm, y_mm]) / 1e3, highest_m, rtol=0, atol=0.0025)
-    np.testing.assert_allclose(state["point"][:2], highest_m, rtol=0, atol=0.002)
+    for found_m in (middle_m + np.array([x_mm, y_mm]) / 1e3, np.array(state["point"][:2])):
+        column = np.rint((found_m - grid.origin_m[:2]) / grid.spacing_m[:2]).astype(int)
+        # the error bound of the file may exchange two columns: the second highest is 0.15 mm lower
+        assert heights_m[tuple(column)] > heights_m.max() - 0.0002

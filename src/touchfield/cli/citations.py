@@ -27,8 +27,8 @@ SOURCES: Final[Mapping[str, str]] = MappingProxyType(
         "Analysis 98, 2007 (variation of information)",
         "endres": "D. M. Endres and J. E. Schindelin, A new metric for probability distributions, IEEE "
         "Transactions on Information Theory 49, 2003 (Jensen-Shannon distance)",
-        "good": "P. Good, Permutation, Parametric, and Bootstrap Tests of Hypotheses, 2005 (test against "
-        "chance)",
+        "theiler": "J. Theiler et al., Testing for nonlinearity in time series: the method of surrogate "
+        "data, Physica D 58, 1992 (test against chance)",
         "manohar": "K. Manohar et al., 2018, after Z. Drmac and S. Gugercin, 2016 (points that determine "
         "modes)",
     }
@@ -42,7 +42,7 @@ _CITED: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "reduce": ("manohar",),
         "points": ("manohar",),
         "similar": ("meila", "endres", *_INTERVALS),
-        "correlate": ("miller", "good", *_INTERVALS),
+        "correlate": ("miller", "theiler", *_INTERVALS),
     }
 )
 

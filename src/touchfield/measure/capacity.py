@@ -182,7 +182,7 @@ def _of(reference: Quantity, rendered: Quantity, device_bits: float, paired: Spr
         base = base.of(dependence=_dependence(paired, reference))
     if of_ratio is not None and of_ratio.low == of_ratio.high:
         of_ratio = None
-        notes = (*notes, "no interval: WMR is 1 wherever in their intervals the entropies lie")
+        notes = (*notes, f"no interval: WMR is {ratio:.3g} wherever in their intervals the entropies lie")
     wmr = base.of(name="WMR", value=ratio, interval=of_ratio, notes=notes)
     i = of_ratio  # HIL = 1 - WMR
     mirrored = None if i is None else Interval(1.0 - i.high, 1.0 - i.low, i.level, i.method)

@@ -18,6 +18,8 @@ from touchfield.arrays import EqualByValue, Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import frozen
 
+# frames times bodies of a scene in a file: a body at rest costs few bytes, but one pose per frame in memory
+MAX_POSES: Final = 1 << 24
 _UNIT = 1e-3  # tolerance of a quaternion's length: the rounding of three digits in a text file
 
 

@@ -14,13 +14,12 @@ from touchfield.codec.segment import RATIO_STEPS, BoundRule, MaxError
 from touchfield.codec.varint import Parts, chunk, write_varint
 from touchfield.errors import CorruptFile
 from touchfield.medium import Grid
+from touchfield.medium.pose_track import MAX_POSES as MAX_POSES
 
 NAME: Final = "objects"
 
 MAX_FRAMES: Final = (1 << 16) - 1  # of a segment
 MAX_OBJECTS: Final = 4096  # objects of a scene
-# frames times objects of a scene: a body at rest costs few bytes in a file, but one pose per frame in memory
-MAX_POSES: Final = 1 << 24
 _PARAMETERS: Final = struct.Struct("<Idd")
 _WHERE: Final = "HEAD.coder_parameters"
 _MAX_AXIS_SAMPLES: Final = 1 << 20

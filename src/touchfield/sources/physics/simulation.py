@@ -26,7 +26,7 @@ import numpy as np
 from touchfield.arrays import Float64s
 from touchfield.errors import InvalidArgument, SourceError, import_extra
 from touchfield.medium.budget import require_memory
-from touchfield.medium.pose_track import PoseTrack
+from touchfield.medium.pose_track import MAX_POSES, PoseTrack
 from touchfield.sources.mesh.mesh_scene import MeshScene
 from touchfield.sources.poses import quaternion_of_euler
 from touchfield.sources.shapes.shapes import Superquadric, rotation_matrix
@@ -100,13 +100,15 @@ def compile_model(
 def frames_of(where: str, seconds: float, rate_hz: float, body_count: int = 1) -> int:
     """Return the number of frames of a duration, at least one.
 
-    Raises `InvalidArgument` if the poses would take more than `memory_budget_bytes`.
+    Raises `InvalidArgument` if a file cannot have so many poses, or they would take more than
+    `memory_budget_bytes`.
     """
     frames = max(round(seconds * rate_hz), 1)
     contents = f"poses, {seconds:g} s at {rate_hz:g} Hz for {body_count} bodies"
-    hint = (
-        "Ask for fewer seconds or a lower rate, or set TOUCHFIELD_MEMORY_GIB; the times of poses begin at 0."
-    )
+    hint = "Ask for fewer seconds or a lower rate; the times of poses begin at 0."
+    if frames * body_count > MAX_POSES:
+        raise InvalidArgument(where, f"{frames * body_count} {contents}", f"at most {MAX_POSES}", hint)
+    hint = f"{hint} Or set TOUCHFIELD_MEMORY_GIB."
     require_memory(where, contents, frames * body_count * _BYTES_PER_POSE, hint)
     return frames
 
