@@ -159,14 +159,13 @@ static inline void touch_smooth_settings(touch_receiver *receiver) {
 
 /* -- damping ---------------------------------------------------------------------------------------------------------- */
 
-/* A force of the field with the damper in contact: along it alone, and always less than it. The limit is approached smoothly,
-   as a hand that turns back has its full velocity again within a tick or two. */
+/* A force of the field with the damper in contact: along it alone, and never more than it. */
 static inline touch_vector touch_braked(const touch_tick_state *state, touch_vector force_n, touch_vector velocity_m_s) {
     double size = touch_norm(force_n);
     if (!(state->brake_n_s_per_m > 0.0 && size > 0.0)) return force_n;
-    double braking = state->brake_n_s_per_m * touch_dot(touch_divided(force_n, size), velocity_m_s);
-    double both = sqrt(size * size + braking * braking);
-    return both > 0.0 ? touch_scale(1.0 - braking / both, force_n) : force_n;
+    touch_vector outwards = touch_divided(force_n, size);
+    double fraction = state->brake_n_s_per_m * touch_dot(outwards, velocity_m_s) / size;
+    return touch_scale(1.0 - touch_clamp(fraction, -1.0, 1.0), force_n);
 }
 
 /* -- vibration -------------------------------------------------------------------------------------------------------- */
