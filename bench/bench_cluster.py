@@ -187,7 +187,9 @@ def memory(low_nw: int) -> Figures:
 
 def growth(figures: Figures, ending: str) -> float | None:
     """Return the memory of a worker at the higher n_w over that at the lower."""
-    megabytes = column({k: v for k, v in figures["memory"].items() if k.startswith(ending)}, "worker_mb")
+    megabytes = column(
+        {k: v for k, v in figures.get("memory", {}).items() if k.startswith(ending)}, "worker_mb"
+    )
     return megabytes[1] / megabytes[0] if megabytes else None
 
 
@@ -308,10 +310,13 @@ def measure(frames: int, is_huge: int, rounds: int, low_nw: int) -> Figures:
 
 def bars(figures: Figures) -> list[Bar]:
     """Limit memory and requests; require efficiency, equal bytes and resumption."""
-    rows = [*figures["executors"].values(), *figures["killed"].values()]
-    same = [figures["spread"]["same_bytes"], *column(rows, "same")]
-    resumed = [row["reused"] == row["left"] >= 3 and row["clean"] for row in figures["killed"].values()]
-    whole = column(figures["objects"], "whole")
+    killed = [*figures.get("killed", {}).values()]
+    same = [
+        figures["spread"]["same_bytes"],
+        *column([*figures.get("executors", {}).values(), *killed], "same"),
+    ]
+    resumed = [row["reused"] == row["left"] >= 3 and row["clean"] for row in killed]
+    whole = column(figures.get("objects", []), "whole")
     return [
         at_least("efficiency of two processes", figure(figures, "spread", "efficiency"), 0.85),
         at_least(
@@ -325,7 +330,7 @@ def bars(figures: Figures) -> list[Bar]:
         at_most("memory of the largest process", figure(figures, "tiles", "most_bytes"), 2e9, "bytes"),
         at_most(
             "memory of a worker, the largest of all",
-            max(column(figures["memory"], "worker_mb"), default=None),
+            max(column(figures.get("memory", []), "worker_mb"), default=None),
             2000,
             "MB",
         ),
