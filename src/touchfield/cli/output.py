@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import typer
 
 from touchfield._version import __version__
-from touchfield.errors import InvalidArgument, printable
+from touchfield.errors import InvalidArgument, printable, require_ending
 from touchfield.files import refuse_overwriting
 from touchfield.viewer.page import require_matplotlib
 
@@ -33,9 +33,11 @@ def check_results(
     """Raise InvalidArgument before the work if a result cannot be written.
 
     The folder of each result must exist, and no result may be one of the files that are read, or another
-    result. `plot` is a result that is drawn: MissingExtra if matplotlib is not installed. None is ignored.
+    result. `plot` is a result that is drawn, and ends in .png: MissingExtra if matplotlib is not installed.
+    None is ignored.
     """
     if plot is not None:
+        require_ending(plot, "PICTURE.png")
         require_matplotlib(f"the picture {plot}")
     named = [out for out in (*results, plot) if out is not None]
     for n, out in enumerate(named):
