@@ -242,7 +242,7 @@ def test_broken_pipe_within_a_task_is_an_error(
         "study analyse in --plot", "encode sample:shapes out.touch --plot", "field sample:shapes --preview",
         "measure in.touch --plot", "play in.touch --offline --plot", "points 5 in.touch --plot",
         "compare sample:shapes in.touch --picture", "plan sample:shapes --budget 60kB --plot",
-        "reduce in.touch --plot", "filter in.touch out.touch --plot", "texture in.wav -o o.json --plot",
+        "reduce in.touch --plot", "filter in.touch out.touch --gaussian 2mm --plot", "texture in.wav -o o.json --plot",
     ],
 )  # fmt: skip
 def test_a_picture_that_is_no_png_is_refused_before_the_work(
@@ -264,5 +264,5 @@ def test_a_port_in_use_is_refused_before_the_source_is_read(
             source = tmp_path if command == "serve" else tmp_path / "missing.stl"
             assert _exit_code([command, str(source), "--port", str(port)]) == 2
             message = capsys.readouterr().err
-            assert f"--port: found 127.0.0.1:{port}, in use by another program" in message
+            assert f"--port: found 127.0.0.1:{port}: in use by another program" in message
             assert message.count("\n") == 1

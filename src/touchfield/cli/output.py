@@ -37,7 +37,6 @@ def check_results(
     None is ignored.
     """
     if plot is not None:
-        require_ending(plot, "PICTURE.png")
         require_matplotlib(f"the picture {plot}")
     named = [out for out in (*results, plot) if out is not None]
     for n, out in enumerate(named):
@@ -46,6 +45,8 @@ def check_results(
         if not out.parent.is_dir():
             raise InvalidArgument(str(out), f"no folder {out.parent}", "a folder that is there")
         refuse_overwriting(out, *(read for read in reads if read is not None))
+    if plot is not None:
+        require_ending(plot, "PICTURE.png")
 
 
 def echo(text: str, *, to_stderr: bool = False) -> None:

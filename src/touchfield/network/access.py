@@ -290,7 +290,7 @@ def _listen_error(access: Access, error: Exception) -> InvalidArgument:
     causes = {errno.EADDRINUSE: "in use by another program", errno.EACCES: "not allowed for this user"}
     causes[errno.EADDRNOTAVAIL] = "no address of this machine"
     cause = causes.get(getattr(error, "errno", None) or 0) or reason(error)
-    found = f"{access.host}:{access.port}, {cause}"
+    found = f"{access.host}:{access.port}: {cause}"
     return InvalidArgument("--port", found, "an address that is free", "Take another --port or --host.")
 
 

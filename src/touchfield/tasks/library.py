@@ -349,7 +349,7 @@ def search(
     stale = sum(
         not _is_unchanged(library.entries.get(name), size_and_time) for name, size_and_time in files.items()
     )
-    notes = (f"{_count_of(stale, 'file')} changed since: {command}",) if stale else ()
+    notes: tuple[str, ...] = (f"{_count_of(stale, 'file')} changed since: {command}",) if stale else ()
     gone = library.entries.keys() - files.keys()
     if gone:
         notes += (f"{_count_of(len(gone), 'file')} of the index gone and left out: {command}",)
