@@ -242,7 +242,8 @@ def test_broken_pipe_within_a_task_is_an_error(
         "study analyse in --plot", "encode sample:shapes out.touch --plot", "field sample:shapes --preview",
         "measure in.touch --plot", "play in.touch --offline --plot", "points 5 in.touch --plot",
         "compare sample:shapes in.touch --picture", "plan sample:shapes --budget 60kB --plot",
-        "reduce in.touch --plot", "filter in.touch out.touch --gaussian 2mm --plot", "texture in.wav -o o.json --plot",
+        "reduce in.touch --plot", "filter in.touch out.touch --gaussian 2mm --plot",
+        "texture in.wav -o o.json --plot",
     ],
 )  # fmt: skip
 def test_a_picture_that_is_no_png_is_refused_before_the_work(

@@ -30,7 +30,7 @@ def study(
     folder: Annotated[Path | None, typer.Argument(help="run: folder of the results.")] = None,
     participant: Annotated[
         str | None,
-        "run: label of the participant, letters and digits; a person needs one. [with --observer: sim]",
+        "run: label of the participant, letters and digits; a person needs one, else sim.",
     ] = None,
     device: Annotated[str | None, "run: device that presents the intervals, as of play."] = None,
     observer: Annotated[
