@@ -257,7 +257,14 @@ def test_options_of_the_renderer_have_the_names_of_play(values, expected, capsys
 
 
 @pytest.mark.parametrize(
-    "values", [{"clutch_m": [0, 0, 1]}, {"clutch_mm": 5}, {"clutch_mm": ["a", 0, 0]}, {"no_blend": 1}]
+    "values",
+    [
+        {"clutch_m": [0, 0, 1]},
+        {"clutch_mm": 5},
+        {"gravity_n": [[1], [1, 2]]},
+        {"clutch_mm": ["a", 0, 0]},
+        {"no_blend": 1},
+    ],
 )
 def test_an_unfit_option_of_the_renderer_is_named(values):
     with pytest.raises(InvalidArgument, match=f"^{next(iter(values))}: found"):

@@ -30,13 +30,13 @@ def study(
     folder: Annotated[Path | None, typer.Argument(help="run: folder of the results.")] = None,
     participant: Annotated[
         str | None,
-        "run: label of the participant, letters and digits; a person needs one, else sim.",
+        "run: label of the participant, letters and digits: required for a person; with --observer: sim.",
     ] = None,
     device: Annotated[str | None, "run: device that presents the intervals, as of play."] = None,
     observer: Annotated[
         str | None, "run, power: simulated observer, threshold=T,slope=B,lapse=L in the unit of the levels."
     ] = None,
-    runs: Annotated[int | None, "power: simulated sessions for each number of trials. [default: 100]"] = None,
+    runs: Annotated[int | None, "power: simulated sessions for each number of trials; default: 100."] = None,
     plot: Annotated[Path | None, "analyse: PNG to draw: rates, fits and intervals."] = None,
 ) -> Answer:
     """Find out which differences people notice: forced choice between streams, settings or renderers."""

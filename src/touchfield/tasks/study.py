@@ -128,12 +128,14 @@ def render_spec(values: Mapping[str, Any]) -> RenderSpec:
     for name in values:
         if name not in _RENDER_OPTIONS:
             raise InvalidArgument(name, "an unknown option", f"one of {', '.join(_RENDER_OPTIONS)}")
-    options: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+    options: dict[str, Any] = dict(values)
+    for name in values.keys() & {"clutch_mm", "gravity_n"}:
+        value = values[name]
+        if not (isinstance(value, list) and len(value) == 3 and all(map(is_finite, value))):
+            raise InvalidArgument(name, repr(value)[:60], "three finite numbers")
+        options[name] = tuple(value)
     if "clutch_mm" in options:
-        clutch_mm = options.pop("clutch_mm")
-        if np.shape(clutch_mm) != (3,) or not all(map(is_finite, clutch_mm)):
-            raise InvalidArgument("clutch_mm", repr(clutch_mm)[:60], "three finite numbers")
-        options["clutch_m"] = tuple(v / 1000 for v in clutch_mm)
+        options["clutch_m"] = tuple(v / 1000 for v in options.pop("clutch_mm"))
     if "no_blend" in options:
         if not isinstance(options["no_blend"], bool):
             raise InvalidArgument("no_blend", repr(options["no_blend"])[:60], "true or false")
