@@ -441,8 +441,8 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "participant": case("07", "run_session.spec.participant", "07"),
         "device": Case("sim", refused="--device, --observer: found both"),
         "observer": case("threshold=3", "run_session.spec.observer", "threshold=3"),
-        "runs": Case("20", refused="--runs: found it with study run; expected study power"),
-        "plot": Case("fits.png", refused="--plot: found it with study run; expected study analyse"),
+        "runs": Case("20", refused="--runs is only for study power, not for study run"),
+        "plot": Case("fits.png", refused="--plot is only for study analyse, not for study run"),
     },
     "correlate": {
         "looks": case("5", "correlate.frames", 5),

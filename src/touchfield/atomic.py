@@ -71,7 +71,8 @@ def atomic_path(path: Path) -> Iterator[Path]:
         about = (
             f" ({error.filename!s})" if elsewhere and isinstance(error.filename, str | os.PathLike) else ""
         )
-        found, hint = f"that it cannot be written: {reason}{about}", "The older file is untouched."
+        has_older, found = os.path.lexists(target), f"that it cannot be written: {reason}{about}"
+        hint = "The older file is untouched." if has_older else "Check the path and the permissions."
         raise SourceError(str(path), found, hint=hint) from error
     finally:
         with suppress(OSError):

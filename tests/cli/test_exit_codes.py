@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import socket
 import subprocess
 import sys
 from importlib import import_module
@@ -232,3 +233,37 @@ def test_broken_pipe_within_a_task_is_an_error(
     capsys.readouterr()
     assert _exit_code(["info", "sphere.touch"]) == 1
     assert capsys.readouterr() == ("", ""), "nobody is there to hear it"
+
+
+@pytest.mark.parametrize("name", ["fits.txt", "x.jpg", "picture"])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        "study analyse in --plot", "encode sample:shapes out.touch --plot", "field sample:shapes --preview",
+        "measure in.touch --plot", "play in.touch --offline --plot", "points 5 in.touch --plot",
+        "compare sample:shapes in.touch --picture", "plan sample:shapes --budget 60kB --plot",
+        "reduce in.touch --plot", "filter in.touch out.touch --gaussian 2mm --plot",
+        "texture in.wav -o o.json --plot",
+    ],
+)  # fmt: skip
+def test_a_picture_that_is_no_png_is_refused_before_the_work(
+    arguments: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    assert _exit_code([*arguments.split(), name]) == 2
+    assert f"{name}: found the ending" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_port_in_use_is_refused_before_the_source_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        for command in ("live", "serve"):
+            source = tmp_path if command == "serve" else tmp_path / "missing.stl"
+            assert _exit_code([command, str(source), "--port", str(port)]) == 2
+            message = capsys.readouterr().err
+            assert f"--port: found 127.0.0.1:{port}: in use by another program" in message
+            assert message.count("\n") == 1

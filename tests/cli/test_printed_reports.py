@@ -15,6 +15,7 @@ import pytest
 
 import touchfield as tf
 from touchfield.cli.main import _exit_code
+from touchfield.cli.play import _starved_note
 from touchfield.cli.view import _free_name
 from touchfield.codec.paper.spec import PaperSpec
 from touchfield.codec.touch.spec import TouchSpec
@@ -70,6 +71,20 @@ def test_search_results_are_printed_in_order(
     for wrong in ("amplitude", "amplitude=", "amplitude=many"):
         assert _exit_code(["search", str(tmp_path), "x.touch", "--weight", wrong]) == 2
         assert f"--weight: found '{wrong}'; expected PART=NUMBER" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("stream", "expected"),
+    [
+        ("ws://host/live?token=secret", "lower --rate-hz or a smaller --nw (touchfield live)"),
+        ("https://host/a.touch?token=secret", "download the file"),
+        ("a room.touch", "touchfield play 'a room.touch' --check tells"),
+    ],
+)
+def test_a_starved_playback_names_causes_and_a_remedy(stream: str, expected: str) -> None:
+    note = _starved_note(stream, 0.0695)
+    assert note.startswith("6.95 % of the time there was no force") and expected in note
+    assert "secret" not in note
 
 
 def test_doctor_prints_fixes_for_missing_parts_only(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
@@ -223,10 +238,19 @@ def test_broadcast_into_a_pipe_reports_what_it_sent(
     printed = capsys.readouterr()
     assert printed.out == "\7\0\0\0opening\0\0\0\0", "the opening, and the end"
     notes = notes_of(printed.err)
-    assert notes[:2] == ["in time", "1,234 frames, 5 segments, 67,890 sent_bytes, 2 left_out, 0 coarse_bytes"]
+    assert notes[:2] == [
+        "in time",
+        "1,234 frames, 5 segments, 67,890 sent_bytes, 2 left_out, 0 coarse_bytes, 0 coarse_left_out",
+    ]
     bound = sent.error_bound(opened[0])  # type: ignore[arg-type]
     bound_notes = [f"error bound: {bound['error_bound']}; largest error 0.250 of it"]
-    assert notes[2:] == (bound_notes if ratio else []) and (bound["error_bound"] is None) == (ratio is None)
+    bound_notes += [
+        "error bound: it holds for the frames that were sent; 2 of 1236 frames were left out and never sent"
+    ]
+    unproved = [f"error bound: {bound['error_bound_note']}"]
+    assert notes[2:] == (bound_notes if ratio else unproved) and (bound["error_bound"] is None) == (
+        ratio is None
+    )
     assert specs == [LiveSpec(0.5, True, 7.0)]
 
 

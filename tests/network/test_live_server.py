@@ -135,7 +135,7 @@ def test_a_broadcast_and_a_segment_have_at_least_one_frame() -> None:
 def test_skipped_frames_are_reported_at_each_doubling() -> None:
     sent, notes = Sent(), list[str]()
     for _ in range(9):
-        sent.skip(1, "slow", notes.append)
+        sent.leave_out(1, "slow", notes.append)
     assert [note.split()[1] for note in notes] == ["1", "2", "4", "8"] and sent.left_out == 9
 
 

@@ -91,6 +91,21 @@ def test_all_correct_and_chance_leave_the_interval_open():
         fit_psychometric([], [], 0.5)
 
 
+@pytest.mark.parametrize(
+    ("rates", "expected"),
+    [
+        ((0.5, 0.5, 1, 1), {"slope"}),  # a step
+        ((0.5, 0.75, 0.9, 0.9), {"lapse"}),
+        ((1, 1, 1, 1), {"threshold"}),
+        ((0.5, 0.65, 0.85, 0.98), set()),
+    ],
+)
+def test_a_parameter_at_the_limit_of_the_fit_is_named(rates, expected):
+    levels = [level for level in (0.1, 0.2, 0.4, 0.8) for _ in range(100)]
+    correct = [i < 100 * rate for rate in rates for i in range(100)]
+    assert set(fit_psychometric(levels, correct, 0.5).at_limit) == expected
+
+
 def test_a_level_is_tested_by_the_binomial_law():
     (row,) = level_tests([0.1] * 20, [True] * 15 + [False] * 5, 0.5)
     assert row["p_value"] == pytest.approx(binom.sf(14, 20, 0.5))

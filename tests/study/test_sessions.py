@@ -155,6 +155,7 @@ def test_intervals_are_played_in_the_order_of_the_trial_and_nothing_tells_which_
         for has_comparison in trial.order
     ]
     assert hand.played == expected
+    assert hand.shown.pop(0) == "Each trial: three intervals. One of them differs from the others."
     assert all(re.fullmatch(r"trial \d of 6: interval \d of 3", text) for text in hand.shown)
 
 
@@ -233,9 +234,41 @@ def test_a_wrong_design_names_its_field(text, expected, tmp_path):
 def test_an_unknown_option_of_the_renderer_is_named_before_anything_is_written(folder):
     path = write_design(folder, compared=["k0.1.touch"], levels=(1.0,))
     path.write_text(path.read_text() + "render = { speed = 3 }\n")
-    with pytest.raises(InvalidArgument, match=r"comparison\.render\.speed"):
+    with pytest.raises(
+        SourceError, match=r"design\.toml: comparison 1\.render\.speed: found an unknown option"
+    ):
         run_session(path, folder / "out", SIMULATED, no_answer)
     assert not (folder / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ({"clutch_mm": [0, 0, 5]}, {"clutch_m": (0.0, 0.0, 0.005)}),
+        ({"no_blend": True}, {"blend": False}),
+        ({"gravity_n": [0, 0, 1]}, {"gravity_n": (0, 0, 1)}),
+    ],
+)
+def test_options_of_the_renderer_have_the_names_of_play(values, expected, capsys):
+    made = study.render_spec(values)
+    assert {name: getattr(made, name) for name in expected} == expected
+    assert not _exit_code(["play", "--help"])
+    assert all(f"--{name.replace('_', '-')}" in capsys.readouterr().out for name in values)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"clutch_m": [0, 0, 1]},
+        {"clutch_mm": 5},
+        {"gravity_n": [[1], [1, 2]]},
+        {"clutch_mm": ["a", 0, 0]},
+        {"no_blend": 1},
+    ],
+)
+def test_an_unfit_option_of_the_renderer_is_named(values):
+    with pytest.raises(InvalidArgument, match=f"^{next(iter(values))}: found"):
+        study.render_spec(values)
 
 
 def test_templates_make_a_design_that_can_be_read(tmp_path):
@@ -253,7 +286,9 @@ def test_the_commands_run_analyse_and_power(folder, capsys):
     assert not _exit_code(["study", "analyse", out, "--json"])
     assert len(json.loads(capsys.readouterr().out)["levels"]) <= 2
     assert not _exit_code(["study", "power", path, "--observer", "threshold=0.2", "--runs", "10", "--json"])
-    power = json.loads(capsys.readouterr().out)["power"]
+    answer = json.loads(capsys.readouterr().out)
+    power, explained = answer["power"], {note.partition(":")[0] for note in answer["notes"]}
+    assert explained == set(power[0]) - {"trials", "runs"}
     assert [row["trials"] for row in power] == [3, 6, 12, 24, 48]
 
 
@@ -264,10 +299,21 @@ def test_the_commands_run_analyse_and_power(folder, capsys):
         ("run design.toml", "FOLDER"),
         ("run design.toml out", "--device, --observer: found neither"),
         ("run design.toml out --observer threshold=x", "--observer"),
+        ("run design.toml out --observer threshold=-5", "--observer: found threshold -5.0"),
+        ("run design.toml out --observer threshold=5,slope=nan", "--observer: found slope nan"),
+        ("run design.toml out --observer threshold=5,threshold=6", "--observer"),
+        ("run design.toml out --device sim", "--participant: found nothing"),
+        ("run design.toml out --device nodevice --participant 1", "nodevice"),
+        ("power design.toml --observer threshold=1,lapse=2", "--observer: found lapse 2.0"),
+        (
+            "power design.toml --observer threshold=1 --participant 2",
+            "--participant is only for study run, not",
+        ),
+        ("power missing.toml --observer threshold=1", "missing.toml: found no such file"),
         ("run design.toml out --observer threshold=1 --participant a/b", "--participant"),
         ("power design.toml", "--observer"),
         ("power design.toml --observer threshold=1 --runs 5", "--runs"),
-        ("analyse missing", "session.json"),
+        ("analyse missing", "session.json: found no such file"),
         ("init new --observer threshold=1", "study run or power"),
     ],
 )
@@ -279,3 +325,99 @@ def test_a_command_that_cannot_be_is_one_line_and_no_file(arguments, expected, f
     message = capsys.readouterr().err
     assert expected in message and message.count("\n") == 1
     assert sorted(folder.rglob("*")) == before
+
+
+OBSERVERS = {
+    "simulated": {"observer": "threshold=0.3,slope=2"},
+    "another": {"observer": "threshold=0.1,slope=2"},
+    "person": {"device": "sim"},
+}
+
+
+@pytest.mark.parametrize("trials", [5, 12])
+@pytest.mark.parametrize(
+    ("first", "second"), [("simulated", "another"), ("simulated", "person"), ("person", "simulated")]
+)
+def test_a_session_belongs_to_one_observer(first, second, trials, folder, monkeypatch):
+    path, out = write_design(folder, levels=(0.1, 0.6)), folder / "out"
+    hand = Hand(monkeypatch, for_participant(read_design(path), "7"))
+    run_session(path, out, SessionSpec("7", **OBSERVERS[first]), hand.ask)
+    file = out / "sub-7_trials.csv"
+    file.write_bytes(b"".join(file.read_bytes().splitlines(keepends=True)[: trials + 1]))
+    before = file.read_bytes()
+    other = SessionSpec("7", **OBSERVERS[second])
+    with pytest.raises(InvalidArgument, match="line 2: found an answer of") as caught:
+        run_session(path, out, other, no_answer)
+    assert SessionSpec("7", **OBSERVERS[first]).answered_by in str(caught.value)
+    assert other.answered_by in str(caught.value)
+    assert file.read_bytes() == before
+
+
+def test_the_same_observer_written_otherwise_continues_and_a_complete_session_runs_nothing(folder):
+    path, out = write_design(folder, levels=(0.1, 0.6)), folder / "out"
+    run_session(path, out, SessionSpec(observer="threshold=0.3"), no_answer)
+    file = out / "sub-sim_trials.csv"
+    lines = file.read_bytes().splitlines(keepends=True)
+    file.write_bytes(b"".join(lines[:6]))
+    again = SessionSpec("sim", observer=" slope=3, threshold=0.30")
+    assert run_session(path, out, again, no_answer).figures["state"] == "complete"
+    before = file.read_bytes()
+    assert run_session(path, out, again, no_answer).figures["state"] == "already complete, nothing was run"
+    assert file.read_bytes() == before
+
+
+def test_another_device_of_a_person_is_noted(folder, monkeypatch):
+    path = write_design(folder, levels=(0.1, 0.6))
+    hand = Hand(monkeypatch, for_participant(read_design(path), "7"), stops_after=3)
+    assert not run_session(path, folder / "out", SessionSpec("7", device="sim"), hand.ask).notes
+    hand.stops_after = 5
+    done = run_session(path, folder / "out", SessionSpec("7", device="sim:spring"), hand.ask)
+    assert done.figures["trials"] == 5
+    assert done.notes == ("earlier trials have another device: person: sim; now person: sim:spring",)
+
+
+@pytest.mark.parametrize("cut", [1, 2, 12, 60])
+def test_a_cut_line_is_left_out_of_the_analysis_and_refused_by_a_session(cut, folder):
+    path, out, spec = (
+        write_design(folder, levels=(0.1, 0.6)),
+        folder / "out",
+        SessionSpec(observer="threshold=0.3"),
+    )
+    run_session(path, out, spec, no_answer)
+    file = out / "sub-sim_trials.csv"
+    file.write_bytes(file.read_bytes()[:-cut])
+    found = analyse_study(out)
+    assert found.figures["participants"][0]["trials"] == 11
+    assert "participant sim: the last line of sub-sim_trials.csv is cut and left out" in found.notes
+    assert "participant sim: 11 of 12 trials" in found.notes
+    with pytest.raises(SourceError, match=r"line 13: found a line that is cut.*Delete the line"):
+        run_session(path, out, spec, no_answer)
+
+
+def test_the_analysis_notes_observers_that_are_mixed_and_limits_of_the_fit(folder):
+    path, out = write_design(folder, levels=(0.1, 0.6)), folder / "out"
+    run_session(path, out, SessionSpec(observer="threshold=0.001"), no_answer)
+    notes = analyse_study(out).notes  # every answer is correct
+    assert any("the threshold is at the limit of the fit" in note for note in notes)
+    assert not any("of 12 trials" in note for note in notes)
+    file = out / "sub-sim_trials.csv"
+    first, changed = file.read_text().split("threshold=0.001", 1)
+    file.write_text(
+        first + "threshold=0.001" + changed.replace("threshold=0.001", "threshold=0.5"), newline=""
+    )
+    (note,) = [note for note in analyse_study(out).notes if "not of one observer" in note]
+    assert "threshold=0.001" in note and "threshold=0.5" in note
+
+
+def test_more_trials_than_the_design_has_are_refused(folder):
+    path, out, spec = (
+        write_design(folder, levels=(0.1, 0.6)),
+        folder / "out",
+        SessionSpec(observer="threshold=0.3"),
+    )
+    run_session(path, out, spec, no_answer)
+    file = out / "sub-sim_trials.csv"
+    lines = file.read_text().splitlines(keepends=True)
+    file.write_text("".join([*lines, lines[-1].replace("11,", "12,", 1)]))
+    with pytest.raises(SourceError, match="found 13 trials; expected at most 12"):
+        run_session(path, out, spec, no_answer)

@@ -7,6 +7,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import shlex
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -109,7 +110,7 @@ def test_only_changed_files_are_decoded_again(folder: Path, decoded: list[str]) 
     decoded.clear()
     before = first.path.read_bytes()
     again = index_folder(folder)
-    assert not decoded and again.figures["described"] == 0 and again.figures["kept"] == 8
+    assert not decoded and again.figures["described"] == 0 and again.figures["kept"] == 6
     assert first.path.read_bytes() == before
     os.utime(folder / "sphere.touch", ns=(1, 1))  # a new time, the same bytes
     (folder / "torus.touch").rename(folder / "ring.touch")
@@ -223,6 +224,77 @@ def test_an_index_of_another_program_is_refused(folder: Path) -> None:
         index_folder(folder)
 
 
+@pytest.mark.parametrize(
+    "harm", [lambda data: b"", lambda data: data[: len(data) // 2], lambda data: data[:-30] + bytes(30)]
+)
+def test_a_damaged_index_is_made_anew(
+    folder: Path, harm: Callable[[bytes], bytes], capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = folder.parent / "an index.npz"
+    intact = index_folder(folder, path).path.read_bytes()
+    path.write_bytes(harm(intact))
+    search_it = ["search", str(folder), str(folder / "torus.touch"), "--index", str(path)]
+    assert _exit_code(search_it) == 1
+    assert f"Make it anew: touchfield index {folder} --index '{path}'" in capsys.readouterr().err
+    (note,) = index_folder(folder, path).notes
+    assert f"{path} is damaged" in note and path.read_bytes() == intact
+    assert _exit_code(search_it) == 0
+
+
+@pytest.mark.parametrize("data", [b"no index", b"PK\3\4" + b"another archive" * 100])
+def test_a_file_that_is_no_index_is_not_replaced(folder: Path, data: bytes) -> None:
+    path = folder.parent / "other.npz"
+    path.write_bytes(data)
+    with pytest.raises(SourceError, match="Delete it, or name another file: --index"):
+        index_folder(folder, path)
+    assert path.read_bytes() == data
+
+
+def test_the_counts_of_an_index_add_up(folder: Path) -> None:
+    for described in (6, 0, 1):
+        figures = index_folder(folder).figures
+        assert figures["files"] == figures["media"] + figures["left_out"] == 8
+        assert figures["media"] == figures["described"] + figures["kept"]
+        assert figures["described"] == described
+        tf.encode(body("lens"), folder / "plate.touch") if not described else None
+
+
+def test_a_link_to_a_file_that_is_gone_is_noted(folder: Path) -> None:
+    (folder / "deeper" / "lost.touch").symlink_to(folder / "nowhere.touch")
+    (folder / "linked.touch").symlink_to(folder / "torus.touch")
+    done = index_folder(folder)
+    assert done.notes == ("1 link to files that are not there, left out, such as deeper/lost.touch",)
+    assert "linked.touch" in done.library.rows
+
+
+def test_an_index_whose_files_are_all_gone_finds_nothing(folder: Path) -> None:
+    medium = tf.decode(folder / "torus.touch")
+    index_folder(folder)
+    for path in folder.rglob("*.touch"):
+        path.unlink()
+    with pytest.raises(SourceError, match="no medium that is still there"):
+        search(folder, medium)
+
+
+@pytest.mark.parametrize("weight", ["amplitude=-1", "shape=2", "shells=nan"])
+def test_a_wrong_weight_names_the_option(
+    folder: Path, weight: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    index_folder(folder)
+    assert _exit_code(["search", str(folder), str(folder / "torus.touch"), "--weight", weight]) == 2
+    assert capsys.readouterr().err.startswith("touchfield: --weight: found ")
+
+
+def test_the_suggested_command_can_be_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "q 'q"
+    folder.mkdir()
+    tf.encode(body("torus"), folder / "torus.touch")
+    assert _exit_code(["search", str(folder), str(folder / "torus.touch")]) == 1
+    command = capsys.readouterr().err.strip().partition("Make it: touchfield ")[2]
+    assert _exit_code(shlex.split(command)) == 0
+    assert not search(folder, folder / "torus.touch").notes
+
+
 def test_a_missing_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidArgument, match="no folder"):
         index_folder(tmp_path / "nowhere")
@@ -259,12 +331,15 @@ def test_changes_since_the_index_are_noted(folder: Path) -> None:
     tf.encode(body("lens"), folder / "sphere.touch")
     (folder / "plate.touch").unlink()
     found = search(folder, folder / "sphere.touch")
-    assert "2 files changed" in found.notes[0]
+    assert found.notes[0].startswith("1 file changed") and found.notes[1].startswith(
+        "1 file of the index gone"
+    )
+    assert "plate.touch" not in [row["name"] for row in found.figures["matches"]]
     assert len(search(folder, folder / "sphere.touch", 1).figures["matches"]) == 1
     expected = tf.measure.descriptor(tf.decode(folder / "sphere.touch"))
-    best = MediumIndex.load(library_path(folder)).query(expected, 2)
+    best = MediumIndex.load(library_path(folder)).query(expected)
     assert found.figures["matches"][0]["distance"] == next(
-        m.distance for m in best if m.name != "sphere.touch"
+        m.distance for m in best if m.name not in ("sphere.touch", "plate.touch")
     )
     index_folder(folder)
     (folder / "torus.touch").unlink()

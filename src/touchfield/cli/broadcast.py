@@ -74,7 +74,7 @@ def live(
 ) -> Answer | None:
     """Send SOURCE live: coded as its frames come, for any number of receivers (touchfield play ws://...)."""
     from touchfield.errors import InvalidArgument
-    from touchfield.network.access import Pages
+    from touchfield.network.access import Pages, require_free
     from touchfield.network.live import END, write_message
     from touchfield.network.live_server import LiveServer
     from touchfield.tasks.live import LiveSpec, broadcast, coarse_layer, open_sender
@@ -88,8 +88,11 @@ def live(
     if coarse and out == "-":
         raise InvalidArgument("--coarse", "a pipe, which loses nothing", "a server, or --udp")
     spec = LiveSpec(segment_s, loop, on_air_s)
+    access = None if out == "-" else _access(options)
+    if access is not None:
+        require_free(access)
     prepared, sender = open_sender(source, encode_spec(options))
-    if out == "-":
+    if access is None:
         pipe = sys.stdout.buffer
         write_message(pipe, sender.opening)
         sent = broadcast(prepared, lambda segment: write_message(pipe, sender.add(segment)), spec, print_note)
@@ -100,11 +103,13 @@ def live(
             print_note(
                 f"error bound: {bound['error_bound']}; largest error {sent.worst_mask_ratio:.3f} of it"
             )
+        if "error_bound_note" in bound:
+            print_note(f"error bound: {bound['error_bound_note']}")
         return None
     layer = coarse_layer(source, prepared) if coarse else None
     under = layer[1] if layer else None
     pages = Pages(served_page(), empty_page())
-    with LiveServer(sender, _access(options), pages, under) as server, ExitStack() as stack:
+    with LiveServer(sender, access, pages, under) as server, ExitStack() as stack:
         query = "?token=..." if options["token"] else ""
 
         def print_addresses() -> None:
@@ -134,8 +139,8 @@ def live(
     sums = {
         **counts,
         "max_receivers": server.max_receivers,
-        "skipped": server.skipped,
-        "left": server.dropped,
+        "receiver_skipped_segments": server.skipped,
+        "dropped_receivers": server.dropped,
     }
     return Answer(sums, source, prepared.notes)
 

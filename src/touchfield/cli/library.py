@@ -65,7 +65,13 @@ def search(
             weights[name] = float(number)
         except ValueError:
             raise InvalidArgument("--weight", repr(text), "PART=NUMBER, such as amplitude=2") from None
-    result = run(folder, like, count, weights, index_file)
+    try:
+        result = run(folder, like, count, weights, index_file)
+    except InvalidArgument as error:  # of a part: the command line names the option
+        if not error.where.startswith("weight"):
+            raise
+        found = error.found if error.where == "weights" else f"{error.where} {error.found}"
+        raise InvalidArgument("--weight", found, error.expected, error.hint) from error
     figures = result.summary()
 
     def print_text() -> None:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import typer
 
 from touchfield._version import __version__
-from touchfield.errors import InvalidArgument, printable
+from touchfield.errors import InvalidArgument, printable, require_ending
 from touchfield.files import refuse_overwriting
 from touchfield.viewer.page import require_matplotlib
 
@@ -33,7 +33,8 @@ def check_results(
     """Raise InvalidArgument before the work if a result cannot be written.
 
     The folder of each result must exist, and no result may be one of the files that are read, or another
-    result. `plot` is a result that is drawn: MissingExtra if matplotlib is not installed. None is ignored.
+    result. `plot` is a result that is drawn, and ends in .png: MissingExtra if matplotlib is not installed.
+    None is ignored.
     """
     if plot is not None:
         require_matplotlib(f"the picture {plot}")
@@ -44,6 +45,8 @@ def check_results(
         if not out.parent.is_dir():
             raise InvalidArgument(str(out), f"no folder {out.parent}", "a folder that is there")
         refuse_overwriting(out, *(read for read in reads if read is not None))
+    if plot is not None:
+        require_ending(plot, "PICTURE.png")
 
 
 def echo(text: str, *, to_stderr: bool = False) -> None:

@@ -3,6 +3,7 @@ the tool that touches in place of a point."""
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +14,7 @@ import typer
 from touchfield.cli.main import Json, Options, Stream, command
 from touchfield.cli.options import fields_of, numbers_of, rows, rows_of, with_options
 from touchfield.cli.output import Answer, check_results, echo, progress
+from touchfield.container.remote import is_live, is_remote
 from touchfield.errors import InvalidArgument
 from touchfield.medium.deformation import read_deformation
 from touchfield.render.material import read_materials
@@ -94,15 +96,24 @@ def play(
         played.draw(plot)
         notes = (*notes, f"the picture is {plot}")
     if played.is_starved:
-        percent = played.statistics["stalled_share"]
-        notes = (
-            *notes,
-            f"{100 * percent:.3g} % of the time there was nothing, as frames came too late: this has failed",
-        )
+        notes = (*notes, _starved_note(stream, played.statistics["stalled_share"]))
     Answer(played.statistics, stream, notes).show(as_json)
     played.checked()
     if played.is_starved:
         raise typer.Exit(1)
+
+
+def _starved_note(stream: str, fraction: float) -> str:
+    """What a playback lacked, why, and what helps."""
+    lack = f"{100 * fraction:.3g} % of the time there was no force, as frames came too late: this has failed"
+    if is_live(stream):
+        causes = "the sender or this machine is too slow, or the network delays or loses segments"
+        return f"{lack}. Either {causes}: send with a lower --rate-hz or a smaller --nw (touchfield live)"
+    causes = "this machine decodes too slowly, or other programs use it"
+    if is_remote(stream):
+        return f"{lack}. Either {causes}, or the network is too slow: download the file, or lower --speed"
+    command = shlex.join(["touchfield", "play", stream, "--check"])
+    return f"{lack}. Either {causes}: {command} tells; a lower --speed helps"
 
 
 @contextmanager

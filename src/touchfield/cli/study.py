@@ -11,10 +11,8 @@ from touchfield import tasks
 from touchfield.cli.main import command
 from touchfield.cli.output import Answer, check_results, echo, progress
 from touchfield.errors import InvalidArgument, require_one_of
-from touchfield.study.design import read_design
 
 _ACTIONS: Final = ("init", "run", "analyse", "power")
-DEFAULT_PARTICIPANT: Final = "01"
 DEFAULT_RUNS: Final = 100
 
 
@@ -31,13 +29,14 @@ def study(
     target: Annotated[Path, typer.Argument(help="init, analyse: a folder; run, power: the design, TOML.")],
     folder: Annotated[Path | None, typer.Argument(help="run: folder of the results.")] = None,
     participant: Annotated[
-        str | None, "run: label of the participant, letters and digits. [default: 01]"
+        str | None,
+        "run: label of the participant, letters and digits: required for a person; with --observer: sim.",
     ] = None,
     device: Annotated[str | None, "run: device that presents the intervals, as of play."] = None,
     observer: Annotated[
         str | None, "run, power: simulated observer, threshold=T,slope=B,lapse=L in the unit of the levels."
     ] = None,
-    runs: Annotated[int | None, "power: simulated sessions for each number of trials. [default: 100]"] = None,
+    runs: Annotated[int | None, "power: simulated sessions for each number of trials; default: 100."] = None,
     plot: Annotated[Path | None, "analyse: PNG to draw: rates, fits and intervals."] = None,
 ) -> Answer:
     """Find out which differences people notice: forced choice between streams, settings or renderers."""
@@ -63,13 +62,11 @@ def study(
             done.summary(),
             str(target),
             done.notes,
-            {"power": f"{runs or DEFAULT_RUNS} simulated sessions each"},
+            {"power": f"{DEFAULT_RUNS if runs is None else runs} simulated sessions each"},
         )
     if folder is None:
         raise InvalidArgument("FOLDER", "nothing", "the folder of the results, after the design")
-    spec = tasks.study.SessionSpec(participant or DEFAULT_PARTICIPANT, device, observer)
-    if device is not None:
-        echo(_WELCOME[read_design(target).task], to_stderr=True)
+    spec = tasks.study.SessionSpec(participant, device, observer)
     done = tasks.study.run_session(target, folder, spec, _ask, lambda text: echo(text, to_stderr=True))
     return Answer(done.summary(), str(folder), done.notes)
 
@@ -79,18 +76,13 @@ _OPTIONS: Final[dict[str, set[str]]] = {
     "analyse": {"--plot"}, "power": {"--observer", "--runs"},
 }  # fmt: skip
 
-_WELCOME: Final = {
-    "2ifc": "Each trial: a reference, then two intervals. One of the two differs from the reference.",
-    "3ifc": "Each trial: three intervals. One of them differs from the others.",
-    "abx": "Each trial: three intervals. The last one is like the first or like the second.",
-}
-
 
 def _require_fitting(action: str, given: set[str]) -> None:
     """InvalidArgument for an argument without effect in this action."""
     for name in sorted(given - _OPTIONS[action]):
         users = [other for other, names in _OPTIONS.items() if name in names]
-        raise InvalidArgument(name, f"it with study {action}", f"study {' or '.join(users)}")
+        usable = f"{name} is only for study {' or '.join(users)}, not for study {action}"
+        raise InvalidArgument(usable, hint="Take it out.")
 
 
 def _ask(question: str, answers: int) -> int | None:

@@ -4,6 +4,7 @@ in a thread."""
 from __future__ import annotations
 
 import asyncio
+import errno
 import hmac
 import ipaddress
 import logging
@@ -274,10 +275,7 @@ async def run(
         try:
             listening = await loop.create_server(connected, access.host, access.port, backlog=4096)
         except (OSError, UnicodeError) as error:
-            found = f"{access.host}:{access.port}: {reason(error)}"
-            raise InvalidArgument(
-                "--port", found, "an address that is free", "Take another --port or --host."
-            ) from None
+            raise _listen_error(access, error) from None
         host, port = listening.sockets[0].getsockname()[:2]
         ready(f"[{host}]:{port}" if ":" in host else f"{host}:{port}")
         await stop.wait()
@@ -285,6 +283,29 @@ async def run(
         if listening is not None:
             listening.close()
         await runner.cleanup()
+
+
+def _listen_error(access: Access, error: Exception) -> InvalidArgument:
+    """The error of a server that cannot listen."""
+    causes = {errno.EADDRINUSE: "in use by another program", errno.EACCES: "not allowed for this user"}
+    causes[errno.EADDRNOTAVAIL] = "no address of this machine"
+    cause = causes.get(getattr(error, "errno", None) or 0) or reason(error)
+    found = f"{access.host}:{access.port}: {cause}"
+    return InvalidArgument("--port", found, "an address that is free", "Take another --port or --host.")
+
+
+def require_free(access: Access) -> None:
+    """Raise InvalidArgument, before long work, if a server cannot listen at the address now."""
+
+    async def listen() -> None:
+        server = await asyncio.get_running_loop().create_server(asyncio.Protocol, access.host, access.port)
+        server.close()
+        await server.wait_closed()
+
+    try:
+        asyncio.run(listen())
+    except (OSError, UnicodeError) as error:
+        raise _listen_error(access, error) from None
 
 
 class Background(ABC):

@@ -29,13 +29,18 @@ _GRID: Final = 161
 
 @dataclass(frozen=True)
 class Fit:
-    """A fitted psychometric function, and the interval of its threshold, None where it is open."""
+    """A fitted psychometric function, and the interval of its threshold, None where it is open.
+
+    `at_limit` names the parameters of the function that are at the limit of the search, which the trials do
+    not settle.
+    """
 
     function: Psychometric
     low: float | None
     high: float | None
     log_likelihood: float
     trials: int
+    at_limit: tuple[str, ...] = ()
 
     def covers(self, threshold: float) -> bool:
         """Whether the interval contains a threshold."""
@@ -85,7 +90,13 @@ def fit_psychometric(levels: Sequence[float], correct: Sequence[bool], chance: f
 
     function = Psychometric(threshold, slope, chance, lapse)
     low, high = end(range(peak - 1, -1, -1)), end(range(peak + 1, _GRID))
-    return Fit(function, low, high, height, int(counts.totals.sum()))
+    is_at_limit = {
+        "threshold": peak in (0, _GRID - 1),
+        "slope": slope <= _SLOPE_GRID[0] or slope >= _SLOPE_GRID[-1],
+        "lapse": lapse >= _LAPSE_GRID[-1],  # 0 is a value, and no limit
+    }
+    at_limit = tuple(name for name, is_at in is_at_limit.items() if is_at)
+    return Fit(function, low, high, height, int(counts.totals.sum()), at_limit)
 
 
 def _drop() -> float:

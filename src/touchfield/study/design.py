@@ -144,6 +144,11 @@ def with_levels(design: StudyDesign, levels: tuple[float, ...], unit: str) -> St
     return replace(design, comparisons=compared, unit=unit)
 
 
+def open_fault(error: OSError) -> str:
+    """What is wrong with a file that cannot be opened, for an error."""
+    return "no such file" if isinstance(error, FileNotFoundError) else error.strerror or "no file"
+
+
 def read_design(path: str | Path) -> StudyDesign:
     """Read a design from TOML; paths of streams are relative to its folder.
 
@@ -156,7 +161,7 @@ def read_design(path: str | Path) -> StudyDesign:
             raise SourceError(str(path), f"more than {_MAX_BYTES} bytes", "the design of a study")
         values = tomllib.loads(data.decode())
     except OSError as error:
-        raise SourceError(str(path), error.strerror or "no file", "the design of a study, TOML") from None
+        raise SourceError(str(path), open_fault(error), "the design of a study, TOML") from None
     except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise SourceError(str(path), f"no TOML ({error})", "the design of a study") from None
     try:

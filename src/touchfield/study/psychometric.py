@@ -63,16 +63,21 @@ class SimulatedObserver:
     @classmethod
     def parse(cls, text: str, chance: float, seed: int) -> SimulatedObserver:
         """An observer from "threshold=0.1,slope=3,lapse=0.02"; `InvalidArgument` for anything else."""
-        values = {}
+        values: dict[str, float] = {}
         for part in text.split(","):
-            name, equals, number = part.partition("=")
+            name, _, number = part.partition("=")
+            name, is_new = name.strip(), name.strip() not in values
             try:
-                values[name.strip()] = float(number)
+                values[name] = float(number)
             except ValueError:
-                equals = ""
-            if not equals or name.strip() not in ("threshold", "slope", "lapse"):
-                expected = "threshold=NUMBER,slope=NUMBER,lapse=NUMBER, the last two optional"
+                is_new = False
+            if not is_new or name not in ("threshold", "slope", "lapse"):
+                expected = "threshold=NUMBER,slope=NUMBER,lapse=NUMBER, each once, the last two optional"
                 raise InvalidArgument("observer", repr(text), expected)
         if "threshold" not in values:
             raise InvalidArgument("observer", repr(text), "threshold=NUMBER, in the unit of the levels")
-        return cls(Psychometric(chance=chance, **values), seed)
+        try:
+            return cls(Psychometric(chance=chance, **values), seed)
+        except InvalidArgument as error:
+            found, expected = f"{error.where} {error.found}", f"{error.where}: {error.expected}"
+            raise InvalidArgument("observer", found, expected, error.hint) from None

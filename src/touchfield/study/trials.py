@@ -7,6 +7,7 @@ Each trial is written as soon as it is answered, so that a session that stops ca
 from __future__ import annotations
 
 import csv
+import io
 import json
 import re
 from collections.abc import Iterator
@@ -78,12 +79,26 @@ def read_trials(path: str | Path) -> tuple[Trial, ...]:
 
     `SourceError` names the line that is wrong. A last line that was cut is an error, too, with the fix.
     """
+    trials, is_cut = read_complete_trials(path)
+    if is_cut:
+        where, hint = f"{path}, line {len(trials) + 2}", "Delete the line to repeat its trial."
+        raise SourceError(where, "a line that is cut", "a line with its end", hint)
+    return trials
+
+
+def read_complete_trials(path: str | Path) -> tuple[tuple[Trial, ...], bool]:
+    """Read the trials of a participant without a last line that was cut, and tell whether there is one.
+
+    A line that ends without a line feed is cut: its last column may be shorter than it was. `SourceError`
+    names any other line that is wrong.
+    """
     path = Path(path)
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise SourceError(str(path), f"more than {_MAX_BYTES} bytes", "trials of one participant")
-        with path.open(newline="", encoding="utf-8") as file:
-            return tuple(_rows(path, file))
+        complete, line_feed, rest = path.read_bytes().rpartition(b"\n")
+        lines = io.StringIO((complete + line_feed).decode(), newline="")
+        return tuple(_rows(path, lines)), bool(rest)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise SourceError(str(path), f"no trials ({error})", "comma-separated text") from None
 

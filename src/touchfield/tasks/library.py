@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import shlex
 import time
 import warnings
 import zipfile
@@ -55,6 +56,7 @@ MAX_PENDING_BYTES: Final = 1 << 24  # limit of the compressed bytes of files in 
 SAVE_EVERY_S: Final = 5.0  # interval between saves; longer if saving takes more than a twentieth of it
 _UNREAD: Final = -1
 _MAX_STATE_BYTES: Final = 1 << 29
+_HEAD_BYTES: Final = 1 << 12  # which has the start of the first array of an index
 
 
 @dataclass(frozen=True)
@@ -142,7 +144,11 @@ def library_path(folder: Path, path: Path | None = None) -> Path:
 
 @dataclass(frozen=True, kw_only=True)
 class Indexed(Result):
-    """Counts of one run of `index_folder`."""
+    """Counts of one run of `index_folder`.
+
+    ``files`` are ``media`` and ``left_out``, which have a fault; ``media`` are ``described`` in this run and
+    ``kept`` from an earlier one. ``gone`` are files that are no longer there.
+    """
 
     path: Path
     library: Library
@@ -171,7 +177,7 @@ def index_folder(
     start_s, folder = time.perf_counter(), Path(folder)
     target = library_path(folder, path)
     before, notes = _library_before(target)
-    files = _files(folder)
+    files, link_notes = _files(folder), _dangling_notes(folder)
     changed = sorted(
         name
         for name, size_and_time in files.items()
@@ -212,15 +218,18 @@ def index_folder(
     if changed or deleted or notes or not target.exists():
         library.save(target)
     described_count = sum(not library.entries[name].fault for name in new_names)
-    counts = {"described": described_count, "kept": len(files) - len(new_names), "gone": len(deleted)}
-    counts |= {"left_out": sum(bool(entry.fault) for entry in library.entries.values())}
+    media = len(library.rows)
     figures = {
         "index": str(target),
-        "media": len(library.rows),
-        **counts,
+        "files": len(files),
+        "media": media,
+        "left_out": len(files) - media,
+        "described": described_count,
+        "kept": media - described_count,
+        "gone": len(deleted),
         "seconds": time.perf_counter() - start_s,
     }
-    notes += () if files else (f"no .touch file in {folder} or the folders in it",)
+    notes += link_notes + (() if files else (f"no .touch file in {folder} or the folders in it",))
     return Indexed(figures, notes, path=target, library=library)
 
 
@@ -232,6 +241,42 @@ def _library_before(path: Path) -> tuple[Library, tuple[str, ...]]:
         return Library.load(path), ()
     except OutdatedIndex as error:
         return Library(), (f"{error.where} has {error.found}: every file is described again",)
+    except SourceError as error:
+        if not _is_damaged_index(path):
+            mend = "Delete it, or name another file: --index."
+            raise SourceError(error.where, error.found, error.expected, mend) from None
+        return Library(), (f"{path} is damaged ({error.found}): every file is described again",)
+
+
+def _is_damaged_index(path: Path) -> bool:
+    """Whether a file that cannot be loaded was written by `Library.save`, and may be replaced.
+
+    An empty file may be, too. A file of another program is not replaced.
+    """
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD_BYTES)
+    except OSError:
+        return False
+    if not head:
+        return path.is_file()
+    if not (head.startswith(b"PK\3\4") and b"head.npy" in head and b'"descriptor_version"' in head):
+        return False
+    try:
+        MediumIndex.load(path)
+    except SourceError:
+        return True
+    return "files" in NpzArchive(path).names  # without it, it is an intact index of another program
+
+
+def _index_command(folder: Path, path: Path | None) -> str:
+    """The command that indexes a folder, for a message."""
+    arguments = ["touchfield", "index", str(folder), *(() if path is None else ("--index", str(path)))]
+    return shlex.join(arguments)
+
+
+def _count_of(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def describe_file(path: Path) -> tuple[Float64s | None, str]:
@@ -248,6 +293,18 @@ def _files(folder: Path) -> dict[str, tuple[int, int]]:
     return {
         path.relative_to(folder).as_posix(): (path.stat().st_size, path.stat().st_mtime_ns) for path in paths
     }
+
+
+def _dangling_notes(folder: Path) -> tuple[str, ...]:
+    """A note on the links named .touch whose file is gone or cannot be reached."""
+    links = sorted(
+        path.relative_to(folder).as_posix()
+        for path in folder.rglob("*.touch")
+        if path.is_symlink() and not path.exists()
+    )
+    if not links:
+        return ()
+    return (f"{_count_of(len(links), 'link')} to files that are not there, left out, such as {links[0]}",)
 
 
 def _is_unchanged(entry: Entry | None, size_and_time: tuple[int, int]) -> bool:
@@ -277,23 +334,31 @@ def search(
 
     `like` is a .touch file, in the folder or not, or a medium; a file is not compared with itself. `weights`
     are those of the parts of the descriptor (`MediumIndex.query`; `touchfield.measure.retrieval.ANY_POSE` for
-    any pose), and `path` is the library's file. Raises TouchfieldError if the folder was not indexed, or
+    any pose), and `path` is the library's file. Files that are gone are left out, with a note. Raises
+    TouchfieldError if the folder was not indexed, or
     `like` cannot be described.
     """
     folder, target = Path(folder), library_path(Path(folder), path)
     if count < 1:
         raise InvalidArgument("count", f"{count}", "1 or more")
+    command = _index_command(folder, path)
     if not target.exists():
-        raise SourceError(
-            str(target), "no such file", "the folder's index", f"Make it: touchfield index {folder}"
-        )
-    library = Library.load(target)
+        raise SourceError(str(target), "no such file", "the folder's index", f"Make it: {command}")
+    library = _library_to_search(target, command)
     files = _files(folder)
     stale = sum(
         not _is_unchanged(library.entries.get(name), size_and_time) for name, size_and_time in files.items()
     )
-    stale += len(library.entries.keys() - files.keys())
-    notes = (f"{stale} files changed since: touchfield index {folder}",) if stale else ()
+    notes: tuple[str, ...] = (f"{_count_of(stale, 'file')} changed since: {command}",) if stale else ()
+    gone = library.entries.keys() - files.keys()
+    if gone:
+        notes += (f"{_count_of(len(gone), 'file')} of the index gone and left out: {command}",)
+    for name in gone:
+        library.forget(name)
+    if not library.rows:
+        raise SourceError(
+            str(target), "no medium that is still there", "at least one", f"Renew it: {command}"
+        )
     own_name, resolved = "", folder.resolve()  # the name of a file in the folder
     if not isinstance(like, HapticMedium) and Path(like).resolve().is_relative_to(resolved):
         own_name = Path(like).resolve().relative_to(resolved).as_posix()
@@ -310,6 +375,17 @@ def search(
     figures = {"media": len(index), "query_ms": 1e3 * (time.perf_counter() - start_s)}
     rows = [{"rank": n, "name": m.name, "distance": m.distance} for n, m in enumerate(matches, start=1)]
     return Result({**figures, "matches": rows}, notes)
+
+
+def _library_to_search(path: Path, command: str) -> Library:
+    """Load a library; the error of one that can be made anew names the command."""
+    try:
+        return Library.load(path)
+    except SourceError as error:
+        if not (isinstance(error, OutdatedIndex) or _is_damaged_index(path)):
+            raise
+        hint = f"Make it anew: {command}"
+        raise SourceError(error.where, error.found, error.expected, hint) from error
 
 
 def similar(

@@ -1,7 +1,7 @@
 """Sends a source live: makes, codes and sends its frames in real time.
 
 Frames are coded in segments, which are sent to all receivers. The delay of a segment is its length plus the
-coding time of its last frame. If making or coding frames is too slow, frames are skipped and counted; the
+coding time of its last frame. If making or coding frames is too slow, frames are left out and counted; the
 clock does not wait. Of rigid bodies, segments have only the poses (`touchfield.tasks.live_bodies`); a model
 of MuJoCo is simulated meanwhile. A coarse layer is a separate stream with the same frames on half the
 lattice, within a mask twice as wide, in a seventh of the bytes. (Coding the fine stream as the difference to
@@ -77,7 +77,8 @@ class LiveSpec:
 class Sent:
     """Counts of a broadcast.
 
-    `left_out` counts frames that were too late to be made or coded.
+    `left_out` counts frames that were too late to be made or coded, `coarse_left_out` those of the coarse
+    layer alone.
 
     `unbounded_segments` counts segments that state no error bound. Only `coarse_bytes` counts the coarse
     layer. `worst_mask_ratio` is the largest error of all voxels sent, in units of the error bound; None if
@@ -91,6 +92,7 @@ class Sent:
     coarse_bytes: int = 0
     worst_mask_ratio: float | None = None
     unbounded_segments: int = 0
+    coarse_left_out: int = 0
 
     def add(self, segment: LiveSegment, max_error: MaxError | None) -> None:
         """Count a segment that was sent."""
@@ -101,11 +103,11 @@ class Sent:
         else:
             self.worst_mask_ratio = max(max_error.ratio, self.worst_mask_ratio or 0.0)
 
-    def skip(self, frames: int, reason: str, on_note: Callable[[str], None]) -> None:
-        """Count skipped frames, and report each time that their number has doubled."""
+    def leave_out(self, frames: int, reason: str, on_note: Callable[[str], None]) -> None:
+        """Count frames that are left out, and report each time that their number has doubled."""
         before, self.left_out = self.left_out, self.left_out + frames
         if self.left_out.bit_length() > before.bit_length():
-            on_note(f"{reason}: {self.left_out} frames are skipped so far")
+            on_note(f"{reason}: {self.left_out} frames are left out so far")
 
     def summary(self) -> dict[str, Any]:
         """Return the counts as a dictionary; its keys are stable. A note reports the unbounded segments."""
@@ -120,6 +122,9 @@ class Sent:
         keys = bound_keys(rule, {"promise_kept": has_bound})
         if not self.segments:
             keys = {"error_bound": None, "error_bound_note": "no error bound is proved: no segment was sent"}
+        elif has_bound and self.left_out:
+            absent = f"{self.left_out} of {self.frames + self.left_out} frames were left out and never sent"
+            keys["error_bound_note"] = f"it holds for the frames that were sent; {absent}"
         return {**keys, "promise_kept": True if has_bound else None}
 
 
@@ -219,7 +224,7 @@ def broadcast(
 
     Ends with the source, after the requested time, or at an interrupt.
 
-    ``send(segment) -> message`` must not block; ``on_note(note)`` is called with notes on skipped frames.
+    ``send(segment) -> message`` must not block; ``on_note(note)`` is called with notes on frames left out.
     `coarse` is a coarse layer (`coarse_layer`) and the function that sends its segments. ``on_start()`` is
     called when the clock starts.
     """
@@ -258,7 +263,7 @@ def broadcast(
                     queue.put(None)
             for lane, work in zip(lanes, ("coding", "coding the coarse layer")):
                 if lane.is_late:
-                    lane.sent.skip(count, f"{work} cannot keep up", on_note)
+                    lane.sent.leave_out(count, f"{work} cannot keep up", on_note)
             if is_over:
                 break
     except KeyboardInterrupt:
@@ -267,6 +272,7 @@ def broadcast(
         for lane in lanes:
             lane.close()
     sent.coarse_bytes = sum(lane.sent.sent_bytes for lane in lanes[1:])
+    sent.coarse_left_out = sum(lane.sent.left_out for lane in lanes[1:])
     if isinstance(prepared, PreparedBodies) and sent.unbounded_segments:
         on_note(
             f"{sent.unbounded_segments} segments state no error bound: more than {MAX_OVERLAP} bodies overlap"
@@ -422,7 +428,7 @@ def _timed_segments(
         late_s = clock_s() - start_s - (first + 1) / medium.rate_hz
         if late_s > 2 * length / medium.rate_hz:
             missed = min(int(late_s * medium.rate_hz), last - first)
-            sent.skip(missed, "frames cannot be made in time", on_note)
+            sent.leave_out(missed, "frames cannot be made in time", on_note)
             first += missed
             continue
         band: list[VibrationFrame] = []

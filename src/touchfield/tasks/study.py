@@ -26,17 +26,32 @@ import numpy as np
 from touchfield._version import __version__
 from touchfield.atomic import atomic_path
 from touchfield.compute.threads import Progress, silent
+from touchfield.devices.drivers.registry import is_array_device, point_device
 from touchfield.devices.drivers.touch_down import touch_down
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.errors import InvalidArgument, SourceError, as_source_error, is_finite
 from touchfield.files import json_of
 from touchfield.network.opening import open_stream
 from touchfield.pipeline.result import Result
 from touchfield.render.spec import RenderSpec
-from touchfield.study.analysis import fit_psychometric, level_tests, power_of
-from touchfield.study.design import TASKS, StudyDesign, for_participant, read_design, with_levels
+from touchfield.study.analysis import Fit, fit_psychometric, level_tests, power_of
+from touchfield.study.design import (
+    TASKS,
+    StudyDesign,
+    for_participant,
+    open_fault,
+    read_design,
+    with_levels,
+)
 from touchfield.study.procedures import procedure_of
 from touchfield.study.psychometric import Psychometric, SimulatedObserver
-from touchfield.study.trials import Trial, append_trial, read_trials, trials_path, write_dictionary
+from touchfield.study.trials import (
+    Trial,
+    append_trial,
+    read_complete_trials,
+    read_trials,
+    trials_path,
+    write_dictionary,
+)
 from touchfield.tasks.play import PlaySpec, play
 from touchfield.viewer.study import draw_fits
 
@@ -106,13 +121,41 @@ def _forces_n(stream: str, trajectory: Path, render: Mapping[str, Any]) -> Any:
 
 
 def render_spec(values: Mapping[str, Any]) -> RenderSpec:
-    """The spec of the renderer from a table of a design; `InvalidArgument` for an unknown or unfit option."""
-    plain = {item.name for item in fields(RenderSpec)} - {"tool", "materials", "deformation"}
+    """The spec of the renderer from a table of a design; `InvalidArgument` for an unknown or unfit option.
+
+    Names are those of ``touchfield play``, with ``_`` for ``-``; three numbers are an array.
+    """
     for name in values:
-        if name not in plain:
-            raise InvalidArgument(f"comparison.render.{name}", "an unknown option", f"one of {sorted(plain)}")
-    options: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+        if name not in _RENDER_OPTIONS:
+            raise InvalidArgument(name, "an unknown option", f"one of {', '.join(_RENDER_OPTIONS)}")
+    options: dict[str, Any] = dict(values)
+    for name in values.keys() & {"clutch_mm", "gravity_n"}:
+        value = values[name]
+        if not (isinstance(value, list) and len(value) == 3 and all(map(is_finite, value))):
+            raise InvalidArgument(name, repr(value)[:60], "three finite numbers")
+        options[name] = tuple(value)
+    if "clutch_mm" in options:
+        options["clutch_m"] = tuple(v / 1000 for v in options.pop("clutch_mm"))
+    if "no_blend" in options:
+        if not isinstance(options["no_blend"], bool):
+            raise InvalidArgument("no_blend", repr(options["no_blend"])[:60], "true or false")
+        options["blend"] = not options.pop("no_blend")
     return RenderSpec(**options)
+
+
+_RENDER_OPTIONS: Final = sorted(
+    {item.name for item in fields(RenderSpec)} - {"tool", "materials", "deformation", "clutch_m", "blend"}
+    | {"clutch_mm", "no_blend"}
+)
+
+
+def read_playable_design(path: str | Path) -> StudyDesign:
+    """Read a design as `read_design`; `SourceError` also for an option that the renderer does not take."""
+    design = read_design(path)
+    for i, compared in enumerate(design.comparisons, 1):
+        with as_source_error(f"{path}: comparison {i}.render."):
+            render_spec(compared.render)
+    return design
 
 
 def resolved_design(design: StudyDesign, report: Progress = silent) -> StudyDesign:
@@ -128,10 +171,11 @@ class SessionSpec:
     """Who takes part, and how the intervals are presented.
 
     `observer`: a simulated observer, "threshold=20,slope=3,lapse=0.02", in the unit of the levels; `device`:
-    as of `PlaySpec`. One of both.
+    as of `PlaySpec`. One of both. `participant` is the label of a person, and by default "sim" of a simulated
+    observer.
     """
 
-    participant: str = "01"
+    participant: str | None = None
     device: str | None = None
     observer: str | None = None
 
@@ -139,6 +183,13 @@ class SessionSpec:
         if (self.device is None) == (self.observer is None):
             found = "neither" if self.device is None else "both"
             raise InvalidArgument("--device, --observer", found, "one of them: who answers?")
+        if self.participant is None and self.observer is None:
+            raise InvalidArgument("--participant", "nothing", "a label for the person, such as 01")
+
+    @property
+    def label(self) -> str:
+        """Label of the participant."""
+        return "sim" if self.participant is None else self.participant
 
     @property
     def answered_by(self) -> str:
@@ -156,21 +207,29 @@ def run_session(
 ) -> Result:
     """Run or continue the session of a participant, and return how far it came.
 
-    `InvalidArgument` or `SourceError` if the design is wrong, the folder has another design, or earlier
-    trials do not follow from it.
+    `InvalidArgument` or `SourceError` if the design is wrong, the folder has another design, earlier trials
+    do not follow from it, somebody else answered them, or there is no such device.
     """
-    design, folder = read_design(design_path), Path(folder)
-    path = trials_path(folder, spec.participant)
-    for compared in design.comparisons:
-        render_spec(compared.render)
+    design, folder = read_playable_design(design_path), Path(folder)
+    path = trials_path(folder, spec.label)
     observer = None
     if spec.observer is not None:  # before anything is written
         observer = SimulatedObserver.parse(spec.observer, design.chance, design.seed)
-    design = for_participant(_session_design(design, folder, report), spec.participant)
+    elif not is_array_device(spec.device or ""):
+        point_device(spec.device or "")  # InvalidArgument for an unknown one
+    earlier = read_trials(path) if path.exists() else ()
+    _require_same_observer(path, earlier, spec, design.chance)
+    design = for_participant(_session_design(design, folder, report), spec.label)
     if observer is not None:
         observer = replace(observer, seed=design.seed)
-    done, procedure = _replayed(design, path)
+    procedure, done = _replayed(design, path, earlier), len(earlier)
+    notes = _device_notes(earlier, spec)
+    if done == design.trials:
+        state = "already complete, nothing was run"
+        return Result({"file": str(path), "trials": done, "of": design.trials, "state": state}, notes)
     session = _Session(design, spec, observer, ask, show)
+    if observer is None:
+        show(_INSTRUCTIONS[design.task])
     for trial in range(done, design.trials):
         index = procedure.next_index()
         answered = session.trial(trial, sorted(design.levels)[index])
@@ -181,7 +240,36 @@ def run_session(
         done = trial + 1
         report(done, design.trials)
     state = "complete" if done == design.trials else "stopped; the same command continues it"
-    return Result({"file": str(path), "trials": done, "of": design.trials, "state": state})
+    return Result({"file": str(path), "trials": done, "of": design.trials, "state": state}, notes)
+
+
+def _identity(answered_by: str, chance: float) -> Psychometric | str:
+    """Who answers: the function of a simulated observer, or a person, whatever the device."""
+    if not answered_by.startswith(_SIMULATED):
+        return "a person"
+    try:
+        return SimulatedObserver.parse(answered_by.removeprefix(_SIMULATED), chance, 0).function
+    except InvalidArgument:
+        return answered_by
+
+
+def _require_same_observer(path: Path, earlier: tuple[Trial, ...], spec: SessionSpec, chance: float) -> None:
+    """`InvalidArgument` if another observer answered an earlier trial: a fit is that of one observer."""
+    own = _identity(spec.answered_by, chance)
+    for trial in earlier:
+        if _identity(trial.answered_by, chance) != own:
+            where, hint = f"{path}, line {trial.trial + 2}", "Take another --participant."
+            raise InvalidArgument(
+                where, f"an answer of {trial.answered_by!r}", f"{spec.answered_by!r}, which answers now", hint
+            )
+
+
+def _device_notes(earlier: tuple[Trial, ...], spec: SessionSpec) -> tuple[str, ...]:
+    """A note if a person had other devices in earlier trials."""
+    others = {trial.answered_by for trial in earlier} - {spec.answered_by}
+    if not others or spec.observer is not None:
+        return ()
+    return (f"earlier trials have another device: {', '.join(sorted(others))}; now {spec.answered_by}",)
 
 
 def _session_design(design: StudyDesign, folder: Path, report: Progress) -> StudyDesign:
@@ -224,7 +312,7 @@ def _digests(design: StudyDesign) -> list[str]:
             with Path(stream).open("rb") as file:
                 digests.append(hashlib.file_digest(file, "sha256").hexdigest())
         except OSError as error:
-            raise SourceError(stream, error.strerror or "no file", "a stream of the design") from None
+            raise SourceError(stream, open_fault(error), "a stream of the design") from None
     return digests
 
 
@@ -234,18 +322,21 @@ def _read_session(path: Path) -> dict[str, Any]:
         data = path.open("rb").read(_MAX_SESSION_BYTES)
         values: dict[str, Any] = json_of(data.decode())
         levels = tuple(float(level) for level in values["levels"])
-        known = {name: str(values[name]) for name in ("design", "unit", "task", "title")}
+        known: dict[str, Any] = {name: str(values[name]) for name in ("design", "unit", "task", "title")}
+        known["trials"] = int(values["trials"])
     except OSError as error:
-        raise SourceError(str(path), error.strerror or "no file", "a folder of a study") from None
-    except (ValueError, TypeError, KeyError, RecursionError):
+        raise SourceError(str(path), open_fault(error), "a folder of a study") from None
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
         raise SourceError(str(path), "no session", "what `touchfield study run` writes") from None
     return {**values, **known, "levels": levels}
 
 
-def _replayed(design: StudyDesign, path: Path) -> tuple[int, Any]:
-    """The number of trials in a file, and the procedure after them."""
+def _replayed(design: StudyDesign, path: Path, earlier: tuple[Trial, ...]) -> Any:
+    """The procedure after the trials of a file; `SourceError` if they do not follow from the design."""
     procedure, ascending = procedure_of(design), sorted(design.levels)
-    earlier = read_trials(path) if path.exists() else ()
+    if len(earlier) > design.trials:
+        found, hint = f"{len(earlier)} trials", "Restore the file, or take another participant."
+        raise SourceError(str(path), found, f"at most {design.trials}, as in the design", hint)
     for trial in earlier:
         index = procedure.next_index()
         where = f"{path}, line {trial.trial + 2}"
@@ -258,7 +349,7 @@ def _replayed(design: StudyDesign, path: Path) -> tuple[int, Any]:
         if trial.order != _text_of(design.order(trial.trial)):
             raise SourceError(where, f"order {trial.order}", _text_of(design.order(trial.trial)))
         procedure.update(index, bool(trial.correct))
-    return len(earlier), procedure
+    return procedure
 
 
 def _text_of(order: tuple[int, ...]) -> str:
@@ -313,14 +404,21 @@ _QUESTIONS: Final = {
     "abx": "Is the last interval the first or the second? 1 or 2",
 }
 
+_INSTRUCTIONS: Final = {
+    "2ifc": "Each trial: a reference, then two intervals. One of the two differs from the reference.",
+    "3ifc": "Each trial: three intervals. One of them differs from the others.",
+    "abx": "Each trial: three intervals. The last one is like the first or like the second.",
+}
+
 
 # -- analysis --------------------------------------------------------------------------------------------
 def analyse_study(folder: str | Path, plot: Path | None = None) -> Result:
     """Fit the psychometric function of each participant of a folder.
 
     Each of ``participants`` has the threshold, its 95 % interval, slope, lapse, and trials; each of
-    ``levels`` the rate of correct answers and the exact test against chance. `SourceError` if there is no
-    session or no trial; with `plot` also a PNG (`MissingExtra` without matplotlib).
+    ``levels`` the rate of correct answers and the exact test against chance. Notes name what is missing or
+    left out. `SourceError` if there is no session or no trial; with `plot` also a PNG (`MissingExtra`
+    without matplotlib).
     """
     folder = Path(folder)
     session = _read_session(folder / SESSION)
@@ -328,7 +426,9 @@ def analyse_study(folder: str | Path, plot: Path | None = None) -> Result:
         raise SourceError(str(folder / SESSION), f"task {session['task']!r}", " or ".join(TASKS))
     chance, participants, levels, fits, notes = TASKS[session["task"]], [], [], {}, []
     for path in sorted(folder.glob("sub-*_trials.csv")):
-        trials, label = read_trials(path), path.name[4:].removesuffix("_trials.csv")
+        (trials, is_cut), label = read_complete_trials(path), path.name[4:].removesuffix("_trials.csv")
+        if is_cut:
+            notes.append(f"participant {label}: the last line of {path.name} is cut and left out")
         if not trials:
             notes.append(f"participant {label} has no trial")
             continue
@@ -343,12 +443,8 @@ def analyse_study(folder: str | Path, plot: Path | None = None) -> Result:
             "participant": label, "threshold": function.threshold, "low": fit.low, "high": fit.high,
             "slope": function.slope, "lapse": function.lapse, "trials": fit.trials,
         })  # fmt: skip
-        if any(trial.answered_by.startswith(_SIMULATED) for trial in trials):
-            notes.append(f"participant {label}: answers of a simulated observer")
-        if fit.low is None or fit.high is None:
-            notes.append(
-                f"participant {label}: the interval is open; more trials, or weaker and stronger levels"
-            )
+        found = _participant_notes(trials, fit, session["trials"], chance)
+        notes += [f"participant {label}: {note}" for note in found]
     if not fits:
         raise SourceError(str(folder), "no trials", "sub-LABEL_trials.csv of `touchfield study run`")
     if plot is not None:
@@ -357,19 +453,50 @@ def analyse_study(folder: str | Path, plot: Path | None = None) -> Result:
     return Result({**figures, "participants": participants, "levels": levels}, tuple(notes))
 
 
+def _participant_notes(trials: tuple[Trial, ...], fit: Fit, planned: int, chance: float) -> list[str]:
+    """What a reader of the fit of a participant has to know."""
+    notes = []
+    if len(trials) != planned:
+        notes.append(f"{len(trials)} of {planned} trials")
+    if len({_identity(trial.answered_by, chance) for trial in trials}) > 1:
+        observers = ", ".join(dict.fromkeys(trial.answered_by for trial in trials))
+        notes.append(f"the answers are not of one observer, and the fit is of none: {observers}")
+    elif trials[0].answered_by.startswith(_SIMULATED):
+        notes.append("answers of a simulated observer")
+    if fit.low is None or fit.high is None:
+        notes.append("the interval is open; more trials, or weaker and stronger levels")
+    for name in fit.at_limit:
+        value = getattr(fit.function, name)
+        notes.append(f"the {name} is at the limit of the fit, {value:.3g}: the trials do not settle it")
+    return notes
+
+
+_POWER_LEGEND: Final = (
+    "covered: fraction of the sessions whose 95 % interval contains the threshold of the observer",
+    "closed: fraction of the sessions whose interval has both ends",
+    "width: upper over lower end of the interval, median of the closed ones",
+    "bias: estimated threshold over that of the observer, median",
+    "detected: fraction of the sessions whose answers, all together, are above chance at 5 %",
+)
+
+
 def study_power(design_path: str | Path, observer: str, runs: int = 100, report: Progress = silent) -> Result:
     """Simulate the design of a study with an observer, for a quarter to four times its trials.
 
-    The rows are those of `touchfield.study.power_of`. `InvalidArgument` if `runs` is not 10 to 1000.
+    The rows are those of `touchfield.study.power_of`; notes explain them. `InvalidArgument`
+    if `runs` is not 10 to 1000.
     """
     if not 10 <= runs <= 1000:
         raise InvalidArgument("--runs", str(runs), "10 to 1000")
-    design = resolved_design(read_design(design_path), report)
+    design = read_playable_design(design_path)
     function: Psychometric = SimulatedObserver.parse(observer, design.chance, design.seed).function
+    design = resolved_design(design, report)
     counts = sorted({max(round(design.trials * factor), 1) for factor in (0.25, 0.5, 1, 2, 4)})
     rows = []
     for i, trials in enumerate(counts):
         rows.append(power_of(replace(design, trials=trials), function, runs))
         report(i + 1, len(counts))
     figures = {"levels": list(design.levels), "unit": design.unit, "threshold": function.threshold}
-    return Result({**figures, "procedure": design.procedure, "task": design.task, "power": rows})
+    return Result(
+        {**figures, "procedure": design.procedure, "task": design.task, "power": rows}, _POWER_LEGEND
+    )

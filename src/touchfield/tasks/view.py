@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import shlex
 import tempfile
 import webbrowser
 from collections.abc import Mapping
@@ -128,7 +129,10 @@ def _page(
         reader = opened.reader
         coders = [reader.head.coder, *(reader.read_object(i).field_coder for i in range(reader.object_count))]
         if "paper" in coders:
-            found, hint = "a file of coder paper", f"Code it again: touchfield encode {path} NEW.touch."
+            found, hint = (
+                "a file of coder paper",
+                f"Code it again: touchfield encode {shlex.quote(str(path))} NEW.touch.",
+            )
             raise InvalidArgument(str(path), found, "coder touch, or objects of it, for the page", hint)
         summary, data, name = opened.summary(), reader.read_all(), PurePath(reader.name).name
         figures = {key: summary[key] for key in _SUMMARY_KEYS if summary.get(key) is not None}

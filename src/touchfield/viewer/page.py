@@ -6,7 +6,7 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 from touchfield.atomic import atomic_path
-from touchfield.errors import import_extra
+from touchfield.errors import import_extra, require_ending
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -45,8 +45,10 @@ def titled_figure(purpose: str, title: str, width_inch: float, height_inch: floa
 def write_png(figure: Figure, path: Path) -> None:
     """Write a figure atomically, as PNG.
 
-    The file names touchfield as its creator (see `is_our_picture`).
+    The file names touchfield as its creator (see `is_our_picture`). Raises InvalidArgument unless the name
+    ends in .png.
     """
+    require_ending(path, "PICTURE.png")
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     with atomic_path(path) as temporary, temporary.open("wb") as file:  # savefig would draw all twice

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 from collections.abc import Callable, Set
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -179,9 +180,10 @@ class Layout:
             if header.channels != 1 or header.sample in ("", "uint8", "int8"):
                 mend = "Give the depth pictures, not colour or previews, saved with 16 bits."
                 if header.channels == 1 and header.sample == "uint8":
+                    named = shlex.quote(str(file))
                     mend = (
                         "8 bits hold no depth in metres. Give the pictures with 16 bits, or use one as "
-                        f"relative depth: touchfield encode {file} OUT --relative-depth {file} "
+                        f"relative depth: touchfield encode {named} OUT --relative-depth {named} "
                         "--near-m 0.5 --far-m 3."
                     )
                 raise SourceError(str(file), header.wording, "16-bit (or float) grey depth", mend)

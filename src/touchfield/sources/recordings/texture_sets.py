@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import io
 import re
+import shlex
 import warnings
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -142,9 +143,9 @@ def _texture_files(path: Path) -> tuple[str, str] | None:
     """Return what a path of textures is, and the files to name; None if it is none."""
     if path.is_file():
         if is_texture_models(path):
-            return "texture models of the Penn Haptic Texture Toolkit", f"'{path.name}'"
+            return "texture models of the Penn Haptic Texture Toolkit", shlex.quote(path.name)
         is_acceleration = folder_name(path) == "accel" and cluster_name(path)
-        return ("an acceleration of the Cluster dataset", path.name) if is_acceleration else None
+        return ("an acceleration of the Cluster dataset", shlex.quote(path.name)) if is_acceleration else None
     for folder in (path, path / "Training", path / "Testing"):
         if any(_has(folder / name, "*.txt") for name in LMT_FOLDERS):
             return "accelerations of the LMT Haptic Texture Database", "Accel/NAME.txt"
