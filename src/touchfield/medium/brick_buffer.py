@@ -37,6 +37,9 @@ class BrickBuffer:
         if self._count > len(self._bricks):
             needed = self._count * BYTES_PER_BRICK
             require_memory("force field", f"{self._count} bricks or more", needed)
+            if first == 0:  # often the only batch: no page is cleared, nor copied twice
+                self._bricks, self._forces_n = bricks[selected], forces_n[selected]
+                return
             self._resize(self._count + self._count // 8)
         # the mode "raise" would make a copy
         np.take(bricks, selected, 0, self._bricks[first : self._count], "clip")
@@ -44,7 +47,8 @@ class BrickBuffer:
 
     def take(self) -> tuple[Int32s, Float32s]:
         """Return bricks int32 [n, 3] and forces float32 [n, 8, 8, 8, 3]. Call it once, at the end."""
-        self._resize(self._count)
+        if self._count < len(self._bricks):
+            self._resize(self._count)
         return self._bricks, self._forces_n
 
     def _resize(self, capacity: int) -> None:

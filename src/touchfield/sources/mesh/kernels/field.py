@@ -348,14 +348,20 @@ class _Scratch:
 
     def __init__(self, brick_count: int, has_owners: bool) -> None:
         count = min(brick_count, BATCH_BRICKS)
-        self._forces_n = np.empty((count, 8, 8, 8, 3), np.float32)
+        self._is_used = False
+        self._forces_n = np.zeros(
+            (count, 8, 8, 8, 3), np.float32
+        )  # the system clears pages as threads touch them
         self._has_force = np.empty(count, np.bool_)
         self._owners = np.empty((count if has_owners else 0, 8, 8, 8), np.int32)
 
     def cleared(self, count: int) -> tuple[Float32s, Bools, Int32s]:
         """Return the arrays of `count` bricks: forces 0, no brick with a force, owners -1 (or none)."""
         forces_n, has_force, owners = self._forces_n[:count], self._has_force[:count], self._owners[:count]
-        forces_n[:], has_force[:], owners[:] = 0, False, -1
+        has_force[:], owners[:] = False, -1
+        if self._is_used:
+            forces_n[:] = 0
+        self._is_used = True
         return forces_n, has_force, owners
 
 
