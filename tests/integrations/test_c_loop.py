@@ -15,7 +15,6 @@ from builders import (
     assert_has_friction,
     assert_resists,
     build_integration,
-    make_plate,
     needs,
     player_forces,
     press_plate,
@@ -31,11 +30,6 @@ pytestmark = needs("make", "cc")
 @pytest.fixture(scope="module")
 def loop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build_integration("c-loop", tmp_path_factory.mktemp("c-loop")) / "loop"
-
-
-@pytest.fixture(scope="module")
-def plate(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_plate(tmp_path_factory.mktemp("plate") / "plate.touch")
 
 
 def run_loop(loop: Path, path: Path, *options: object, points: np.ndarray | None = None) -> np.ndarray:

@@ -18,7 +18,6 @@ from builders import (
     assert_is_released,
     assert_resists,
     build_integration,
-    make_plate,
     needs,
     player_forces,
     press_plate,
@@ -36,11 +35,6 @@ pytestmark = needs("make", "cc", "c++")
 def effect(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("chai3d")
     return build_integration("chai3d", folder, "CXXFLAGS=-O1", "CFLAGS=-O1") / "try_effect"
-
-
-@pytest.fixture(scope="module")
-def plate(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_plate(tmp_path_factory.mktemp("plate") / "plate.touch")
 
 
 @pytest.mark.parametrize("name", [*VOXELS, *OBJECTS])

@@ -16,7 +16,6 @@ from builders import (
     assert_is_released,
     assert_resists,
     build_integration,
-    make_plate,
     needs,
     player_forces,
     press_plate,
@@ -39,11 +38,6 @@ pytestmark = [
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("chai3d")
     return build_integration("chai3d", folder, f"CHAI3D_DIR={CHAI3D}", "CXXFLAGS=-O1", "scene") / "scene"
-
-
-@pytest.fixture(scope="module")
-def plate(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_plate(tmp_path_factory.mktemp("plate") / "plate.touch")
 
 
 @pytest.mark.parametrize("name", ["touch-block", "touch-lossless", "objects-touch-deforming"])

@@ -15,7 +15,6 @@ from builders import (
     assert_is_released,
     assert_resists,
     build_integration,
-    make_plate,
     needs,
     player_forces,
     press_plate,
@@ -33,11 +32,6 @@ WORLD = np.array([1.0, -1.0, -1.0])
 @pytest.fixture(scope="module")
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build_integration("godot", tmp_path_factory.mktemp("godot"), "CFLAGS=-O1", "try")
-
-
-@pytest.fixture(scope="module")
-def plate(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_plate(tmp_path_factory.mktemp("plate") / "plate.touch")
 
 
 def run_script(project: Path, script: Path | str, *arguments: object) -> subprocess.CompletedProcess[str]:

@@ -23,7 +23,6 @@ from builders import (
     assert_has_friction,
     assert_is_released,
     assert_resists,
-    make_plate,
     player_forces,
     press_plate,
     slide_on_plate,
@@ -163,11 +162,6 @@ def play(rclpy: StubRclpy, monkeypatch: pytest.MonkeyPatch) -> Any:
     yield make
     for node in nodes:
         node.destroy_node()
-
-
-@pytest.fixture(scope="module")
-def plate(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_plate(tmp_path_factory.mktemp("plate") / "plate.touch")
 
 
 def force(node: Any) -> np.ndarray:

@@ -23,7 +23,6 @@ from builders import (
     assert_is_released,
     assert_resists,
     build_integration,
-    make_plate,
     needs,
     player_forces,
     press_plate,
@@ -77,11 +76,6 @@ def declarations() -> dict[str, tuple[str, list[str]]]:
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build_integration("unity", tmp_path_factory.mktemp("unity"), "CFLAGS=-O1")
-
-
-@pytest.fixture(scope="module")
-def plate(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_plate(tmp_path_factory.mktemp("plate") / "plate.touch")
 
 
 @pytest.fixture(scope="module")

@@ -31,27 +31,13 @@ from itertools import product
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import ndimage, signal, stats
+from scipy import ndimage, stats
 
+from symbol_makers import Ints, levels, markov
 from touchfield.errors import InvalidArgument
 from touchfield.measure.dependence import BlockLayout, sampling_error
 from touchfield.measure.estimators import ESTIMATORS, entropy_bits, estimate_bits
 from touchfield.measure.quantity import spread
-
-Ints = NDArray[np.int64]
-
-
-def markov(rng: np.random.Generator, n: int) -> Ints:
-    """A binary chain that leaves 0 with probability .05 and 1 with .2, from its stationary state."""
-    state = int(rng.random() < 0.2)
-    runs = [rng.geometric((0.05, 0.2)[(state + i) % 2]) for i in range(n)]
-    return np.repeat((state + np.arange(n)) % 2, runs)[:n]
-
-
-def levels(rng: np.random.Generator, n: int) -> Ints:
-    """An AR(1) process of correlation .8 in 64 levels."""
-    x = signal.lfilter([0.6], [1, -0.8], rng.standard_normal(n + 200))[200:]
-    return np.clip(np.floor(8 * x) + 32, 0, 63).astype(np.int64)
 
 
 def counts_in_blocks(symbols: Ints, blocks: int, alphabet: int) -> Ints:

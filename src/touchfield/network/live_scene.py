@@ -27,7 +27,6 @@ from touchfield.pipeline.decoded_objects import coded_object
 MAX_SEGMENT_POSES: Final = 1 << 20
 """Maximum number of bodies times frames in a segment; their poses take 112 MB."""
 
-
 MAX_FIELD_BYTES: Final = 1 << 30
 """Maximum size of the fields of all bodies in memory: an opening of some bytes may hold many empty bricks."""
 
@@ -58,6 +57,8 @@ class LivePoses(LiveFrames):
     Raises FormatError if the bodies cannot be decoded, or are too large; UnsupportedVersion if one deforms.
     """
 
+    _latest_poses: BodyPoses | None
+
     def _open_decoder(self) -> None:
         head, self._latest_poses = self.opened.head, None
         self._objects = ObjectsDecoder(head.coder_parameters, list(map(coded_object, self.opened.objects)))
@@ -72,8 +73,6 @@ class LivePoses(LiveFrames):
                 found = f"bodies whose fields take more than {size >> 20} MiB"
                 raise CorruptFile("live stream", found, f"at most {MAX_FIELD_BYTES >> 20} MiB")
         self._opening_bytes = sum(len(body.field) for body in self._objects.objects)
-
-    _latest_poses: BodyPoses | None
 
     def _decoded(self, segment: LiveSegment) -> Iterator[Any]:
         if segment.frame_count * len(self._fields) > MAX_SEGMENT_POSES:

@@ -12,13 +12,14 @@ import numpy as np
 
 from touchfield.arrays import Float64s
 from touchfield.codec.objects.decoder import ObjectsDecoder
-from touchfield.codec.objects.layout import MAX_POSES, CodedObject, Parameters, composed_rule
+from touchfield.codec.objects.layout import CodedObject, Parameters, composed_rule
 from touchfield.codec.registry import coder, field_decoder
 from touchfield.codec.segment import BitAccount, BoundRule, mask_text, max_error_keys
 from touchfield.container import ObjectRecord, TouchReader
 from touchfield.errors import CorruptFile
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.budget import require_memory
+from touchfield.medium.pose_track import MAX_POSES
 from touchfield.pipeline.decoded_frames import SegmentFrames, segment_layout
 from touchfield.pipeline.stream import OpenStream
 

@@ -20,7 +20,13 @@ import numpy as np
 from touchfield.arrays import Float64s
 from touchfield.codec.objects import layout
 from touchfield.codec.objects.decoder import POSITION_POWERS, QUATERNION_POWERS, PoseSteps
-from touchfield.codec.objects.encoder import PLACE_TOLERANCE_M, encode_poses, round_poses
+from touchfield.codec.objects.encoder import (
+    DAMPING_FRACTION,
+    MIN_K,
+    PLACE_TOLERANCE_M,
+    encode_poses,
+    round_poses,
+)
 from touchfield.codec.objects.error_bound import ComposedRule, Moves, Pair
 from touchfield.codec.objects.layout import CodedObject
 from touchfield.codec.registry import coder_of_spec, field_decoder, field_encoder
@@ -35,9 +41,6 @@ from touchfield.sources.physics.live_simulation import Control
 
 MAX_OVERLAP: Final = 8
 """Bodies that may overlap at a point with the error bound still kept."""
-
-_MIN_K: Final = 0.001
-_DAMPING_FRACTION: Final = 0.25  # fraction of F_0 for the error of the damping force of a moving surface
 
 Poses = tuple[Float64s, Float64s]
 """Quaternions (w, x, y, z), float64 [bodies, 4], and positions, metres of the hand, [bodies, 3]."""
@@ -80,9 +83,9 @@ class BodiesEncoder:
         """The options that keep the error of every body within its part of F_0."""
         spec, scene = self._spec, self._scene
         damping = scene.surface_damping_n_s_per_m
-        part_n = spec.f0_n * (1 - _DAMPING_FRACTION * bool(damping)) / min(len(scene.objects), MAX_OVERLAP)
+        part_n = spec.f0_n * (1 - DAMPING_FRACTION * bool(damping)) / min(len(scene.objects), MAX_OVERLAP)
         k = part_n / scene.force_max_n
-        if spec.mode == "lossless" or k < _MIN_K:
+        if spec.mode == "lossless" or k < MIN_K:
             return replace(spec, mode="lossless")
         return replace(spec, k=min(k, spec.k), f0_n=part_n, support="exact" if damping else spec.support)
 
@@ -93,7 +96,7 @@ class BodiesEncoder:
         reach_m = max(float(np.sqrt((corners * corners).sum(axis=1)).max(initial=0.0)), PLACE_TOLERANCE_M)
         position = math.floor(math.log2(0.4 * PLACE_TOLERANCE_M))  # sqrt(3) / 2 steps: 0.35 of the tolerance
         quaternion = math.floor(math.log2(0.3 * PLACE_TOLERANCE_M / reach_m))  # 2 steps of the reach
-        damping, limit_n = self._scene.surface_damping_n_s_per_m, _DAMPING_FRACTION * self._f0_n
+        damping, limit_n = self._scene.surface_damping_n_s_per_m, DAMPING_FRACTION * self._f0_n
         while damping * rate_hz * (math.sqrt(3) * 2.0**position + 4 * 2.0**quaternion * reach_m) > limit_n:
             position, quaternion = position - 1, quaternion - 1
         if position < POSITION_POWERS[0] or quaternion < QUATERNION_POWERS[0]:
@@ -194,7 +197,7 @@ class LiveBodies:
         quaternions, positions_m = simulation.next_poses()
         while simulation.notes:
             on_note(simulation.notes.pop(0))
-        placed_m = self._placement.scale * (positions_m - np.asarray(self._placement.offset_m))
+        placed_m = self._placement.to_hand(positions_m)
         for n, is_free in enumerate(self._is_free):
             if not is_free:  # its field is in place already
                 quaternions[n], placed_m[n] = (1.0, 0.0, 0.0, 0.0), 0.0

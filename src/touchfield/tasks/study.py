@@ -319,7 +319,8 @@ def _digests(design: StudyDesign) -> list[str]:
 def _read_session(path: Path) -> dict[str, Any]:
     """The session of a folder; `SourceError` if it is not what `run_session` writes."""
     try:
-        data = path.open("rb").read(_MAX_SESSION_BYTES)
+        with path.open("rb") as file:
+            data = file.read(_MAX_SESSION_BYTES)
         values: dict[str, Any] = json_of(data.decode())
         levels = tuple(float(level) for level in values["levels"])
         known: dict[str, Any] = {name: str(values[name]) for name in ("design", "unit", "task", "title")}

@@ -15,7 +15,7 @@ from hypothesis import given, strategies as st
 from object_makers import F0_N, ball, head_of, moving_scene, tumbling
 from touchfield.codec.objects.decoder import ObjectsDecoder
 from touchfield.codec.objects.encoder import ObjectsEncoder, check_pose_count
-from touchfield.codec.objects.layout import MAX_OBJECTS, MAX_POSES, ObjectPart, Parameters, SegmentParts
+from touchfield.codec.objects.layout import MAX_OBJECTS, ObjectPart, Parameters, SegmentParts
 from touchfield.codec.paper.decoder import PaperDecoder
 from touchfield.codec.paper.encoder import PaperEncoder
 from touchfield.codec.paper.spec import PaperSpec
@@ -25,6 +25,7 @@ from touchfield.codec.varint import write_varint
 from touchfield.container import TouchReader, TouchWriter
 from touchfield.errors import CorruptFile, FormatError, InvalidArgument, UnsupportedVersion
 from touchfield.medium import Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
+from touchfield.medium.pose_track import MAX_POSES
 from touchfield.pipeline.decoded_objects import SceneStream
 from touchfield.pipeline.encoding import record_of, write_objects
 

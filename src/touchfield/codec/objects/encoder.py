@@ -39,7 +39,7 @@ from touchfield.codec.objects.error_bound import (
     displacement_m,
     reach_m,
 )
-from touchfield.codec.objects.layout import MAX_OBJECTS, MAX_POSES, CodedObject
+from touchfield.codec.objects.layout import MAX_OBJECTS, CodedObject
 from touchfield.codec.registry import (
     ExactSampleEncoder,
     FieldDecoder,
@@ -52,6 +52,7 @@ from touchfield.codec.segment import CodedSegment, MaxError, segment_length
 from touchfield.compute.native import argument_errors, native
 from touchfield.errors import InvalidArgument
 from touchfield.medium import HapticObject, HapticScene, PoseTrack
+from touchfield.medium.pose_track import MAX_POSES
 
 _POSITION_COST, _QUATERNION_COST = 3, 4  # components that take one more bit each when the step is halved
 _SEARCH_FRAMES: Final = 512  # poses that are rounded and compared at once in the search of steps
@@ -162,8 +163,8 @@ _MIN_FRACTION: Final = 1 / 64
 # 2.3 times as many bytes.
 _FRACTION_WITH_EXACT: Final = 0.5
 _MAX_FRACTION_STEPS: Final = 100
-_MIN_K: Final = 0.001
-_DAMPING_FRACTION: Final = 0.25  # fraction of F_0 for the error of the damping force of a moving surface
+MIN_K: Final = 0.001
+DAMPING_FRACTION: Final = 0.25  # fraction of F_0 for the error of the damping force of a moving surface
 _DAMPING_FRACTION_OF_K: Final = 0.001  # times k, a further factor if the F_0 of the bound is 0
 
 
@@ -241,7 +242,7 @@ class ObjectsEncoder:
         floor_n = self._f0_n
         if self.is_bounded and spec.f0_n == 0:
             floor_n *= _DAMPING_FRACTION_OF_K * spec.k
-        return _DAMPING_FRACTION * floor_n
+        return DAMPING_FRACTION * floor_n
 
     @property
     def supported(self) -> int:
@@ -445,7 +446,7 @@ class ObjectsEncoder:
         if coder_of_spec(spec).has_error_bound and spec.mode == "mask":
             if self._scene.surface_damping_n_s_per_m:  # damping acts wherever there is a force
                 spec = replace(spec, support="exact")
-            spec = replace(spec, k=max(_MIN_K, fraction * spec.k), f0_n=fraction * spec.f0_n)
+            spec = replace(spec, k=max(MIN_K, fraction * spec.k), f0_n=fraction * spec.f0_n)
         encoder = field_encoder(body.medium.grid, spec)
         decoder = field_decoder(encoder.name, body.medium.grid, encoder.parameters)
         ranges = [range(1)] if body.is_rigid else self._ranges

@@ -14,7 +14,6 @@ from touchfield.codec.segment import RATIO_STEPS, BoundRule, MaxError
 from touchfield.codec.varint import Parts, chunk, write_varint
 from touchfield.errors import CorruptFile
 from touchfield.medium import Grid
-from touchfield.medium.pose_track import MAX_POSES as MAX_POSES
 
 NAME: Final = "objects"
 

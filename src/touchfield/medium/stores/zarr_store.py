@@ -97,9 +97,7 @@ def create(
     _write_coordinate(group, "t", "time", "s", np.arange(len(medium)) / medium.rate_hz)
     for level, level_medium in enumerate((medium, *levels)):
         for axis, name in enumerate(_level_axes(level)):
-            index = np.zeros((level_medium.grid.shape[axis], 3))
-            index[:, axis] = np.arange(len(index))
-            _write_coordinate(group, name, "distance", "m", level_medium.grid.to_m(index)[:, axis])
+            _write_coordinate(group, name, "distance", "m", level_medium.grid.axis_m(axis))
         chunk, shard = _chunks(level_medium.grid)
         group.create_array(
             _level_name(level),

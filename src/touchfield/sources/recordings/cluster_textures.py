@@ -15,10 +15,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.errors import SourceError
 from touchfield.medium.trace import ContactTrace
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.recordings.contact_trace import ContactScene
+from touchfield.sources.recordings.contact_trace import ContactScene, require_world_frame
 from touchfield.sources.recordings.texture_sets import ClusterName, cluster_name, folder_name, read_columns
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import Scene
@@ -118,8 +118,7 @@ def _recognise(path: Path) -> bool:
 
 
 def _open(path: Path, options: SourceOptions) -> Scene:
-    if options.frame == "camera":
-        raise InvalidArgument("--frame", "camera", "world: a recording has no camera")
+    require_world_frame(options, "a recording")
     trace, notes = read_slides(path)
     return ContactScene(trace, str(path), notes)
 

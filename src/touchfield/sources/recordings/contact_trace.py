@@ -432,9 +432,14 @@ def _recognise(path: Path) -> bool:
     )
 
 
-def _open(path: Path, options: SourceOptions) -> Scene:
+def require_world_frame(options: SourceOptions, source: str) -> None:
+    """Raise `InvalidArgument` if options ask for the frame of a camera, which `source` has not."""
     if options.frame == "camera":
-        raise InvalidArgument("--frame", "camera", "world: a trace has no camera")
+        raise InvalidArgument("--frame", "camera", f"world: {source} has no camera")
+
+
+def _open(path: Path, options: SourceOptions) -> Scene:
+    require_world_frame(options, "a trace")
     return ContactScene(_read(path), str(path))
 
 

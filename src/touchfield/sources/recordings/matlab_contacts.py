@@ -16,11 +16,11 @@ from typing import Any, Final
 import numpy as np
 
 from touchfield.arrays import Float64s
-from touchfield.errors import InvalidArgument, SourceError, reason
+from touchfield.errors import SourceError, reason
 from touchfield.files import read_bytes
 from touchfield.medium.trace import MAX_SAMPLES, ContactTrace
 from touchfield.sources.options import SourceOptions
-from touchfield.sources.recordings.contact_trace import ContactScene
+from touchfield.sources.recordings.contact_trace import ContactScene, require_world_frame
 from touchfield.sources.registry import SourceKind
 from touchfield.sources.scene import Scene
 
@@ -130,8 +130,7 @@ def _recognise(path: Path) -> bool:
 
 
 def _open(path: Path, options: SourceOptions) -> Scene:
-    if options.frame == "camera":
-        raise InvalidArgument("--frame", "camera", "world: a recording has no camera")
+    require_world_frame(options, "a recording")
     trace, notes = read_matlab_contacts(path)
     return ContactScene(trace, str(path), notes)
 
