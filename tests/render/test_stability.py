@@ -192,7 +192,7 @@ def test_the_damper_is_bounded_by_the_force_at_any_speed(axis: int, speed_m_s: f
 
 
 def test_the_damper_follows_a_force_that_turns_without_a_step() -> None:
-    """At z = 0 the force turns from z to y within 0.5 mm, a tick of a hand of 0.5 m/s, which B damps with 1 N."""
+    """The force turns from y to z within 0.5 mm, a tick of a hand of 0.5 m/s, which B damps with 1 N."""
 
     def edge(p: Any) -> Any:
         is_below = p[..., 2:] < 0.0
