@@ -340,6 +340,11 @@ def wander(world: World, minutes: float) -> Figures:
     shadow = Hands(
         world.medium, loop=bool(world.period), spec=RenderSpec(render="field", up="lattice", friction=0.0)
     )
+
+    def undamp(tick: int) -> None:
+        """Leave the field as it is stored: the player sets the damper as soon as it knows a stiffness."""
+        shadow.memory.receiver["settings"]["brake_n_s_per_m"] = 0.0
+
     row: Figures = dict.fromkeys(
         ("presses", "clicks", "jumps", "field_jumps", "rest_quarters", "chatter", "field_chatter"), 0
     )
@@ -347,7 +352,7 @@ def wander(world: World, minutes: float) -> Figures:
     for part in range(max(1, round(60e3 * minutes / HANDS / PART_TICKS))):
         goals, presses = intents.part(part * PART_TICKS, stiffness)
         runs = {render: hands.run(goals, PART_TICKS, SPRING) for render, hands in crowd.items()}
-        beside = shadow.run(runs["auto"].position_m, PART_TICKS)
+        beside = shadow.run(runs["auto"].position_m, PART_TICKS, on_chunk=undamp)
         auto, field = runs["auto"], runs["field"]
         with_beside, alone = explained_n(world, part * PART_TICKS, auto, stiffness, beside.steps_n)
         _, of_field = explained_n(world, part * PART_TICKS, field, stiffness, beside.steps_n)

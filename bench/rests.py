@@ -8,7 +8,7 @@ Hands rest at seeded points, scripted or on a spring (0.2 kg, 200 N/m, 2 N s/m).
   looped. Hands are where the force in the last frames, or at some time of the fall, is 0.6 to 2.2 N.
 * terrain: `sample:terrain`, which does not change.
 * live, live and coarse: the desk as a live stream in segments of 8 frames; of the latter every third segment
-  is lost, and the coarse layer replaces it.
+  is lost, and the coarse layer replaces it. That change is none of the source's.
 * deformed: the terrain, moved to and fro by 2 mm by a deformation.
 
 Each is rendered by the field and by the player's choice ("auto", a proxy), and the medium before coding by
@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 
 import touchfield as tf
-from hands import Hands, Runs, Spring
+from hands import CHUNK, Hands, Runs, Spring
 from live_offline import Arrivals, Layer, recorded
 from machine import SHARED, Bar, Figures, at_most
 from touchfield.codec.touch.spec import TouchSpec
@@ -50,6 +50,8 @@ DEPTH_M, OUTSIDE_M, PRESS_S, QUIET = 0.003, 0.008, 0.1, 900
 LEAST_N, MOST_N = 0.6, 2.2
 LATE, BEFORE, AFTER = 12, 3, 140
 """Ticks until the frames of a seek come, and those before and after a seam that count as being around it."""
+PAUSE, SETTLE = CHUNK, 125 * CHUNK
+"""Ticks until a medium stands, and for how long, so that hands on springs come to rest."""
 MAX_RATIO, LEAST_STEP_MN, LEAST_BAND_MN = 2.0, 5.0, 0.5
 """Of `auto` to the field; below these figures of the field nothing is compared."""
 
@@ -62,7 +64,9 @@ class Case:
 
     `goals_m` and `starts_m`, float64 [hands, ticks or 1, 3] and [hands, 3], are those of scripted hands and
     of hands on springs. `seams` are the ticks of each kind of seam; what is not around one is "rest".
-    `arrivals` makes the stream of a medium that arrives while it plays.
+    `arrivals` makes the stream of a medium that arrives while it plays. The medium stands from `PAUSE` on
+    for `settle` ticks, in which hands on springs come to rest. A stream that loses segments, `is_lossy`, is
+    compared with no source, which loses none.
     """
 
     name: str
@@ -78,6 +82,8 @@ class Case:
     seams: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     deformation: Deformation | None = None
     arrivals: Callable[[], Arrivals] | None = None
+    settle: int = 0
+    is_lossy: bool = False
 
     def run(self, is_spring: bool, render: str, goals_m: Any = None) -> Runs:
         """Render the hands; scripted ones may go through other goals, float64 [hands, ticks, 3]."""
@@ -92,13 +98,17 @@ class Case:
             medium, arrivals = self.source, None
         is_loop = self.is_loop or render == "source"
         crowd = Hands(medium, LATE, spec=spec, start_s=self.start_s, loop=is_loop)
+
+        def happen(tick: int) -> None:
+            if arrivals is not None:
+                arrivals(tick)
+            if self.settle and tick == PAUSE:
+                crowd.played.pause()
+            if self.settle and tick == PAUSE + self.settle:
+                crowd.played.play()
+
         return crowd.run(
-            goals_m,
-            self.ticks,
-            Spring() if is_spring else None,
-            self.starts_m,
-            self.seeks,
-            arrivals or (lambda tick: None),
+            goals_m, self.ticks, Spring() if is_spring else None, self.starts_m, self.seeks, happen
         )
 
     @property
@@ -196,12 +206,14 @@ def falling_cases(points: int) -> Iterator[Case]:
         segments_s = () if segments is None else tuple(first / 100.0 for first in segments.starts[1:])
         places, forces = touched(medium, [1.95], points, 1)
         ends = places - forces / Spring().n_per_m
-        start_s, seek, back_s = 1.3, 400, 1.6
+        start_s, seek, back_s = 1.3, SETTLE + 400, 1.6
         yield Case(
-            f"bodies at rest, {kind}", medium, source, (places[:, None], ends[:, None]), places, 952,
-            start_s=start_s, quiet=130, seeks={seek: back_s},
+            f"bodies at rest, {kind}", medium, source, (places[:, None], ends[:, None]), places, SETTLE + 952,
+            start_s=start_s, settle=SETTLE, quiet=SETTLE, seeks={seek: back_s},
             seams={
-                "segment": tuple(round(1e3 * (s - start_s)) for s in segments_s if start_s < s < back_s),
+                "segment": tuple(
+                    SETTLE + round(1e3 * (s - start_s)) for s in segments_s if start_s < s < back_s
+                ),
                 "seek": (seek,),
                 "loop": (seek + LATE + round(1e3 * (2.0 - back_s)),),
             },
@@ -246,7 +258,7 @@ def live_cases(points: int) -> Iterator[Case]:
         yield Case(
             name, medium, medium, (goals, goals), starts, 2600, is_loop=False,
             seams={"segment": others, "loop": loops},
-            arrivals=partial(Arrivals, fine, layer, lost, segment_s),
+            arrivals=partial(Arrivals, fine, layer, lost, segment_s), is_lossy=bool(lost),
         )  # fmt: skip
 
 
@@ -296,7 +308,7 @@ def measured(case: Case) -> dict[bool, dict[str, Felt]]:
     """Measure a case, for scripted hands and for those on springs."""
     found: dict[bool, dict[str, Felt]] = {}
     for is_spring in KINDS:
-        runs = {render: case.run(is_spring, render) for render in RENDERS}
+        runs = {render: case.run(is_spring, render) for render in RENDERS[case.is_lossy :]}
         if is_spring:
             runs["beside"] = case.run(False, "field", runs["auto"].position_m)
         found[is_spring] = {render: felt(case, run.force_n) for render, run in runs.items()}
@@ -331,7 +343,7 @@ def ratios(row: Figures) -> dict[str, float]:
     """
     found = {}
     for key, least in (("step", LEAST_STEP_MN), ("band", LEAST_BAND_MN)):
-        steadier = min(row[f"field_{key}"], row[f"source_{key}"])
+        steadier = min(row[f"field_{key}"], row.get(f"source_{key}", np.inf))
         found[key] = row[f"auto_{key}"] / max(steadier, row.get(f"beside_{key}", 0.0), least)
     return found
 

@@ -159,13 +159,18 @@ static inline void touch_smooth_settings(touch_receiver *receiver) {
 
 /* -- damping ---------------------------------------------------------------------------------------------------------- */
 
-/* A force of the field with the damper in contact: along it alone, and never more than it. */
-static inline touch_vector touch_braked(const touch_tick_state *state, touch_vector force_n, touch_vector velocity_m_s) {
+#define TOUCH_BRAKE_TURN_S 0.005 /* time constant in which the damper follows the direction of the force */
+
+/* A force of the field with the damper in contact, which adds no more than that force. The damper acts along the direction of
+   the force, low-passed: a direction that turns at once, as at an edge, would change it by B v at once. It takes energy along
+   any direction. */
+static inline touch_vector touch_braked(touch_tick_state *state, touch_vector force_n, touch_vector velocity_m_s, double dt_s) {
     double size = touch_norm(force_n);
     if (!(state->brake_n_s_per_m > 0.0 && size > 0.0)) return force_n;
-    touch_vector outwards = touch_divided(force_n, size);
-    double fraction = state->brake_n_s_per_m * touch_dot(outwards, velocity_m_s) / size;
-    return touch_scale(1.0 - touch_clamp(fraction, -1.0, 1.0), force_n);
+    touch_vector turn = touch_subtract(touch_divided(force_n, size), state->brake_normal);
+    state->brake_normal = touch_add_scaled(state->brake_normal, 1.0 - exp(-dt_s / TOUCH_BRAKE_TURN_S), turn);
+    double brake_n = state->brake_n_s_per_m * touch_dot(state->brake_normal, velocity_m_s);
+    return touch_add_scaled(force_n, -touch_clamp(brake_n, -size, size), state->brake_normal);
 }
 
 /* -- vibration -------------------------------------------------------------------------------------------------------- */

@@ -1,8 +1,8 @@
 /* touch_proxy_jump.h: jumps of the proxy of touch_proxy.h, to another surface, or on or off one, reach the hand slowly.
 
    The force changes at once by as much as the field itself changes at the hand. The rest of a change is owed. It comes with
-   time, and with the motion of the hand by K per metre: in full where it works against the motion, half where it lies across
-   it, and not where it works along it, so that it drives no hand. */
+   time, and with the motion of the hand by K per metre, less half of what changed at once: in full where it works against the
+   motion, half where it lies across it, and not where it works along it, so that it drives no hand. */
 #ifndef TOUCH_PROXY_JUMP_H
 #define TOUCH_PROXY_JUMP_H
 
@@ -10,6 +10,7 @@
 
 #define TOUCH_PROXY_EASE_S 1.0                /* in which a jump by a large force of the field comes to a hand at rest, */
 #define TOUCH_PROXY_EASE_SMALL_S 0.5          /* and time constant for a small one */
+#define TOUCH_PROXY_EASE_PASSED 0.5           /* of what changed at once: so much less comes with the motion */
 
 typedef struct { /* in a tick, relative to the body that carries the proxy */
     touch_vector hand_m; /* of the hand */
@@ -32,12 +33,14 @@ static inline touch_vector touch_shortened(touch_vector v, double length) {
     return size > length ? touch_scale(1.0 - length / size, v) : touch_zero();
 }
 
-/* How much of what is owed comes with the motion of the hand, N. */
-static inline double touch_given_by_motion(const touch_isosurface *s, touch_vector hand_m, touch_vector owed_n) {
+/* How much of what is owed comes with the motion of the hand, N, where the force changed by `passed_n` at once. */
+static inline double touch_given_by_motion(const touch_isosurface *s, touch_vector hand_m, touch_vector owed_n,
+                                           double passed_n) {
     double size_n = touch_magnitude(owed_n);
     if (!(size_n > 0.0)) return 0.0;
     double along_m = touch_dot(hand_m, owed_n) / size_n;
-    return 0.5 * s->stiffness_n_per_m * (touch_magnitude(hand_m) - along_m);
+    double against_m = 0.5 * (touch_magnitude(hand_m) - along_m);
+    return touch_fmax(0.0, s->stiffness_n_per_m * against_m - TOUCH_PROXY_EASE_PASSED * passed_n);
 }
 
 /* Pass on what the field explains of a change of the proxy's force, and give back some of what is owed. */
@@ -46,8 +49,9 @@ static inline void touch_ease_jump(const touch_isosurface *s, const touch_contac
     touch_proxy *proxy = &s->receiver->state.proxy;
     touch_vector change_n = touch_subtract(force_n, proxy->force_n);
     double explained_n = touch_magnitude(touch_subtract(stored_n, proxy->stored_n));
-    touch_vector owed_n = touch_add(proxy->eased_n, touch_shortened(change_n, explained_n));
-    owed_n = touch_shortened(owed_n, touch_given_by_motion(s, motion->hand_m, owed_n));
+    double passed_n = touch_fmin(touch_magnitude(change_n), explained_n);
+    touch_vector owed_n = touch_add(proxy->eased_n, touch_shortened(change_n, passed_n));
+    owed_n = touch_shortened(owed_n, touch_given_by_motion(s, motion->hand_m, owed_n, passed_n));
     double given_n_per_s = touch_fmin(touch_magnitude(owed_n) / TOUCH_PROXY_EASE_SMALL_S, s->large_n / TOUCH_PROXY_EASE_S);
     proxy->eased_n = touch_shortened(owed_n, given_n_per_s * dt_s);
 }

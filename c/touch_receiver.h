@@ -229,6 +229,7 @@ typedef struct { /* what one tick leaves for the next */
     touch_stick_anchor anchor;
     touch_seam seam;
     double brake_n_s_per_m;      /* on its way to that of the settings */
+    touch_vector brake_normal;   /* the direction of the field's force, low-passed; its length is at most 1 */
     double compliance_m_per_n;   /* 1 / K of the virtual coupling, on its way to that of the settings */
     double friction;             /* mu at this point: of the material, else of the settings */
     double slid_m;               /* since friction last gave way */

@@ -222,7 +222,7 @@ static inline touch_vector touch_desired_force(touch_receiver *receiver, const t
     touch_vector vibration_n = touch_vector_of(0.0, 0.0, vibration); /* along the force; upwards where there is none */
     if (size > 0.0) vibration_n = touch_scale(vibration, touch_divided(force, size));
     added = touch_add(added, vibration_n);
-    force = touch_add(touch_braked(state, force, velocity), added); /* the brake acts along the field's force alone */
+    force = touch_add(touch_braked(state, force, velocity, dt_s), added);
 
     /* from the field's axes into the device's */
     force = touch_scale(settings->force_scale, touch_rotate_back(&settings->axes, force));

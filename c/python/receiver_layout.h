@@ -185,6 +185,7 @@ static const struct {
     {"touch_tick_state.anchor", offsetof(touch_tick_state, anchor)},
     {"touch_tick_state.seam", offsetof(touch_tick_state, seam)},
     {"touch_tick_state.brake_n_s_per_m", offsetof(touch_tick_state, brake_n_s_per_m)},
+    {"touch_tick_state.brake_normal", offsetof(touch_tick_state, brake_normal)},
     {"touch_tick_state.compliance_m_per_n", offsetof(touch_tick_state, compliance_m_per_n)},
     {"touch_tick_state.friction", offsetof(touch_tick_state, friction)},
     {"touch_tick_state.slid_m", offsetof(touch_tick_state, slid_m)},

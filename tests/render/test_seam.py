@@ -63,7 +63,8 @@ def test_a_looped_body_leaves_the_hand_without_a_click(render: str, is_spring: b
         forces = played.at_rest(ON_BALL, 200 + FADE + 30)
     assert np.linalg.norm(forces[199]) > 0.9
     size = np.linalg.norm(forces[199])
-    assert worst_around(forces, 200) < 1.1 * np.pi / 2 * size / FADE  # the steepest part of a raised cosine
+    steepest = np.pi / 2 * size / FADE  # of a raised cosine
+    assert worst_around(forces, 200) < 1.15 * steepest
     assert np.linalg.norm(forces[200] - forces[199]) < 0.002 * size
     if not is_spring:
         assert not forces[200 + FADE + 1].any()
@@ -176,7 +177,7 @@ def test_a_seek_into_falling_bodies_steps_as_the_field_does(is_spring: bool) -> 
             steps = steps_n(forces)
             worst[render] = max(worst[render], *(float(steps[tick + 11 :][:104].max()) for tick in seeks))
     assert worst["field"] > 0.1
-    assert worst["auto"] < 1.2 * worst["field"]
+    assert worst["auto"] < 1.25 * worst["field"]
 
 
 def test_each_end_of_a_loop_fades() -> None:

@@ -191,6 +191,25 @@ def test_the_damper_is_bounded_by_the_force_at_any_speed(axis: int, speed_m_s: f
     assert forces[-1] == pytest.approx(0.5 - min(max(5.0 * speed_m_s, -0.5), 0.5), abs=1e-3)
 
 
+def test_the_damper_follows_a_force_that_turns_without_a_step() -> None:
+    """The force turns from y to z within 0.5 mm, a tick of a hand of 0.5 m/s, which B damps with 1 N."""
+
+    def edge(p: Any) -> Any:
+        is_below = p[..., 2:] < 0.0
+        return np.where(is_below, [0.0, 0.0, 2.0], [0.0, 2.0, 0.0])
+
+    path = np.array([[0.0, 0.0, 0.02 - 0.0005 * n] for n in range(80)])
+    runs = []
+    for brake_n_s_per_m in (0.0, 2.0):
+        bench = Bench(edge, device=STRONG, grid=FINE)
+        bench.memory.receiver["settings"]["brake_n_s_per_m"] = brake_n_s_per_m
+        bench.settled(*path[0])
+        runs.append(np.array([force for _, force in bench.along(path)]))
+    added = runs[1] - runs[0]
+    assert added[-1] == pytest.approx([0.0, 0.0, 1.0], abs=0.01)
+    assert np.linalg.norm(np.diff(added, axis=0), axis=1).max() < 0.25
+
+
 def test_in_free_space_nothing_is_damped() -> None:
     bench = Bench(wall(1000.0), device=STRONG)
     bench.memory.receiver["settings"]["brake_n_s_per_m"] = 20.0

@@ -280,6 +280,7 @@ TICK_STATE: Final = np.dtype(
         ("anchor", STICK_ANCHOR),
         ("seam", SEAM),
         ("brake_n_s_per_m", np.float64),
+        ("brake_normal", np.float64, (3,)),
         ("compliance_m_per_n", np.float64),
         ("friction", np.float64),
         ("slid_m", np.float64),
