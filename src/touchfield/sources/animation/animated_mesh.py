@@ -54,8 +54,8 @@ _LARGEST: Final = 1e15
 _MAX_HIDDEN: Final = 0.45
 """Largest fraction of the surface of bodies that may lie inside other bodies.
 
-A robot whose links overlap at their joints stays below it (0.30 in `bench/bench_rig.py`). Two bodies at nearly
-one place, whose forces would add everywhere, have 0.5.
+A robot whose links overlap at their joints stays below it (0.30 in `bench/bench_rig.py`). Two bodies at
+nearly one place, whose forces would add everywhere, have 0.5.
 """
 
 
