@@ -130,6 +130,17 @@ def test_bodies_that_overlap_too_much_are_a_union_of_voxels_and_a_note_states_wh
     assert any(reason in note and "--representation object" in note for note in prepared.notes)
 
 
+def test_a_body_of_overlapping_parts_is_one_object_without_a_note(tmp_path: Path) -> None:
+    gltf = Gltf()
+    cross = [CUBE * [3, 1, 1], CUBE * [1, 3, 1] + [1, -1, 0], CUBE * [1, 1, 3] + [1, 0, -1]]
+    mesh = gltf.mesh(np.concatenate(cross), np.concatenate([CUBE_FACES + 8 * n for n in range(3)]))
+    for n in range(2):
+        node = gltf.put("nodes", mesh=mesh)
+        gltf.animate(node, "translation", [0, 1], [[8 * n, 0, 0], [8 * n, n + 1, 0]])
+    scene = AnimatedMeshScene(gltf.save(tmp_path / "a.gltf"), rate_hz=8)
+    assert len(scene.bodies()) == 2 and scene.is_of_bodies and not scene.overlap_note
+
+
 def test_a_body_that_deforms_has_no_note_on_overlap(tmp_path: Path) -> None:
     scene = two_cubes_and_a_swelling(tmp_path)
     assert scene.overlap_note == "" and small_rig(tmp_path).overlap_note == ""

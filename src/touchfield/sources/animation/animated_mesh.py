@@ -29,7 +29,7 @@ from touchfield.medium import ForceField, Grid, PoseTrack
 from touchfield.medium.pose_track import checked_rotation
 from touchfield.sources.animation.rigid_parts import (
     RigidPart,
-    hidden_fraction,
+    outer_area_m2,
     rigid_parts,
     split_at_vertices,
 )
@@ -278,9 +278,17 @@ class AnimatedMeshScene(MovingScene):
 
     @cached_property
     def _hidden_fraction(self) -> float:
-        """The largest fraction of the surface inside other parts of it, at some times."""
+        """The largest fraction of the bodies' surfaces inside other bodies, at some times; in millionths.
+
+        A body that consists of overlapping parts has the surface of their union, so only overlaps of
+        different bodies count.
+        """
         sample_frames = np.unique(np.linspace(0, self.frame_count - 1, _OVERLAP_TIMES).astype(int)).tolist()
-        return max(hidden_fraction(self.surface(frame)) for frame in sample_frames)
+        start, at_start = self.vertices_m(0), self._at_frame(0)
+        bodies = (self._cut(part.has_vertex, start, at_start).surface for part in self._parts[0])
+        of_bodies_m2 = sum(outer_area_m2(body) for body in bodies)
+        of_union_m2 = min(outer_area_m2(self.surface(frame)) for frame in sample_frames)
+        return max(0.0, round(1 - of_union_m2 / of_bodies_m2, 6)) if of_bodies_m2 else 0.0
 
     @property
     def overlap_note(self) -> str:

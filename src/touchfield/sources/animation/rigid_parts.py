@@ -49,14 +49,12 @@ def split_at_vertices(vertex_ids: Int64s, triangles: Int32s) -> tuple[Int64s, In
     return vertex_ids[used // part_count], faces.reshape(-1, 3).astype(np.int32)
 
 
-def hidden_fraction(surface: Surface) -> float:
-    """The fraction of the area of a surface that is not on the boundary of the union of its parts."""
-    union = union_of(surface)
+def outer_area_m2(surface: Surface) -> float:
+    """The area of the boundary of the union of a surface's parts, without what lies inside other parts."""
+    corners, union = surface.vertices_m[surface.triangles], union_of(surface)
     if union is None:
-        return 0.0
-    corners = surface.vertices_m[surface.triangles]
-    outer = _area_m2(corners[union.uncut]) + _area_m2(union.corners_m)
-    return 1.0 - outer / _area_m2(corners)
+        return _area_m2(corners)
+    return _area_m2(corners[union.uncut]) + _area_m2(union.corners_m)
 
 
 def _area_m2(corners: Float64s) -> float:
