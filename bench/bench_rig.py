@@ -102,7 +102,7 @@ def deformed(path: Path, rest: int, folder: Path) -> Figures:
     frames, field, tracks, _ = model(path, rest, 7, folder)
     grid, spec = field.grid, TouchSpec()
     sampler = FieldSampler(HapticMedium.from_frames([field], tracks.rate_hz), deformation=tracks)
-    outside, supported, differences = 0, 0, list[ForceField]()
+    counts, differences = list[tuple[int, int]](), list[ForceField]()
     for n, frame in enumerate(frames):
         indices = np.unique(np.concatenate([frame.positions(), field.positions()]), axis=0)
         at = grid.to_m(indices)
@@ -110,14 +110,16 @@ def deformed(path: Path, rest: int, folder: Path) -> Figures:
         expected = frame.sample_n(at).astype(float)
         size = np.linalg.norm(expected, axis=1)
         is_outside = np.linalg.norm(rendered - expected, axis=1) > np.maximum(spec.f0_n, spec.k * size)
-        outside += int((is_outside & (size > spec.f0_n)).sum())
-        supported += int((size > spec.f0_n).sum())
+        is_perceptible = size > spec.f0_n
+        counts.append((int((is_outside & is_perceptible).sum()), int(is_perceptible.sum())))
         dense = np.zeros((*grid.shape, 3), np.float32)
         dense[tuple(indices[is_outside].T)] = (expected - rendered)[is_outside]
         differences.append(ForceField.from_dense(grid, dense))
     tracks.write(folder / "tracks.npz")
+    outside, perceptible = np.array(counts).T
     return {
-        "outside_bound": outside / supported,
+        "outside_bound": float(outside.sum() / perceptible.sum()),
+        "outside_bound_worst_frame": float((outside / np.maximum(perceptible, 1)).max()),
         "coded_bytes": len(TouchEncoder(grid, spec).encode_segment(frames).body) / len(frames),
         "track_bytes": (folder / "tracks.npz").stat().st_size / len(frames),
         "difference_bytes": len(TouchEncoder(grid, spec).encode_segment(differences).body) / len(frames),
