@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 CODES = {"i1": 5120, "u1": 5121, "<i2": 5122, "<u2": 5123, "<u4": 5125, "<f4": 5126}
 KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
@@ -198,3 +199,59 @@ def _tube(around: int, at: np.ndarray, radius: float) -> tuple[np.ndarray, np.nd
     top = (len(at) - 1) * around
     caps = [np.stack([two, one, 0 * one + ends], 1), np.stack([one + top, two + top, 0 * one + ends + 1], 1)]
     return vertices, np.concatenate([sides, *caps])
+
+
+def robot_rig(
+    legs: int = 8, links: int = 5, triangles: int = 20_000, frames: int = 200, rate_hz: float = 60.0
+) -> Gltf:
+    """A walking robot: a body with legs of rigid links, one skinned mesh in which each vertex has one joint.
+
+    Every link is a capsule from its joint to the next, so that neighbouring links overlap at the joint, as
+    the ball and the socket of a robot do. The last frame is at the end of the animation.
+    """
+    gltf, count = Gltf(), 1 + legs * links
+    around = max(int(np.sqrt(triangles / count * 1.2)), 6)
+    rings = max(triangles // (2 * around * count), 6)
+    capsule, faces = _capsule(around, rings, 1.0, 0.25)
+    shapes, worlds = [_capsule(around, rings, 0.6, 0.7)[0] - [0, 0.3, 0]], [np.eye(4)]
+    gltf.put("nodes", children=[1 + links * leg for leg in range(legs)])
+    rests: list[Rotation] = []  # rotations of the nodes of the links
+    for leg in range(legs):
+        turn = 2 * np.pi * leg / legs
+        for link in range(links):
+            # the first link points away from the body, each further one bends downwards
+            rotation, shift = Rotation.from_euler("z", -0.45 if link else -1.1), np.array([0.0, 1.0, 0.0])
+            if link == 0:
+                about_y = Rotation.from_euler("y", turn)
+                rotation, shift = about_y * rotation, about_y.apply([0.6, 0, 0])
+            local = np.eye(4)
+            local[:3, :3], local[:3, 3] = rotation.as_matrix(), shift
+            worlds.append((worlds[-1] if link else np.eye(4)) @ local)
+            shapes.append(capsule @ worlds[-1][:3, :3].T + worlds[-1][:3, 3])
+            rests.append(rotation)
+            children = {"children": [len(rests) + 1]} if link + 1 < links else {}
+            gltf.put("nodes", translation=shift.tolist(), rotation=rotation.as_quat().tolist(), **children)
+    vertices, first = np.concatenate(shapes), len(capsule) * np.arange(count)
+    number = np.repeat(np.arange(count), len(capsule))
+    bind = np.linalg.inv(np.stack(worlds)).swapaxes(1, 2)
+    skin = gltf.put("skins", joints=list(range(count)), inverseBindMatrices=gltf.array(bind))
+    joint = gltf.array(np.stack([number, 0 * number, 0 * number, 0 * number], axis=1), "u1")
+    weight = gltf.array(np.tile([1.0, 0, 0, 0], (len(number), 1)))
+    mesh = gltf.mesh(vertices, np.concatenate([faces + a for a in first]), JOINTS_0=joint, WEIGHTS_0=weight)
+    gltf.put("scenes", nodes=[0, gltf.put("nodes", mesh=mesh, skin=skin)])
+    times = np.linspace(0, frames / rate_hz, 17)
+    for n, rest in enumerate(rests):
+        leg, link = divmod(n, links)
+        swing = 0.25 * np.sin(4 * np.pi * times / times[-1] + np.pi * leg + 0.6 * link)
+        gltf.animate(n + 1, "rotation", times, (rest * Rotation.from_euler("z", swing[:, None])).as_quat())
+    return gltf
+
+
+def _capsule(around: int, rings: int, length: float, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """A closed capsule along y, with the centres of its ends at 0 and `length`."""
+    angle = np.linspace(-np.pi / 2, np.pi / 2, rings + 2)[1:-1]
+    at = radius * np.sin(angle) + length * (angle > 0)
+    vertices, faces = _tube(around, at, 1.0)
+    vertices[:-2, [0, 2]] *= np.repeat(radius * np.cos(angle), around)[:, None]
+    vertices[-2:, 1] = -radius, length + radius
+    return vertices, faces

@@ -11,6 +11,7 @@ import numpy as np
 from touchfield.devices import Device
 from touchfield.filters.array_filter import relief_limits_m
 from touchfield.medium import HapticMedium, HapticScene
+from touchfield.pipeline.objects import is_automatic
 from touchfield.pipeline.placement import FIT_MARGIN, Mapping
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.scene import Scene
@@ -32,6 +33,8 @@ def notes_of(
         notes += (*_mapping_notes(scene, mapping, spec), *pin_notes)
     if objects is not None:
         notes += _object_notes(objects, spec)
+    if objects is not None or (mapping is not None and is_automatic(mapping.device, spec)):
+        notes += (*filter(None, (getattr(scene, "overlap_note", ""),)),)
     if medium.vibration is None and scene.stored is not None and scene.stored.vibration is not None:
         notes += ("The vibration of the source is left out: its lattice differs, or the medium has objects",)
     return notes

@@ -75,9 +75,12 @@ def is_of_objects(scene: Scene, target: Device, spec: EncodeSpec) -> bool:
             return True
         message = f"representation object works with a point device, not with {target.name}"
         raise InvalidArgument(f"{message}: an array pools the depth of the whole scene; take voxel or auto")
-    if spec.representation == "voxel" or target.is_array or spec.vibration is not None:
-        return False
-    return scene.is_of_bodies
+    return is_automatic(target, spec) and scene.is_of_bodies
+
+
+def is_automatic(target: Device, spec: EncodeSpec) -> bool:
+    """True if the scene decides between objects and voxels."""
+    return spec.representation == "auto" and not target.is_array and spec.vibration is None
 
 
 def _haptic_scene(scene: Scene, mapping: Mapping) -> HapticScene:

@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gltf_makers import CUBE, CUBE_FACES, Gltf, chain_rig
+from gltf_makers import CUBE, CUBE_FACES, Gltf, chain_rig, robot_rig
 from touchfield.medium import Grid
+from touchfield.network.opening import open_stream
+from touchfield.pipeline.encoding import encode
 from touchfield.pipeline.preparation import prepare
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.animation.animated_mesh import AnimatedMeshScene
@@ -91,11 +93,83 @@ def test_objects_are_selected_if_all_parts_are_rigid(tmp_path: Path, rigid: bool
     assert (prepared.objects is not None) == rigid
 
 
-def test_overlapping_bodies_are_rendered_as_a_union(tmp_path: Path) -> None:
+def two_cubes(
+    path: Path, side: float, shift: tuple[float, float, float], faces: int = 12
+) -> AnimatedMeshScene:
+    """The unit cube, which moves along x, and a cube at rest; `faces` triangles of each."""
     gltf = Gltf()
-    mesh = gltf.mesh(CUBE, CUBE_FACES)
-    first = gltf.put("nodes", mesh=mesh)
-    gltf.put("nodes", mesh=mesh, translation=[0.5, 0.2, 0.3])
-    gltf.animate(first, "translation", [0, 1], [[0, 0, 0], [0.3, 0, 0]])
+    first = gltf.put("nodes", mesh=gltf.mesh(CUBE, CUBE_FACES[:faces]))
+    gltf.put("nodes", mesh=gltf.mesh(CUBE * side, CUBE_FACES[:faces]), translation=list(shift))
+    gltf.animate(first, "translation", [0, 1], [[0, 0, 0], [0.1, 0, 0]])
+    return AnimatedMeshScene(gltf.save(path / "a.gltf"), rate_hz=8, holes="leave")
+
+
+def test_bodies_that_overlap_in_part_are_objects_and_a_note_states_the_part(tmp_path: Path) -> None:
+    scene = two_cubes(tmp_path, 1.0, (0.5, 0.2, 0.3))
+    prepared = prepare(scene, EncodeSpec(nw=4))
+    assert scene.is_of_bodies and prepared.objects is not None and len(prepared.objects.objects) == 2
+    # three rectangles of each cube are inside the other at most: at the last frame, moved by 7/80
+    a, b, c = 1 - (0.5 - 7 / 80), 1 - 0.2, 1 - 0.3
+    percent = f"up to {100 * 2 * (a * b + a * c + b * c) / 12:.2g} % of the surface is inside others"
+    assert any(percent in note and "forces of objects add" in note for note in prepared.notes)
+    voxels = prepare(scene, EncodeSpec(nw=4, representation="voxel"))
+    assert voxels.objects is None and not any("overlap" in note for note in voxels.notes)
+
+
+@pytest.mark.parametrize(
+    ("side", "shift", "faces", "reason"),
+    [(1.0, (0.01, 0.01, 0.01), 12, "45 % is the most"), (1.0, (0.5, 0.2, 0.3), 8, "it is open")],
+    ids=["nearly the same place", "open"],
+)
+def test_bodies_that_overlap_too_much_are_a_union_of_voxels_and_a_note_states_why(
+    tmp_path: Path, side: float, shift: tuple[float, float, float], faces: int, reason: str
+) -> None:
+    scene = two_cubes(tmp_path, side, shift, faces)
+    prepared = prepare(scene, EncodeSpec(nw=4))
+    assert len(scene.bodies()) == 2 and not scene.is_of_bodies and prepared.objects is None
+    assert any(reason in note and "--representation object" in note for note in prepared.notes)
+
+
+def test_a_body_of_overlapping_parts_is_one_object_without_a_note(tmp_path: Path) -> None:
+    gltf = Gltf()
+    cross = [CUBE * [3, 1, 1], CUBE * [1, 3, 1] + [1, -1, 0], CUBE * [1, 1, 3] + [1, 0, -1]]
+    mesh = gltf.mesh(np.concatenate(cross), np.concatenate([CUBE_FACES + 8 * n for n in range(3)]))
+    for n in range(2):
+        node = gltf.put("nodes", mesh=mesh)
+        gltf.animate(node, "translation", [0, 1], [[8 * n, 0, 0], [8 * n, n + 1, 0]])
     scene = AnimatedMeshScene(gltf.save(tmp_path / "a.gltf"), rate_hz=8)
-    assert len(scene.bodies()) == 2 and not scene.is_of_bodies
+    assert len(scene.bodies()) == 2 and scene.is_of_bodies and not scene.overlap_note
+
+
+def test_a_body_that_deforms_has_no_note_on_overlap(tmp_path: Path) -> None:
+    scene = two_cubes_and_a_swelling(tmp_path)
+    assert scene.overlap_note == "" and small_rig(tmp_path).overlap_note == ""
+
+
+def test_links_that_share_the_vertex_of_their_joint_are_bodies(tmp_path: Path) -> None:
+    gltf = Gltf()
+    ring = np.array([[1, 0.5, 0], [0, 0.5, 1], [-1, 0.5, 0], [0, 0.5, -1]]) * [0.2, 1, 0.2]
+    link = np.concatenate([[[0, 0, 0], [0, 1, 0]], ring])  # a spindle from one joint to the next
+    faces = np.array([[[0, 2 + i, 2 + (i + 1) % 4], [1, 2 + (i + 1) % 4, 2 + i]] for i in range(4)])
+    mesh = gltf.mesh(link, faces.reshape(-1, 3))
+    for joint in range(3):
+        children = {"children": [joint + 1]} if joint < 2 else {}
+        gltf.put("nodes", mesh=mesh, translation=[0, float(joint > 0), 0], **children)
+        gltf.animate(joint, "rotation", [0, 1], [[0, 0, 0, 1], [0, 0, 0.3 * joint, 1]])
+    gltf.put("scenes", nodes=[0])
+    scene = AnimatedMeshScene(gltf.save(tmp_path / "a.gltf"), rate_hz=8)
+    bodies = scene.bodies()
+    assert len(bodies) == 3 and scene.is_of_bodies and all(body.is_rigid for body in bodies)
+    assert [len(body.scene.surface.vertices_m) for body in bodies] == [6, 6, 6]  # type: ignore[attr-defined]
+    assert not scene.overlap_note
+
+
+def test_a_robot_is_encoded_as_links_within_the_error_bound(tmp_path: Path) -> None:
+    path = robot_rig(legs=3, links=2, triangles=900, frames=12).save(tmp_path / "robot.glb", "glb")
+    objects = encode(path, tmp_path / "objects.touch", EncodeSpec(nw=5))
+    voxels = encode(path, tmp_path / "voxels.touch", EncodeSpec(nw=5, representation="voxel"))
+    assert objects.summary()["objects"] == 7 and "objects" not in voxels.summary()
+    assert objects.bound["promise_kept"] and 0 < objects.bound["worst_mask_ratio"] <= 1
+    with open_stream(tmp_path / "objects.touch") as stream:
+        counts = [stream.medium[frame].support_count for frame in (0, 5, 11)]
+    assert min(counts) > 100

@@ -10,35 +10,34 @@ vertices.
 
 Source of the evaluation: Khronos, glTF 2.0 specification (2021); of the force on a moving surface: paper
 section 3.2.
-
-For the object representation, bodies are the connected parts whose vertices move as one rigid body. The cause
-of the motion (a node, a joint that carries the whole part, several that move alike) does not matter: the
-motion is fitted to the vertices, frame by frame, and the part is rigid if no vertex is farther from the fit
-than 1e-5 of its extent. Parts that move alike are one body. Source of the fit: W. Kabsch, A solution for the
-best rotation to relate two sets of vectors, Acta Cryst. A32, 1976.
 """
 
 from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
-from touchfield.arrays import Bools, Float64s, Int32s, Int64s
+from touchfield.arrays import Bools, Float64s, Int32s
 from touchfield.errors import InvalidArgument, SourceError, require_positive
 from touchfield.medium import ForceField, Grid, PoseTrack
-from touchfield.medium.pose_track import checked_rotation, quaternions_of
+from touchfield.medium.pose_track import checked_rotation
+from touchfield.sources.animation.rigid_parts import (
+    RigidPart,
+    outer_area_m2,
+    rigid_parts,
+    split_at_vertices,
+)
 from touchfield.sources.camera import require_frame
 from touchfield.sources.gltf.document import contents
 from touchfield.sources.gltf.model import Model, Poses
 from touchfield.sources.laws import ForceProfile
-from touchfield.sources.mesh.mesh_scene import MeshScene, union_of
+from touchfield.sources.mesh.mesh_scene import MeshScene
 from touchfield.sources.mesh.surface import RepairedSurface, Surface, close_holes, weld_in_motion
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import SourceKind
@@ -50,9 +49,14 @@ _MAX_FRAMES: Final = 100_000
 _BLOCK: Final = 64
 _NODE_POSES: Final = 1 << 17  # node matrices of a block of times: about 50 MB with intermediate arrays
 _SAMPLE_TIMES: Final = 16  # number of times at which vertices must coincide to be welded
-_OVERLAP_TIMES: Final = 5  # number of times at which bodies must not overlap
+_OVERLAP_TIMES: Final = 5  # number of times at which the overlap of bodies is measured
 _LARGEST: Final = 1e15
-_RIGID: Final = 1e-5
+_MAX_HIDDEN: Final = 0.45
+"""Largest fraction of the surface of bodies that may lie inside other bodies.
+
+A robot whose links overlap at their joints stays below it (0.30 in `bench/bench_rig.py`). Two bodies at
+nearly one place, whose forces would add everywhere, have 0.5.
+"""
 
 
 class AnimatedMeshScene(MovingScene):
@@ -107,7 +111,7 @@ class AnimatedMeshScene(MovingScene):
             rest = self._in_metres(model.at_rest(), "at rest")
             self._vertex_ids = np.arange(len(rest))  # vertices of the model that remain after welding
             poses = np.stack([rest, *map(self.vertices_m, sample_frames)])
-            self._vertex_ids, triangles = weld_in_motion(poses, model.triangles)
+            self._vertex_ids, triangles = split_at_vertices(*weld_in_motion(poses, model.triangles))
             self._repaired = close_holes(Surface(rest[self._vertex_ids], triangles, self.name), holes)
         scene = self._static_scene(self._repaired)
         self.is_closed = scene.is_closed
@@ -264,16 +268,39 @@ class AnimatedMeshScene(MovingScene):
 
     @cached_property
     def is_of_bodies(self) -> bool:
-        """True if the model consists of rigid bodies that do not overlap.
+        """True if the model consists of rigid bodies that overlap little, as the links of a robot.
 
-        Overlap is tested at some times.
-
-        The object representation is then lossless.
+        At most 45 % of the surface may lie inside other bodies, and nothing if the surface is open.
         """
         if self._parts[1].any():
             return False
+        return self._hidden_fraction <= (_MAX_HIDDEN if self.is_closed else 0.0)
+
+    @cached_property
+    def _hidden_fraction(self) -> float:
+        """The largest fraction of the bodies' surfaces inside other bodies, at some times; in millionths.
+
+        A body that consists of overlapping parts has the surface of their union, so only overlaps of
+        different bodies count.
+        """
         sample_frames = np.unique(np.linspace(0, self.frame_count - 1, _OVERLAP_TIMES).astype(int)).tolist()
-        return all(union_of(self.surface(frame)) is None for frame in sample_frames)
+        start, at_start = self.vertices_m(0), self._at_frame(0)
+        bodies = (self._cut(part.has_vertex, start, at_start).surface for part in self._parts[0])
+        of_bodies_m2 = sum(outer_area_m2(body) for body in bodies)
+        of_union_m2 = min(outer_area_m2(self.surface(frame)) for frame in sample_frames)
+        return max(0.0, round(1 - of_union_m2 / of_bodies_m2, 6)) if of_bodies_m2 else 0.0
+
+    @property
+    def overlap_note(self) -> str:
+        """A note on rigid bodies that overlap, and on the representation that follows; "" if none do."""
+        if self._parts[1].any() or not self._hidden_fraction:
+            return ""
+        percent = f"{100 * self._hidden_fraction:.2g} %"
+        note = f"Rigid parts overlap: up to {percent} of the surface is inside others"
+        if self.is_of_bodies:
+            return f"{note}, where the forces of objects add (--representation voxel takes the union)"
+        limit = f"{100 * _MAX_HIDDEN:.2g} % is the most for objects" if self.is_closed else "and it is open"
+        return f"{note}, {limit}: voxels of the union (--representation object takes the sum)"
 
     def bodies(self) -> tuple[Body, ...]:
         """See `Scene.bodies`: the moving rigid parts, and the deforming rest, if any."""
@@ -297,6 +324,7 @@ class AnimatedMeshScene(MovingScene):
             if parts:
                 rest._vertex_ids = self._vertex_ids[deforms]
                 rest._repaired = self._cut(deforms, start, self._repaired)
+                rest._forget_parts()
             if rule is not None:
                 rest, thin = rest.thickened(replace(rule, is_of_objects=False, turned_m=rule.whole_m))
                 walls += [wall._replace(name=name) for wall in thin]
@@ -307,9 +335,12 @@ class AnimatedMeshScene(MovingScene):
         """Return this scene without its cached positions."""
         other = copy.copy(self)
         other._latest = other._box = None
-        for name in ("_parts", "_part_of"):
-            other.__dict__.pop(name, None)
         return other
+
+    def _forget_parts(self) -> None:
+        """Drop what follows from the vertices and their motion, after a change of either."""
+        for name in ("_parts", "_part_of", "_hidden_fraction", "is_of_bodies"):
+            self.__dict__.pop(name, None)
 
     def _cut(self, has_vertex: Bools, vertices_m: Float64s, repaired: RepairedSurface) -> RepairedSurface:
         """Return the surface of some of the vertices, with the triangles of `repaired`."""
@@ -326,102 +357,8 @@ class AnimatedMeshScene(MovingScene):
         other, matrix = self._copy(), checked_rotation(rotation)
         turn, shift = self._motion or (np.eye(3), np.zeros(3))
         other._motion = matrix @ turn, matrix @ shift + np.asarray(shift_m, np.float64)
+        other._forget_parts()
         return other
-
-
-class RigidPart(NamedTuple):
-    """Connected parts that move alike."""
-
-    has_vertex: Bools  # bool [n]; vertices of the part
-    origin_m: Float64s  # float64 [3]; origin of the part's frame in frame 0, where it is not rotated
-    track: PoseTrack  # scene from the part's frame
-
-
-def rigid_parts(
-    surface: Surface,
-    vertices_m: Callable[[int], Float64s],
-    frame_count: int,
-    is_turned_over: Bools | None = None,
-) -> tuple[list[RigidPart], Bools]:
-    """Find the rigid parts of a moving surface, and which vertices deform, bool [n].
-
-    The triangles of `surface` define connectivity; `vertices_m` returns the vertices of a frame, float64 [n,
-    3]. `is_turned_over` bool [n]: vertices of parts that change their winding, and so are not rigid.
-    """
-    part_of = surface.part_of_vertex()
-    used = np.unique(surface.triangles)
-    order = used[np.argsort(part_of[used], kind="stable")]
-    if is_turned_over is not None:
-        order = order[~is_turned_over[order]]
-    sample_frames = np.unique(np.linspace(0, frame_count - 1, _SAMPLE_TIMES).astype(int)).tolist()
-    start = vertices_m(0)
-    order, _ = _fit_parts(
-        order, part_of, start, vertices_m, sample_frames
-    )  # rejects most deforming parts early
-    order, poses = _fit_parts(order, part_of, start, vertices_m, range(frame_count))
-    deforms = np.zeros(len(part_of), bool)
-    deforms[used] = True
-    deforms[order] = False
-    if not len(order):
-        return [], deforms
-    # group parts that move alike
-    scale = np.ones((3, 4))
-    scale[:, 3] = 1 / max(float(np.abs(start[order]).max()), 1e-300)
-    rounded = np.round(poses[:, sample_frames] * scale / (10 * _RIGID)).reshape(len(poses), -1)
-    _, first, group = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
-    names, parts = np.unique(part_of[order]), []
-    for number in np.argsort(first):
-        rotations, shifts = poses[first[number], :, :, :3], poses[first[number], :, :, 3]
-        has_vertex = np.isin(part_of, names[group.reshape(-1) == number]) & ~deforms
-        has_vertex[np.setdiff1d(np.arange(len(part_of)), used)] = False
-        origin, extent = start[has_vertex].mean(axis=0), np.ptp(start[has_vertex], axis=0).max()
-        positions_m = rotations @ origin + shifts
-        displacement = np.abs(rotations - np.eye(3)).max() * extent + np.abs(positions_m - origin).max(
-            initial=0.0
-        )
-        track = PoseTrack.constant(frame_count, origin)
-        if displacement > _RIGID * extent:
-            track = PoseTrack(quaternions_of(rotations), positions_m)
-        parts.append(RigidPart(has_vertex, origin, track))
-    return parts, deforms
-
-
-def _fit_parts(
-    order: Int64s,
-    part_of: Int32s,
-    start: Float64s,
-    vertices_m: Callable[[int], Float64s],
-    frames: list[int] | range,
-) -> tuple[Int64s, Float64s]:
-    """Fit rigid motions x -> R x + t to parts in some frames.
-
-    Returns the vertices of the rigid parts, and their motions, float64 [parts, frames, 3, 4].
-    """
-    names = part_of[order]
-    first = np.flatnonzero(np.append(True, names[1:] != names[:-1]))[: len(names)]
-    count = np.diff(np.append(first, len(names)))[:, None]
-    if not len(order):
-        return order, np.zeros((0, len(frames), 3, 4))
-    number = np.repeat(np.arange(len(first)), count[:, 0])
-    before = start[order]
-    centre = np.add.reduceat(before, first) / count
-    offset = before - centre[number]
-    extent = np.maximum.reduceat(np.linalg.norm(offset, axis=1), first)
-    is_rigid = np.ones(len(first), bool)
-    poses = np.zeros((len(first), len(frames), 3, 4))
-    for n, frame in enumerate(frames):
-        after = vertices_m(frame)[order]
-        centre_after = np.add.reduceat(after, first) / count
-        offset_after = after - centre_after[number]
-        covariance = np.add.reduceat(offset_after[:, :, None] * offset[:, None, :], first)
-        u, _, v = np.linalg.svd(covariance)
-        u[:, :, 2] *= np.linalg.det(u @ v)[:, None]
-        rotation = u @ v
-        error = np.linalg.norm(np.einsum("nij,nj->ni", rotation[number], offset) - offset_after, axis=1)
-        is_rigid &= np.maximum.reduceat(error, first) <= _RIGID * extent
-        poses[:, n, :, :3] = rotation
-        poses[:, n, :, 3] = centre_after - np.einsum("pij,pj->pi", rotation, centre)
-    return order[is_rigid[number]], poses[is_rigid]
 
 
 # -- names and files ---------------------------------------------------------------------------------------
