@@ -159,6 +159,19 @@ def test_a_solid_is_filled_completely() -> None:
     np.testing.assert_allclose(depth, 1 - np.linalg.norm(points, axis=1), atol=0.02)
 
 
+@pytest.mark.parametrize("origin", [(-1.6,) * 3, (0.2, -0.3, -0.7)], ids=["around", "within"])
+def test_a_law_without_forces_outside_has_the_same_field_inside(origin: tuple[float, float, float]) -> None:
+    shapes = [trimesh.creation.icosphere(2, 0.9), trimesh.creation.torus(1.1, 0.3, 24, 12)]
+    vertices, faces = together(*((np.asarray(s.vertices), np.asarray(s.faces)) for s in shapes))
+    scene, grid = MeshScene(vertices, faces), Grid((61, 57, 83), (0.05, 0.055, 0.04), origin)
+    inside = ForceProfile(((-1.0, 0.0, 0.0, -3.0),))
+    beyond = ForceProfile((*inside.pieces, (0.0, 0.3, 0.0, 0.0)))  # searched there, and found to be zero
+    only, both = scene.field(0, grid, inside), scene.field(0, grid, beyond)
+    assert only.support_count > 2000
+    np.testing.assert_array_equal(only.bricks, both.bricks)
+    np.testing.assert_array_equal(only.forces_n, both.forces_n)
+
+
 @settings(max_examples=10)
 @given(st.integers(0, 2**32 - 1))
 def test_slivers_and_flat_triangles_keep_their_distances(seed: int) -> None:

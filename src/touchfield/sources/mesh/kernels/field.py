@@ -26,7 +26,7 @@ from touchfield.compute.threads import for_chunks
 from touchfield.medium import Grid
 from touchfield.medium.brick_buffer import BATCH_BRICKS, BrickBuffer
 from touchfield.sources.mesh.kernels import triangle as tri
-from touchfield.sources.mesh.kernels.sign import COLUMN_SHIFT, winding_of_brick
+from touchfield.sources.mesh.kernels.sign import COLUMN_SHIFT, bricks_inside, winding_of_brick
 from touchfield.sources.terrain.kernels import amplitude as amplitude_at
 
 CLOSED, ONE_SIDED, TWO_SIDED, LIDDED = 0, 1, 2, 3
@@ -72,8 +72,11 @@ def _sample_position(bricks, b, i, j, k, lattice):
 
 # -- from the grid down to its bricks ----------------------------------------------------------------------
 @kernel
-def _descend(start, stop, cells, starts, ids, table, lattice, shape, size, limit, keep, counts):
-    """Select the triangles of each cell for its eight children: a bit for each child, and counts."""
+def _descend(start, stop, cells, starts, ids, table, lattice, shape, size, limit, needed, keep, counts):
+    """Select the triangles of each cell for its eight children: a bit for each child, and counts.
+
+    `needed` bool [x, y, z]: children that may have a force; empty for all.
+    """
     scale = 1.0 / lattice[3:].max()
     steps = lattice[3:] * scale
     half = size // 2
@@ -90,6 +93,8 @@ def _descend(start, stop, cells, starts, ids, table, lattice, shape, size, limit
         for s in range(8):
             ci, cj, ck = i + (s >> 2) * half, j + ((s >> 1) & 1) * half, k + (s & 1) * half
             if ci >= shape[0] or cj >= shape[1] or ck >= shape[2]:
+                continue
+            if needed.size > 0 and not needed[ci // half, cj // half, ck // half]:
                 continue
             nearest = np.sqrt(tri.nearest_to_centre(tiles, count, s)[1])
             max_square = min(nearest + 2 * radius, limit + radius) * np.float32(1 + 1e-5) + _SLACK
@@ -302,9 +307,13 @@ def fade(start, stop, bricks, owners, table, lattice, rim, rim_edges, width, for
 
 # -- complete fields ---------------------------------------------------------------------------------------
 def _find_bricks(
-    table: Float64s, lattice: Float64s, shape: Int64s, limit: np.float32
+    table: Float64s, lattice: Float64s, shape: Int64s, limit: np.float32, needed: Bools | None = None
 ) -> tuple[Int32s, Int64s, Int32s]:
-    """Find the bricks near a mesh, in any order, the start of the triangles of each, and the triangles."""
+    """Find the bricks near a mesh, in any order, the start of the triangles of each, and the triangles.
+
+    `needed` bool [x, y, z]: bricks that may have a force; None for all.
+    """
+    levels = [] if needed is None else _levels_of(needed)
     size = 8 << int(-(-int(shape.max()) // 8) - 1).bit_length()
     cells = np.zeros((1, 3), np.int32)
     starts = np.array([0, len(table)], np.int64)
@@ -312,7 +321,8 @@ def _find_bricks(
     while size > 8 and len(cells):
         keep = np.empty(len(ids), np.uint8)
         counts = np.zeros((len(cells), 8), np.int64)
-        arguments = (cells, starts, ids, table, lattice, shape, size, limit, keep, counts)
+        needed_children = levels[size.bit_length() - 5] if levels else np.zeros((0, 0, 0), np.bool_)
+        arguments = (cells, starts, ids, table, lattice, shape, size, limit, needed_children, keep, counts)
         for_chunks(_descend, len(cells), *arguments)
         stops = np.cumsum(counts)
         children = np.empty(stops[-1], np.int32)
@@ -325,6 +335,16 @@ def _find_bricks(
         ids = children
         size //= 2
     return cells, starts, ids
+
+
+def _levels_of(needed: Bools) -> list[Bools]:
+    """Return which cells have a needed brick: of one brick, of two along each axis, of four, and so on."""
+    levels = [needed]
+    while max(levels[-1].shape) > 1:
+        cells = np.pad(levels[-1], [(0, n % 2) for n in levels[-1].shape])
+        x, y, z = (n // 2 for n in cells.shape)
+        levels.append(np.asarray(cells.reshape(x, 2, y, 2, z, 2).any(axis=(1, 3, 5))))
+    return levels
 
 
 def _find_rim_edges(
@@ -388,7 +408,10 @@ def mesh_forces(
     shape = np.array(grid.shape, np.int64)
     scale = 1 / lattice[3:].max()
     limits = np.array([band.inner_m * scale, band.outer_m * scale], np.float32)
-    bricks, starts, ids = _find_bricks(surface[0], lattice, shape, limits.max())
+    # a sample outside a closed mesh has no force if the law has none there
+    is_inside_only = band.sidedness == CLOSED and band.outer_m < 0
+    needed = bricks_inside(events, grid) if is_inside_only else None
+    bricks, starts, ids = _find_bricks(surface[0], lattice, shape, limits.max(), needed)
     _, by, bz = grid.brick_shape
     columns = bricks[:, 1].astype(np.int64) * bz + bricks[:, 2]
     keys = bricks[:, 0].astype(np.int64) * (by * bz) + columns

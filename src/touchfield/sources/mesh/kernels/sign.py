@@ -140,6 +140,35 @@ def winding_of_brick(events, first, last, i0, winding):
         winding[s] += winding[s - 64]
 
 
+@kernel
+def _mark_inside(events, bricks_z, shape, is_inside):
+    """Mark the bricks in which a sample has a winding number other than 0."""
+    e = 0
+    while e < len(events):
+        row = events[e] >> _ROW_SHIFT  # column of bricks, and y and z within it
+        column = events[e] >> COLUMN_SHIFT
+        y, z = column // bricks_z, column % bricks_z
+        total, first = 0, 0
+        while e < len(events) and (events[e] >> _ROW_SHIFT) == row:
+            i = (events[e] >> 1) & ((1 << 20) - 1)
+            if total != 0:
+                for x in range(first >> 3, (i + 7) >> 3):
+                    is_inside[x, y, z] = True
+            total += 1 if events[e] & 1 else -1
+            first = i
+            e += 1
+        if total != 0:
+            for x in range(first >> 3, (shape[0] + 7) >> 3):
+                is_inside[x, y, z] = True
+
+
+def bricks_inside(events: Int64s, grid: Grid) -> Bools:
+    """Return which bricks of a grid have a sample inside the mesh of these events, bool [bx, by, bz]."""
+    is_inside = np.zeros(grid.brick_shape, np.bool_)
+    _mark_inside(events, grid.brick_shape[2], np.array(grid.shape, np.int64), is_inside)
+    return is_inside
+
+
 # -- triangles in bins -------------------------------------------------------------------------------------
 class Bins(NamedTuple):
     """Triangles by squares of the plane (y, z): square s has `ids[starts[s]:starts[s + 1]]`."""
