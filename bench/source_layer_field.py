@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from source_layer_tree import UNIT, Planes, Surface
+from source_layer_tree import UNIT, Planes, Surface, compiled
 from touchfield.filters.device_spec import DeviceFilter
 from touchfield.medium import BRICK
 from touchfield.sources.camera import Intrinsics
@@ -111,7 +110,9 @@ def lattice_of(
     """
     spec, placement = mapping.spec, mapping.placement
     if (spec.oversample, spec.low_pass) != (2, "spline"):
-        raise ValueError(f"the rule is that of two samples and a spline, not {spec.oversample}, {spec.low_pass}")
+        raise ValueError(
+            f"the rule is that of two samples and a spline, not {spec.oversample}, {spec.low_pass}"
+        )
     fine = placement.to_scene(mapping.grid.refined(2))
     rotation = pose[:3, :3]
     rays = np.empty((4, 3))
@@ -120,7 +121,8 @@ def lattice_of(
     projected = rays @ np.array([[camera.fx, 0, 0], [0, camera.fy, 0], [camera.cx, camera.cy, 1]])
     law = mapping.profile.rescaled(placement.scale)
     pieces = [
-        (low * LENGTH, high * LENGTH, force / unit_n, slope / unit_n) for low, high, force, slope in law.pieces
+        (low * LENGTH, high * LENGTH, force / unit_n, slope / unit_n)
+        for low, high, force, slope in law.pieces
     ]
     reach = RAY_LIMIT * LENGTH * np.array([max(law.high_m, 0.0), max(-law.low_m, 0.0)])
     force_max_n = mapping.device.force_max_n
@@ -145,13 +147,14 @@ def surface_of(planes: SurfacePlanes, weight: NDArray[np.float64]) -> Surface:
     inverse_m = normal[..., 2] / offset + slope_u * u + slope_v * v
     is_known = (normal[..., 3] < 0) & (inverse_m > 0)
     parts = inverse_m, slope_u, slope_v, -normal[..., 3]
-    return Surface(*(np.where(is_known, part, 0.0) for part in parts), weight)
+    inverse_m, slope_u, slope_v, distance_m = (np.where(is_known, part, 0.0) for part in parts)
+    return Surface(inverse_m, slope_u, slope_v, distance_m, weight)
 
 
 # -- the rule ----------------------------------------------------------------------------------------------
 
 
-@njit(nogil=True)
+@compiled
 def integer_root(n):  # type: ignore[no-untyped-def]
     """Return the whole square root of a number below 2^62."""
     root = np.int64(math.sqrt(n))
@@ -162,7 +165,7 @@ def integer_root(n):  # type: ignore[no-untyped-def]
     return root
 
 
-@njit(nogil=True)
+@compiled
 def axes_of(rule):  # type: ignore[no-untyped-def]
     """Return unit vectors along the axes of the lattice, camera axes, in 1/16384: int64 [3, 3]."""
     axes = np.zeros((3, 3), np.int64)
@@ -176,7 +179,7 @@ def axes_of(rule):  # type: ignore[no-untyped-def]
     return axes
 
 
-@njit(nogil=True)
+@compiled
 def force_at(rule, axes, planes, u_z, v_z, z, force):  # type: ignore[no-untyped-def]
     """Write the force of a sample, units in 1/256, to `force` [3]; returns whether there is one."""
     height, width = planes.is_hole.shape
@@ -211,7 +214,7 @@ def force_at(rule, axes, planes, u_z, v_z, z, force):  # type: ignore[no-untyped
     return True
 
 
-@njit(nogil=True)
+@compiled
 def tiles_of(planes):  # type: ignore[no-untyped-def]
     """Return the largest and smallest inverse depth of the planes in tiles, int64 [rows, columns, 2].
 
@@ -231,15 +234,16 @@ def tiles_of(planes):  # type: ignore[no-untyped-def]
     return tiles
 
 
-@njit(nogil=True)
+@compiled
 def may_hold_force(rule, tiles, size_px, first):  # type: ignore[no-untyped-def]
     """Return False if no sample of a brick can have a force; `first` is its first fine sample [3].
 
     It only saves time: the bricks of the base layer are those with a force.
     """
     height, width = size_px
-    u0 = v0 = z0 = np.int64(1) << 62
-    u1 = v1 = z1 = -(np.int64(1) << 62)
+    far: Any = np.int64(1) << 62
+    u0 = v0 = z0 = far
+    u1 = v1 = z1 = -far
     for corner in range(8):
         u_z, v_z, z = rule.lattice[0]
         for n in range(3):
@@ -257,8 +261,9 @@ def may_hold_force(rule, tiles, size_px, first):  # type: ignore[no-untyped-def]
     if u1 < 0 or v1 < 0 or u0 >= width or v0 >= height:
         return False
     largest, smallest = np.int64(-1), np.int64(1) << 62
-    for row in range(max(v0, 0) // TILE, min(v1, height - 1) // TILE + 1):
-        for column in range(max(u0, 0) // TILE, min(u1, width - 1) // TILE + 1):
+    left, right, top, bottom = max(u0, 0), min(u1, width - 1), max(v0, 0), min(v1, height - 1)
+    for row in range(top // TILE, bottom // TILE + 1):
+        for column in range(left // TILE, right // TILE + 1):
             largest, smallest = max(largest, tiles[row, column, 0]), min(smallest, tiles[row, column, 1])
     if largest <= 0:
         return False
@@ -266,7 +271,7 @@ def may_hold_force(rule, tiles, size_px, first):  # type: ignore[no-untyped-def]
     return z1 >= nearest and (smallest <= 0 or z0 <= UNIT * LENGTH // smallest + rule.reach[1] + 64)
 
 
-@njit(nogil=True)
+@compiled
 def fill_brick(rule, axes, planes, first, shape, fine, force):  # type: ignore[no-untyped-def]
     """Write the forces of a brick, units, int64 [8, 8, 8, 3]; returns whether there is one.
 
@@ -290,7 +295,7 @@ def fill_brick(rule, axes, planes, first, shape, fine, force):  # type: ignore[n
     return bool(force.any())
 
 
-@njit(nogil=True)
+@compiled
 def smooth(fine, shape, first, limits, force):  # type: ignore[no-untyped-def]
     """Write the low-pass of the finer samples of a brick, limited, to `force` [8, 8, 8, 3]."""
     along_z = np.empty((FINE, FINE, BRICK, 3), np.int64)
@@ -319,7 +324,7 @@ def smooth(fine, shape, first, limits, force):  # type: ignore[no-untyped-def]
                     force[i, j, k] = 0
 
 
-@njit(nogil=True)
+@compiled
 def limit(force, limits):  # type: ignore[no-untyped-def]
     """Clip a force [3] to the longest, and drop one that is too short."""
     length = integer_root(force[0] * force[0] + force[1] * force[1] + force[2] * force[2])
@@ -350,7 +355,7 @@ def field_of(
     return candidates[np.concatenate(marks)], np.concatenate(parts)
 
 
-@njit(nogil=True)
+@compiled
 def _fill(rule, planes, tiles, shape, candidates, out):  # type: ignore[no-untyped-def]
     axes, size_px = axes_of(rule), planes.is_hole.shape
     fine, force = np.zeros((FINE, FINE, FINE, 3), np.int64), np.zeros((BRICK, BRICK, BRICK, 3), np.int64)

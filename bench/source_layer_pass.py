@@ -1,7 +1,7 @@
-"""Counts the corrections that a frame needs beyond a given base layer: the voxel pass of coder `touch`, which
+"""Counts the corrections that frames need beyond given base layers: the voxel pass of coder `touch`, which
 ``source_layer.c`` compiles with any vectors as its reference.
 
-The payload is decoded again by the reader of ``c/touch.h``, with the same reference.
+Each payload is decoded again by the reader of ``c/touch.h``, with the same reference.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import ctypes
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -25,30 +26,52 @@ ROOT = Path(__file__).resolve().parents[1]
 
 class _Cost(ctypes.Structure):
     _fields_ = (
-        ("payload_bytes", ctypes.c_uint64),
-        ("outliers", ctypes.c_uint64),
-        ("outlier_bytes", ctypes.c_uint64),
+        ("payload_bytes", ctypes.c_uint64 * 2),
+        ("outlier_bytes", ctypes.c_uint64 * 2),
         ("within", ctypes.c_uint64),
         ("violations", ctypes.c_uint64),
         ("max_error_ratio", ctypes.c_double),
         ("is_decoded", ctypes.c_int32),
+        ("has_layer", ctypes.c_int32),
     )
 
 
-class Corrections(NamedTuple):
-    """The cost of a frame beyond its base layer.
+class Layer(NamedTuple):
+    """A coded base layer of a frame.
 
-    bytes : of the payload and of outliers (17 bytes each, an upper limit).
-    within_fraction : of the voxels with a force in either field, those at which the base layer is within the
-        bound.
-    max_error_ratio : largest error of the decoded frame without outliers, of the bound.
-    outliers : voxels that are sent exactly.
+    bytes : its size.
+    bricks : int32 [n, 3], ascending.
+    vectors : int32 [n, 512, 3], in units of the longest force of the segment over 65536.
     """
 
     bytes: int
+    bricks: NDArray[np.int32]
+    vectors: NDArray[np.int32]
+
+
+class FrameCost(NamedTuple):
+    """The cost of a frame.
+
+    layer_bytes : of its base layer.
+    corrections : bytes of the payload and of outliers (17 each, an upper limit) with the base layer.
+    other : the same with the frame before, or nothing, as the reference.
+    within_fraction : of the voxels with a force in either field, those at which the base layer is within the
+        bound.
+    max_error_ratio : largest error before outliers, of the bound, of the way that takes fewer bytes.
+    has_layer : whether that is the one with the base layer.
+    """
+
+    layer_bytes: int
+    corrections: int
+    other: int
     within_fraction: float
     max_error_ratio: float
-    outliers: int
+    has_layer: bool
+
+    @property
+    def bytes(self) -> int:
+        """Bytes of the better way."""
+        return self.layer_bytes + self.corrections if self.has_layer else self.other
 
 
 @cache
@@ -63,29 +86,47 @@ def library() -> ctypes.CDLL:
     return ctypes.CDLL(str(path))
 
 
-def corrections(
-    frame: ForceField, bricks: NDArray[np.int32], vectors: NDArray[np.int32], k: float = K, f0_n: float = F0_N
-) -> Corrections:
-    """Return the cost of a frame with a base layer, of which `bricks` are int32 [n, 3], ascending.
+def unit_n(frames: Sequence[ForceField]) -> float:
+    """Return the unit of a segment of frames, newtons, as the encoder rounds it."""
+    squares = [np.square(f.forces_n.astype(np.float64)).sum(axis=-1).max(initial=0.0) for f in frames]
+    return float(np.float32(np.sqrt(max(squares)) / 65536))
 
-    `vectors` are int32 [n, 512, 3], in units of the longest force of the frame over 65536. Raises RuntimeError
-    if the pass fails, or the reader decodes other vectors than the writer.
+
+def frame_costs(
+    frames: Sequence[ForceField], layers: Sequence[Layer], k: float = K, f0_n: float = F0_N
+) -> list[FrameCost]:
+    """Return the cost of each frame of a segment.
+
+    Raises RuntimeError if the pass fails, or the reader decodes other vectors than the writer.
     """
-    own = np.ascontiguousarray(frame.bricks, np.int32), np.ascontiguousarray(frame.forces_n, np.float32)
-    layer = np.ascontiguousarray(bricks, np.int32), np.ascontiguousarray(vectors, np.int32)
-    shape, spacing = (ctypes.c_uint32 * 3)(*frame.grid.shape), (ctypes.c_double * 3)(*frame.grid.spacing_m)
-    cost = _Cost()
-    counts = [ctypes.c_uint64(len(own[0])), ctypes.c_uint64(len(layer[0]))]
-    pointers = [a.ctypes.data_as(ctypes.c_void_p) for a in (*own, *layer)]
-    bound = ctypes.c_double(k), ctypes.c_double(f0_n)
-    code = library().layer_cost_of(
-        shape, spacing, *bound, counts[0], *pointers[:2], counts[1], *pointers[2:], ctypes.byref(cost)
+    grid, costs = frames[0].grid, (_Cost * len(frames))()
+    arrays = list[NDArray[np.generic]]()
+    for frame, layer in zip(frames, layers, strict=True):
+        arrays += [frame.bricks.astype(np.int32), frame.forces_n.astype(np.float32)]
+        arrays += [layer.bricks.astype(np.int32), layer.vectors.astype(np.int32)]
+    arrays = [np.ascontiguousarray(array) for array in arrays]
+    counts = [len(array) for array in arrays[::2]]
+    code = library().layer_costs(
+        (ctypes.c_uint32 * 3)(*grid.shape),
+        (ctypes.c_double * 3)(*grid.spacing_m),
+        ctypes.c_double(k),
+        ctypes.c_double(f0_n),
+        ctypes.c_uint32(len(frames)),
+        (ctypes.c_uint64 * len(counts))(*counts),
+        (ctypes.c_void_p * len(arrays))(*(array.ctypes.data for array in arrays)),
+        (ctypes.c_uint64 * len(layers))(*(layer.bytes for layer in layers)),
+        costs,
     )
-    if code or not cost.is_decoded:
-        raise RuntimeError(f"the voxel pass ended with code {code}, decoded alike: {bool(cost.is_decoded)}")
-    return Corrections(
-        cost.payload_bytes + cost.outlier_bytes,
-        cost.within / max(cost.within + cost.violations, 1),
-        cost.max_error_ratio,
-        cost.outliers,
-    )
+    if code or not all(cost.is_decoded for cost in costs):
+        raise RuntimeError(f"the voxel pass ended with code {code}, or a reader decodes other vectors")
+    return [
+        FrameCost(
+            layer.bytes,
+            cost.payload_bytes[0] + cost.outlier_bytes[0],
+            cost.payload_bytes[1] + cost.outlier_bytes[1],
+            cost.within / max(cost.within + cost.violations, 1),
+            cost.max_error_ratio,
+            bool(cost.has_layer),
+        )
+        for cost, layer in zip(costs, layers)
+    ]

@@ -3,17 +3,16 @@ plane.
 
 It is the prototype of a base layer of coder `touch` that is made of the coded source (``source_layer.md``
 defines its bytes). `fit_tree` chooses the tree of a depth map, `write_tree` and `read_tree` code it with the
-arithmetic code of docs/format/bits.md, `planes_of` draws its planes.
+arithmetic code of docs/format/bits.md.
 
-A plane is linear in inverse depth: ``w = a u + b v + c`` at pixel (u, v), in 1/2^24 per metre. Squares without
-a surface are holes.
+A plane is linear in inverse depth: ``w = a u + b v + c`` at pixel (u, v), in 1/2^24 per metre. Squares
+without a surface are holes.
 """
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
 
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "conformance"))
 
-from touch_bits import RATES, Bits, limited_probability  # type: ignore[import-not-found]  # noqa: E402
+from touch_bits import RATES, Bits, limited_probability  # type: ignore[import-not-found]
 
 UNIT: Final = 1 << 24
 """Units of inverse depth in 1/m."""
@@ -49,6 +48,8 @@ HOLE_MODE, NEW_MODE = 0, 4
 """A square is a hole, takes plane `mode - 1` of its neighbours, or plane `mode - 4` with a residual."""
 
 Integers = NDArray[np.int64]
+
+compiled: Any = njit(cache=True, nogil=True)
 
 
 class Tree(NamedTuple):
@@ -126,7 +127,7 @@ class Tolerance(NamedTuple):
 # -- shared by both directions -----------------------------------------------------------------------------
 
 
-@njit(nogil=True)
+@compiled
 def neighbours(planes, x, y, side, found):  # type: ignore[no-untyped-def]
     """Write the different planes left of, above and above right of a square to `found` [3, 3].
 
@@ -153,7 +154,7 @@ def neighbours(planes, x, y, side, found):  # type: ignore[no-untyped-def]
     return count
 
 
-@njit(nogil=True)
+@compiled
 def plane_of(base, residual, x, y, side):  # type: ignore[no-untyped-def]
     """Return the plane of a square: `base` with a residual at its middle."""
     u, v = x + side // 2, y + side // 2
@@ -163,7 +164,7 @@ def plane_of(base, residual, x, y, side):  # type: ignore[no-untyped-def]
     return a, b, middle - a * u - b * v
 
 
-@njit(nogil=True)
+@compiled
 def draw(planes, x, y, side, level, mode, plane):  # type: ignore[no-untyped-def]
     """Write the plane of a square to its pixels."""
     height, width = planes.is_hole.shape
@@ -178,14 +179,14 @@ def draw(planes, x, y, side, level, mode, plane):  # type: ignore[no-untyped-def
             planes.last[n] = plane[n]
 
 
-@njit(nogil=True)
+@compiled
 def split_context(planes, x, y, level):  # type: ignore[no-untyped-def]
     """Return the context of whether a square is divided: how many of its neighbours are smaller."""
     smaller = int(x > 0 and planes.level[y, x - 1] < level) + int(y > 0 and planes.level[y - 1, x] < level)
     return SPLIT + 4 * level + smaller
 
 
-@njit(nogil=True)
+@compiled
 def hole_context(planes, x, y, level, count):  # type: ignore[no-untyped-def]
     """Return the context of whether a square is a hole."""
     left = int(x > 0 and planes.is_hole[y, x - 1])
@@ -228,7 +229,7 @@ class Writer:
         self._narrow(limited_probability(own[0] >> 6), value)
         own[0] += (value * 4194303 - own[0]) * RATES[own[1]] >> 19
         own[1] = min(own[1] + 1, 255)
-        return value
+        return int(value)
 
     def even(self, value: int, count: int) -> int:
         """See `Coder`."""
@@ -347,14 +348,14 @@ def read_tree(data: bytes, height: int, width: int) -> Planes:
 # -- the fit: the tree of the least bits and errors --------------------------------------------------------
 
 
-@njit(nogil=True)
+@compiled
 def _pay(costs, counts, context, value):  # type: ignore[no-untyped-def]
     """Return the bits of a bit, and count it."""
     counts[context, int(value)] += 1
     return costs[context, int(value)]
 
 
-@njit(nogil=True)
+@compiled
 def _number_bits(costs, counts, context, value):  # type: ignore[no-untyped-def]
     bits = _pay(costs, counts, context, value != 0)
     if value == 0:
@@ -369,7 +370,7 @@ def _number_bits(costs, counts, context, value):  # type: ignore[no-untyped-def]
     return bits + 2 * math.log2(wanted - UNARY + 1.0) + 1
 
 
-@njit(nogil=True)
+@compiled
 def _leaf_bits(costs, counts, planes, x, y, level, count, mode, residual):  # type: ignore[no-untyped-def]
     """Return the bits of a square that is not divided; see `code_leaf`."""
     bits = _pay(costs, counts, hole_context(planes, x, y, level, count), mode == HOLE_MODE)
@@ -393,7 +394,7 @@ def _leaf_bits(costs, counts, planes, x, y, level, count, mode, residual):  # ty
     return bits
 
 
-@njit(nogil=True)
+@compiled
 def _errors(surface, tolerance, plane, x, y, side, enough):  # type: ignore[no-untyped-def]
     """Return the bits that the wrong pixels of a square cost; from `enough` on, any larger number."""
     height, width = surface.weight.shape
@@ -416,7 +417,7 @@ def _errors(surface, tolerance, plane, x, y, side, enough):  # type: ignore[no-u
     return total
 
 
-@njit(nogil=True)
+@compiled
 def _fit_plane(surface, tolerance, x, y, side, plane):  # type: ignore[no-untyped-def]
     """Write the plane, 1/m, to which most pixels of a square belong; returns their number."""
     height, width = surface.weight.shape
@@ -461,7 +462,7 @@ def _fit_plane(surface, tolerance, x, y, side, plane):  # type: ignore[no-untype
     return best
 
 
-@njit(nogil=True)
+@compiled
 def _choose_leaf(job, x, y, level, leaf):  # type: ignore[no-untyped-def]
     """Choose mode, residual and plane of a square, int64 [7] to `leaf`; returns bits and errors."""
     planes, surface, tolerance, costs, spare = job
@@ -511,10 +512,10 @@ def _choose_leaf(job, x, y, level, leaf):  # type: ignore[no-untyped-def]
     return best
 
 
-@njit(nogil=True)
+@compiled
 def _choose(job, tree, x, y, level):  # type: ignore[no-untyped-def]
     """Choose the tree below a square; returns its bits and errors."""
-    planes, costs, spare = job[0], job[3], job[4]
+    planes, costs = job[0], job[3]
     height, width = planes.is_hole.shape
     if x >= width or y >= height:
         return 0.0
@@ -538,7 +539,7 @@ def _choose(job, tree, x, y, level):  # type: ignore[no-untyped-def]
     return whole
 
 
-@njit(nogil=True)
+@compiled
 def _fit_pass(job, tree):  # type: ignore[no-untyped-def]
     height, width = tree.modes.shape
     for y in range(0, height, TOP):
@@ -554,13 +555,13 @@ class _Counts:
 
     def bit(self, context: int, value: int) -> int:
         self.counts[context, int(value)] += 1
-        return value
+        return int(value)
 
     def even(self, value: int, count: int) -> int:
         return value
 
 
-def fit_tree(surface: Surface, tolerance: Tolerance, report: Callable[[Any], None] | None = None) -> Tree:
+def fit_tree(surface: Surface, tolerance: Tolerance) -> Tree:
     """Choose the tree of a picture: the least sum of its bits and the bits that its wrong pixels cost.
 
     The choice uses floating point; only its result is coded.
