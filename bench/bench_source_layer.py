@@ -47,7 +47,7 @@ from touchfield.sources.camera import noise_step_per_m
 from touchfield.sources.depth.depth_scene import DepthScene
 from touchfield.sources.laws import profile_of
 
-PRICES = (0.5, 1.0, 2.0, 4.0, 8.0)
+PRICES = (1.0, 2.0, 4.0, 8.0)
 """Bits of a wrong picture, in multiples of those of the frame today."""
 LENGTH_M, ANGLE = 1e-4, 0.2
 """Errors at which a pixel counts as half wrong: metres of the hand, and rad."""
@@ -253,10 +253,11 @@ def measure(frames: int, sides: str) -> Figures:
     library()  # compiled once; every process loads it
     walls = [c for c in cases(tuple(int(n) for n in sides.split(","))) if c.kind == "band"]
     indices = [list(range(n, min(n + CHUNK, frames))) for n in range(0, frames, CHUNK)]
-    rows, maps = [], {}
+    rows = []
     with ProcessPoolExecutor(2) as pool:
         firsts = list(pool.map(first_figures, walls))
-        maps = {c.name: pool.submit(maps_of, c, list(range(0, frames, MAPS))) for c in walls}
+        by_name = {c.name: c for c in walls}
+        maps = {name: pool.submit(maps_of, c, list(range(0, frames, MAPS))) for name, c in by_name.items()}
         parts = [
             [pool.submit(chunk_rows, c, part, price) for part in indices]
             for c, (price, _) in zip(walls, firsts)

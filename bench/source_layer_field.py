@@ -180,33 +180,47 @@ def axes_of(rule):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def force_at(rule, axes, planes, u_z, v_z, z, force):  # type: ignore[no-untyped-def]
-    """Write the force of a sample, units in 1/256, to `force` [3]; returns whether there is one."""
+def amplitude_at(rule, planes, u_z, v_z, z):  # type: ignore[no-untyped-def]
+    """Return the amplitude of the force at a sample, units, and its pixel; 0, 0, 0 if there is none."""
     height, width = planes.is_hole.shape
     if z <= 0:
-        return False
+        return 0, 0, 0
     u, v = (2 * u_z + z) // (2 * z), (2 * v_z + z) // (2 * z)
     if u < 0 or v < 0 or u >= width or v >= height or planes.is_hole[v, u]:
-        return False
-    a, b, c = planes.coefficients[v, u]
-    facing = (a * u_z + b * v_z + c * z) >> 22  # 1 on the plane
+        return 0, 0, 0
+    own = planes.coefficients
+    facing = (own[v, u, 0] * u_z + own[v, u, 1] * v_z + own[v, u, 2] * z) >> 22  # UNIT on the plane
     ahead = UNIT - facing
     if facing <= 0 or abs(ahead) > 4 * UNIT:
-        return False
+        return 0, 0, 0
     if z * abs(ahead) > facing * (rule.reach[0] if ahead > 0 else rule.reach[1]):
-        return False
-    fx, fy, cx, cy = rule.camera
-    g_x, g_y, g_z = fx * a, fy * b, 16 * c + cx * a + cy * b
+        return 0, 0, 0
+    g_x, g_y, g_z = gradient_of(rule, planes, u, v)
     if max(abs(g_x), abs(g_y), abs(g_z)) >= MAX_GRADIENT:
-        return False
+        return 0, 0, 0
     length = max(integer_root(g_x * g_x + g_y * g_y + g_z * g_z), 1)
     distance = (ahead * ((16 * UNIT * LENGTH) // length)) >> 24
-    amplitude = np.int64(0)
     for n in range(rule.pieces.shape[0]):
         if rule.pieces[n, 0] < distance <= rule.pieces[n, 1]:
-            amplitude = rule.pieces[n, 2] + ((rule.pieces[n, 3] * distance) >> 22)
+            return rule.pieces[n, 2] + ((rule.pieces[n, 3] * distance) >> 22), u, v
+    return 0, 0, 0
+
+
+@compiled
+def gradient_of(rule, planes, u, v):  # type: ignore[no-untyped-def]
+    """Return the gradient of inverse depth at a pixel, 1/2^28 per metre, camera axes."""
+    a, b, c = planes.coefficients[v, u, 0], planes.coefficients[v, u, 1], planes.coefficients[v, u, 2]
+    return rule.camera[0] * a, rule.camera[1] * b, 16 * c + rule.camera[2] * a + rule.camera[3] * b
+
+
+@compiled
+def force_at(rule, axes, planes, sample, force):  # type: ignore[no-untyped-def]
+    """Write the force of a sample [3], units in 1/256, to `force` [3]; returns whether there is one."""
+    amplitude, u, v = amplitude_at(rule, planes, sample[0], sample[1], sample[2])
     if amplitude == 0:
         return False
+    g_x, g_y, g_z = gradient_of(rule, planes, u, v)
+    length = max(integer_root(g_x * g_x + g_y * g_y + g_z * g_z), 1)
     n_x, n_y, n_z = -(g_x << 14) // length, -(g_y << 14) // length, -(g_z << 14) // length
     for n in range(3):
         normal = (axes[n, 0] * n_x + axes[n, 1] * n_y + axes[n, 2] * n_z + 8192) >> 14
@@ -279,16 +293,17 @@ def fill_brick(rule, axes, planes, first, shape, fine, force):  # type: ignore[n
     """
     fine[:] = 0
     has_force = False
-    step = rule.lattice[1:]
+    step, sample = rule.lattice[1:], np.zeros(3, np.int64)
     for i in range(FINE):
         for j in range(FINE):
-            x, y, z = first[0] + i, first[1] + j, first[2]
-            u_z = rule.lattice[0, 0] + x * step[0, 0] + y * step[1, 0] + z * step[2, 0]
-            v_z = rule.lattice[0, 1] + x * step[0, 1] + y * step[1, 1] + z * step[2, 1]
-            depth = rule.lattice[0, 2] + x * step[0, 2] + y * step[1, 2] + z * step[2, 2]
+            for n in range(3):
+                sample[n] = rule.lattice[0, n] + first[2] * step[2, n]
+                sample[n] += (first[0] + i) * step[0, n] + (first[1] + j) * step[1, n]
             for k in range(FINE):
-                has_force |= force_at(rule, axes, planes, u_z, v_z, depth, fine[i, j, k])
-                u_z, v_z, depth = u_z + step[2, 0], v_z + step[2, 1], depth + step[2, 2]
+                if amplitude_at(rule, planes, sample[0], sample[1], sample[2])[0]:
+                    has_force |= force_at(rule, axes, planes, sample, fine[i, j, k])
+                for n in range(3):
+                    sample[n] += step[2, n]
     if not has_force:
         return False
     smooth(fine, shape, first, rule.limits, force)

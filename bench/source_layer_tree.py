@@ -303,6 +303,8 @@ def code_leaf(coder: Coder, planes: Planes, tree: Tree, x: int, y: int, level: i
             residual[1] = code_number(coder, SLOPE_A + rough, int(residual[1]))
             rough = 80 * level + 40 * (abs(int(residual[1])) > 1)
             residual[2] = code_number(coder, SLOPE_B + rough, int(residual[2]))
+        else:
+            residual[1:] = 0
     tree.modes[y, x] = index + (NEW_MODE if is_new else 1)
     base = found[index] if count else planes.last
     plane = plane_of(base, residual, x, y, 1 << level) if is_new else tuple(base)
