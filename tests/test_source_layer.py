@@ -138,11 +138,8 @@ def test_bricks_are_left_out_only_without_force(scene):
     axes, planes = rules.axes_of(scene.lattice.rule), scene.exact_planes()
     force, seen = np.zeros(3, np.int64), set()
     for at in np.ndindex(*(2 * n for n in scene.lattice.shape)):
-        u_z, v_z, z = scene.lattice.rule.lattice[0] + np.array(at) @ scene.lattice.rule.lattice[1:]
-        if (
-            rules.force_at(scene.lattice.rule, axes, planes, u_z, v_z, z, force)
-            and abs(force).max() > 1 << 20
-        ):
+        sample = scene.lattice.rule.lattice[0] + np.array(at) @ scene.lattice.rule.lattice[1:]
+        if rules.force_at(scene.lattice.rule, axes, planes, sample, force) and abs(force).max() > 1 << 20:
             seen.add(tuple(n // 16 for n in at))
     assert len(seen) > 5
     assert seen <= set(map(tuple, bricks.tolist()))
