@@ -78,7 +78,7 @@ class BodyScene(MovingScene):
         self._is_static = tuple(body.is_rigid and body.track.is_constant for body in bodies)
         self._velocities = cache(lambda n: self._bodies[n].track.velocities(self.rate_hz))
         self._static_sum: tuple[Grid, ForceProfile, ForceField] | None = None
-        self._held: tuple[int, Grid, ForceProfile, ForceField] | None = None
+        self._latest: tuple[int, Grid, ForceProfile, ForceField] | None = None
 
     def bodies(self) -> tuple[Body, ...]:
         return self._bodies
@@ -101,7 +101,7 @@ class BodyScene(MovingScene):
         if not thin:
             return self, ()
         other = copy.copy(self)
-        other._bodies, other._static_sum, other._held = tuple(bodies), None, None
+        other._bodies, other._static_sum, other._latest = tuple(bodies), None, None
         return other, tuple(thin)
 
     def _box_m(self, start: int, stop: int) -> Float64s:
@@ -133,13 +133,13 @@ class BodyScene(MovingScene):
         (`Scene.moved`).
         """
         require_frame(frame, self.frame_count)
-        held, is_repeated = self._held, self._is_repeated(frame)
-        if is_repeated and held is not None and held[:3] == (frame - 1, grid, profile):
-            field = held[3]
+        latest, is_repeated = self._latest, self._is_repeated(frame)
+        if is_repeated and latest is not None and latest[:3] == (frame - 1, grid, profile):
+            field = latest[3]
         else:
             field = self._sum_of_bodies(frame, grid, profile)
         # a field may be large: it is kept only for a frame that needs it
-        self._held = (frame, grid, profile, field) if self._is_repeated(frame + 1) else None
+        self._latest = (frame, grid, profile, field) if self._is_repeated(frame + 1) else None
         return field
 
     def _is_repeated(self, frame: int) -> bool:

@@ -2,10 +2,10 @@
 bit for bit.
 
 The contacts of a simulation are springs and dampers that only push. On them a body at rest hops by what it
-falls in a step or two, and creeps: the seven bodies of ``sample:falling-7`` by some 0.1 mm/s, for ever. A coder
-has to follow that. MuJoCo stops the bodies of an island that have been slow for ten steps, which is too short
-for a body that turns back, such as one that rocks or is thrown upwards. Here a body may sleep only after it
-has stayed within `REST_M` for `REST_S`, and has touched something meanwhile.
+falls in a step or two, and creeps: the seven bodies of ``sample:falling-7`` by some 0.1 mm/s, for ever. A
+coder has to follow that. MuJoCo stops the bodies of an island that have been slow for ten steps, which is too
+short for a body that turns back, such as one that rocks or is thrown upwards. Here a body may sleep only after
+it has stayed within `REST_M` for `REST_S`, and has touched something meanwhile.
 """
 
 from __future__ import annotations
@@ -16,7 +16,11 @@ from typing import Any, Final
 import numpy as np
 
 REST_M: Final = 1e-4
-"""A body at rest moves less than this. Rotations count as MuJoCo weighs them (``dof_length``)."""
+REST_FRACTION: Final = 3e-3
+"""A body at rest moves less than this, and than this fraction of its length (MuJoCo's ``dof_length``).
+
+Rotations count at that length.
+"""
 
 REST_S: Final = 0.1
 """How long it does so: a body that starts with 0.02 m/s^2 or more moves further."""
@@ -33,7 +37,7 @@ class RestWatch:
     """Decides which bodies of a model may sleep; sets the model's options for sleep.
 
     model : mujoco.MjModel
-        Every moving body is one that it simulates: another one would wake nothing that it carries.
+        No body has prescribed poses: it would not wake what it carries.
     rate_hz : float
         Frames, i.e. calls of `update`, a second.
     """
@@ -47,6 +51,10 @@ class RestWatch:
         self._still_frames = np.zeros(model.ntree, np.int64)
         self._has_touched = np.zeros(model.ntree, np.bool_)
         self._moves = np.zeros(model.nv)
+        if model.ntree:
+            self._rest_m = np.minimum(
+                REST_M, REST_FRACTION * np.minimum.reduceat(model.dof_length, model.tree_dofadr)
+            )
         fall_m_s = _FALL_STEPS * model.opt.timestep * float(np.linalg.norm(model.opt.gravity))
         model.opt.sleep_tolerance = max(fall_m_s, _MIN_SPEED_M_S)
         model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
@@ -61,7 +69,7 @@ class RestWatch:
             self._anchor = data.qpos.copy()
         self._mujoco.mj_differentiatePos(model, self._moves, 1.0, self._anchor, data.qpos)
         moves_m = np.maximum.reduceat(np.abs(self._moves) * model.dof_length, model.tree_dofadr)
-        is_still = moves_m < REST_M
+        is_still = moves_m < self._rest_m
         self._still_frames = np.where(is_still, self._still_frames + 1, 0)
         self._has_touched = np.where(is_still, self._has_touched | (data.tree_island >= 0), False)
         self._anchor = np.where(is_still[self._tree_of_position], self._anchor, data.qpos)
