@@ -4,8 +4,8 @@ bit for bit.
 The contacts of a simulation are springs and dampers that only push. On them a body at rest hops by what it
 falls in a step or two, and creeps: the seven bodies of ``sample:falling-7`` by some 0.1 mm/s, for ever. A
 coder has to follow that. MuJoCo stops the bodies of an island that have been slow for ten steps, which is too
-short for a body that turns back, such as one that rocks or is thrown upwards. Here a body may sleep only after
-it has stayed within `REST_M` for `REST_S`, and has touched something meanwhile.
+short for a body that turns back, such as one that rocks or is thrown upwards. Here a body may sleep only
+after it has stayed within `REST_M` for `REST_S`, and has touched something meanwhile.
 """
 
 from __future__ import annotations
