@@ -6,18 +6,25 @@ queries.
 The depth frame is the motorcycle stereo picture. The tangent planes of its pixels are fitted on the CPU and
 copied to the GPU before the timer starts. "gpu" times the search for the bricks that have forces and the
 computation of these forces, which stay on the GPU. "gpu_and_back" includes the copies of planes, bricks and
-forces in both directions, as `encode` needs them.
+forces in both directions, as `encode` needs them. "floor" is the least that the GPU could take: the time of a
+copy, on the GPU, in which as many bytes are read and written as the frame reads (planes) and writes (forces).
 
 The queries are forces at `--points` points of a field of 128^3 samples, at random positions and along the
 path of a wandering hand. If CuPy is installed, its `map_coordinates` on the dense field is the peer. Without
-a GPU only the CPU is measured, and the verdict of the bars is "not measured".
+a GPU only the CPU is measured, the verdict of the bars is "not measured", and small fields and queries of the
+same kernels are compared on numba's simulator ("simulated").
 """
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from functools import partial
 from importlib import import_module
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 
@@ -60,6 +67,32 @@ def synchronized(call: Callable[[], Any]) -> Callable[[], Any]:
     return both
 
 
+def floor_of(moved_bytes: int, runs: int) -> Figures:
+    """Time a copy on the GPU that reads and writes so many bytes together."""
+    source, target = (cuda.empty(max(moved_bytes // 2, 1), np.uint8) for _ in range(2))
+    return timed(synchronized(lambda: target.copy_to_device(source)), runs) | {"bytes": moved_bytes}
+
+
+def array_bytes(item: Any) -> int:
+    """Return the bytes of an array, or of all arrays in a tuple."""
+    if isinstance(item, tuple):
+        return sum(map(array_bytes, item))
+    return int(getattr(item, "nbytes", 0))
+
+
+def simulated() -> Figures:
+    """Return the largest differences between the CPU and numba's simulator of a GPU, newtons."""
+    script = Path(__file__).resolve().parents[1] / "tests" / "simulated_gpu.py"
+    run = subprocess.run(
+        [sys.executable, "-W", "ignore", str(script)],
+        env={**os.environ, "NUMBA_ENABLE_CUDASIM": "1"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return {name: row["difference_n"] for name, row in json.loads(run.stdout).items()}
+
+
 def of_depth(has_gpu: bool, runs: int) -> Figures:
     """Time one depth frame on 1000^3 samples."""
     sequence = sample("motorcycle").sequence  # type: ignore[attr-defined]
@@ -79,6 +112,7 @@ def of_depth(has_gpu: bool, runs: int) -> Figures:
                 lambda: depth.forces_on_device(force_bricks(device_query, grid), device_query)
             )
             took["gpu"] = timed(frame, runs)
+            took["floor"] = floor_of(array_bytes(query) + expected.nbytes, runs)
             took["gpu_and_back"] = timed(lambda: depth.brick_forces(force_bricks(query, grid), query), runs)
             other = cuda.on_host(frame()).reshape(expected.shape)
             took["difference_n"] = float(np.abs(expected - other).max())
@@ -127,18 +161,26 @@ def measure(points: int, runs: int) -> Figures:
     """Measure the depth frame and the queries, with the name of the GPU."""
     name = gpu()
     has_gpu = name is not None
-    return {"gpu": name, "depth": of_depth(has_gpu, runs), "queries": of_queries(has_gpu, points, runs)}
+    figures = {"gpu": name, "depth": of_depth(has_gpu, runs), "queries": of_queries(has_gpu, points, runs)}
+    return figures if has_gpu else figures | {"simulated": simulated()}
 
 
 def bars(figures: Figures) -> list[Bar]:
     """Set limits for one NVIDIA H200; "not measured" without a GPU."""
     differences = [figure(figures, *where, "difference_n") for where in (("depth",), ("queries", "random"))]
+    simulated_n = figure(figures, "simulated")
     worst = None if None in differences else max(d for d in differences if d is not None)
     return [
         at_most("a depth frame on 10^9 samples", figure(figures, "depth", "gpu", "median_ms"), 5.0, "ms"),
         at_least("random queries a second", figure(figures, "queries", "random", "gpu_per_s"), 1e9),
         at_least("queries a second along a path", figure(figures, "queries", "path", "gpu_per_s"), 5e9),
         at_most("difference to the processor", worst, 2e-6, "N"),
+        at_most(
+            "difference of the simulator to the processor",
+            max(simulated_n.values()) if simulated_n else None,
+            2e-6,
+            "N",
+        ),
     ]
 
 

@@ -5,11 +5,14 @@
 Slides: a simulated hand slides over a ball and over the terrain at 50, 100 and 200 mm/s. The fields are coded
 at n_w 7 up to `--largest` (8), with k = 0.1 and F_0 = 0.05 N. The figures are the vibration of the coding
 error and of the source itself from 40 to 400 Hz, in millinewtons, and the margin of the error below the
-threshold of a hand that holds a stylus, in the worst third of an octave. Another slide is inside the ball,
-where the force saturates.
+threshold of a hand that holds a stylus, in the worst third of an octave. The source's share is
+"source_margin", its own distance to that threshold (negative: the source is felt), and "level_change", by how
+much the decoded field vibrates more or less than the source in a third in which either is felt. Another slide
+is inside the ball, where the force saturates.
 
-Holds: the hand keeps still in bodies at rest (voxels at 1 kHz) and in a room at 30 Hz, with the receiver's
-transition between segments; "decoded" is without it.
+Holds: the hand keeps still in falling bodies (voxels at 1 kHz) that are at rest, or that come to rest one
+after the other, and in a room at 30 Hz, with the receiver's transition between segments. The source's own
+share is "source"; steps where the source makes none are the coder's.
 
 "before" holds the figures of the first coder `touch` (format version 0), which another script measured on
 other paths. The bytes before are those of the same commands.
@@ -20,12 +23,14 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from machine import SHARED, Bar, Figures, at_least, at_most, bench
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.perception.hand_motion import HandMotion, SlideSpec, in_band, margin_of
+from touchfield.medium import ForceField
+from touchfield.perception.hand_motion import HandMotion, SlideMeter, SlideSpec, in_band, margin_of
 from touchfield.perception.human import vibration_threshold
 from touchfield.pipeline import compare, encode
 from touchfield.pipeline.decoding import open_file
@@ -50,8 +55,12 @@ BEFORE: dict[tuple[str, int, float], dict[str, float]] = {
     ("terrain", 8, 100.0): {"source_mn": 23, "error_mn": 21},
 }
 BYTES_BEFORE = {("ball", 7): 49_708, ("ball", 8): 291_918, ("terrain", 7): 8_613, ("terrain", 8): 22_775}
-REST = "bodies at rest, voxels at 1 kHz"
+REST, REST_FRAMES = "bodies at rest, voxels at 1 kHz", (2000, 2300)
+SETTLING, SETTLING_FRAMES = "bodies that come to rest, voxels at 1 kHz", (1700, 2000)
 REST_BEFORE = {"source_mn": 0.002, "error_mn": 20.5, "step_mn": 249}
+JND_DB = 1.6
+"""A fifth of an amplitude, the least that Forta, Griffin and Morioka 2012 found (docs/perception.md)."""
+
 ICL_BEFORE = {"start_error_mn": 123, "error_step_mn": 30}
 
 
@@ -63,6 +72,20 @@ def encode_and_compare(
         path = Path(folder) / "it.touch"
         done = encode(source, path, spec)
         return compare(source, path, slides=slides).hand, done
+
+
+def levels_of(surface: ForceField, field: ForceField) -> list[Any]:
+    """Return the vibration of a field in thirds of an octave at each speed, mN, on the paths of `compare`."""
+    meter = SlideMeter()
+    meter.add(surface, np.zeros_like, field.sample_n)
+    return [slide.error_thirds_mn for slide in meter.slides()]
+
+
+def level_change_db(source_mn: Any, decoded_mn: Any) -> float:
+    """Return the largest change of a level in a third of an octave in which a hand feels either, decibels."""
+    is_felt = np.maximum(source_mn, decoded_mn) > vibration_threshold().force_rms_mn()
+    changes_db = 20 * np.abs(np.log10(np.maximum(decoded_mn, 1e-9) / np.maximum(source_mn, 1e-9)))
+    return float(changes_db[is_felt].max(initial=0.0))
 
 
 def inside_ball(nw: int, touch: TouchSpec) -> Figures:
@@ -95,9 +118,16 @@ def inside_ball(nw: int, touch: TouchSpec) -> Figures:
 
 def slide_rows(name: str, nw: int, touch: TouchSpec) -> list[Figures]:
     """Return one row for each speed."""
-    found, done = encode_and_compare(SOURCES[name], EncodeSpec(nw=nw, touch=touch))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "it.touch"
+        done = encode(SOURCES[name], path, EncodeSpec(nw=nw, touch=touch))
+        found = compare(SOURCES[name], path).hand
+        with open_file(path) as stream:
+            decoded = stream.medium[0]
+    source = done.prepared.medium[0]
+    source_levels, decoded_levels = levels_of(source, source), levels_of(source, decoded)
     rows = []
-    for slide in found.slides:
+    for slide, source_mn, decoded_mn in zip(found.slides, source_levels, decoded_levels, strict=True):
         margin = margin_of(slide.error_thirds_mn)
         row = {
             "field": name,
@@ -105,6 +135,8 @@ def slide_rows(name: str, nw: int, touch: TouchSpec) -> list[Figures]:
             **slide.summary(),
             "margin_db": margin.db,
             "margin_third_hz": margin.third_hz,
+            "source_margin_db": margin_of(source_mn).db,
+            "level_change_db": level_change_db(source_mn, decoded_mn),
         }
         row |= {"bytes": done.file_bytes, "bytes_before": BYTES_BEFORE[name, nw]}
         rows.append(row | {"before": BEFORE.get((name, nw, slide.speed_mm_s), {})})
@@ -118,12 +150,20 @@ def hold_row(name: str, source: str, spec: EncodeSpec, before: Mapping[str, floa
     return {"medium": name, "bytes": done.file_bytes, "before": before, **found.hold.summary()}
 
 
+def falling_spec(frames: tuple[int, int], touch: TouchSpec) -> EncodeSpec:
+    """Return the options of frames, at 1 kHz, of falling bodies as voxels."""
+    options = SourceOptions(seconds=max(2.0, frames[1] / 1000))
+    return EncodeSpec(nw=6, representation="voxel", frames=frames, source=options, touch=touch)
+
+
 def measure(effort: str, largest: int) -> Figures:
     """Measure slides and holds."""
     touch = TouchSpec(effort=effort)
     slides = [row for name in SOURCES for nw in range(7, largest + 1) for row in slide_rows(name, nw, touch)]
-    rest = EncodeSpec(nw=6, representation="voxel", frames=(1700, 2000), touch=touch)
-    holds = [hold_row(REST, "sample:falling-7", rest, REST_BEFORE)]
+    holds = [
+        hold_row(name, "sample:falling-7", falling_spec(frames, touch), REST_BEFORE)
+        for name, frames in ((REST, REST_FRAMES), (SETTLING, SETTLING_FRAMES))
+    ]
     if ICL_FOLDER.is_dir():
         icl_spec = EncodeSpec(nw=6, representation="voxel", source=SourceOptions(world="frames"), touch=touch)
         holds.append(hold_row("room at 30 Hz", str(ICL_FOLDER), icl_spec, ICL_BEFORE))
@@ -139,10 +179,14 @@ def bars(figures: Figures) -> list[Bar]:
         found += [
             at_most(f"{name}: error over the source's own", row["error_mn"] / row["source_mn"], 2.0),
             at_least(f"{name}: below the threshold of a hand", row["margin_db"], 6.0, "dB"),
+            at_most(
+                f"{name}: change of the level that a hand feels", row.get("level_change_db"), JND_DB, "dB"
+            ),
             at_most(f"{name}: bytes over those before", row["bytes"] / row["bytes_before"], 1.1),
         ]
     for row in figures["holds"]:
-        name, starts = row["medium"], row["start_error_mn"] / row["error_step_mn"]
+        name = row["medium"]
+        starts = row["start_error_mn"] / row["error_step_mn"] if row["start_error_mn"] else 0.0
         found += [
             at_most(f"{name}: steps where the source makes none, of the mask", row["still_step_ratio"], 1.0),
             at_most(f"{name}: steps where a segment starts over those elsewhere", starts, 1.0),

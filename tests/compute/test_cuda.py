@@ -125,6 +125,22 @@ def test_invalid_or_missing_devices_are_refused() -> None:
     assert not gpu.uses_gpu()
 
 
+def test_numpy_without_the_names_of_numba_cuda_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """numba-cuda fails at the first kernel; other faults of a kernel are not called that."""
+    fault = ""
+
+    def launch(*_: Any) -> None:
+        raise AttributeError(fault)
+
+    monkeypatch.setattr(gpu, "_launched", lambda kernel: {(1, gpu._THREADS): launch})
+    fault = "module 'numpy' has no attribute 'row_stack'"
+    with pytest.raises(InvalidArgument, match=r'row_stack.*pip install "numpy<2.5"'):
+        gpu.for_each(None, 1)
+    fault = "'Query' object has no attribute 'planes'"
+    with pytest.raises(AttributeError, match="planes"):
+        gpu.for_each(None, 1)
+
+
 def test_source_without_gpu_kernels_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A requested GPU that a source does not use is an error, as any option without effect."""
     monkeypatch.setenv("TOUCHFIELD_COMPUTE", "cuda")

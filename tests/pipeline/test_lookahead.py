@@ -132,3 +132,48 @@ def test_a_damaged_segment_loses_its_frames_from_the_fault_on(
                 frames(i)
         else:
             assert number_of(frames(i)) == i
+
+
+class GatedDecoder:
+    """A decoder whose other threads wait at the second frame of a segment; notes who decodes what."""
+
+    def __init__(self) -> None:
+        self.gate, self.is_waiting = threading.Event(), threading.Event()
+        self.threads: dict[int, threading.Thread] = {}
+        self._main = threading.current_thread()
+
+    def __call__(self, segment: int) -> Iterator[ForceField]:
+        for i in range(LENGTH):
+            if i == 1 and threading.current_thread() is not self._main:
+                self.is_waiting.set()
+                assert self.gate.wait(30)
+            self.threads[LENGTH * segment + i] = threading.current_thread()
+            yield field(LENGTH * segment + i)
+
+
+def test_after_a_jump_the_other_threads_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TOUCHFIELD_THREADS", "2")
+    decoder = GatedDecoder()
+    frames = SegmentFrames(reader(), decoder)
+    frames(0), frames(1)
+    ahead = list(frames._lookahead.values())
+    assert decoder.is_waiting.wait(30)
+    assert number_of(frames(LENGTH * 6)) == LENGTH * 6
+    decoder.gate.set()
+    for lookahead in ahead:
+        if not lookahead._future.cancelled():
+            lookahead._future.result(30)
+    assert not {LENGTH + 2, 2 * LENGTH + 2} & decoder.threads.keys(), "nobody asks for these any more"
+
+
+def test_who_reaches_a_segment_takes_it_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TOUCHFIELD_THREADS", "2")
+    decoder = GatedDecoder()
+    frames = SegmentFrames(reader(), decoder)
+    frames(0), frames(1), frames(2)
+    assert decoder.is_waiting.wait(30)
+    opener = threading.Timer(0.05, decoder.gate.set)
+    opener.start()
+    assert [number_of(frames(i)) for i in range(LENGTH, 2 * LENGTH)] == [3, 4, 5]
+    assert decoder.threads[LENGTH] is not threading.current_thread()
+    assert decoder.threads[LENGTH + 2] is threading.current_thread(), "it did not wait for the whole segment"

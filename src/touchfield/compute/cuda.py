@@ -18,7 +18,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from touchfield.errors import InvalidArgument, import_extra
+from touchfield.errors import InvalidArgument, import_extra, reason
 
 COMPUTE: Final = ("cpu", "cuda", "auto")
 """Where kernels of sources run: on the CPU (the default), on a GPU, or on a GPU if there is one."""
@@ -84,10 +84,20 @@ def for_each(kernel: Callable[..., Any], count: int, *arguments: Any) -> None:
     kernel : function compiled by numba for the CPU, which creates no array.
     arguments : numbers; arrays, or named tuples of them, in device memory: from `on_device`, `empty`, or
         another library (``__dlpack__``, ``__cuda_array_interface__``), used without a copy.
+
+    Raises `InvalidArgument` if numba-cuda does not work with this NumPy.
     """
-    if count > 0:
-        blocks = -(-count // _THREADS)
+    if count <= 0:
+        return
+    blocks = -(-count // _THREADS)
+    try:
         _launched(kernel)[blocks, _THREADS](np.int64(count), arguments)
+    except AttributeError as error:  # numba-cuda 0.30 compiles with names that NumPy 2.5 has no more
+        if "numpy" not in str(error):
+            raise
+        found = f"NumPy {np.__version__}, with which numba-cuda does not work ({reason(error)})"
+        hint = 'pip install "numpy<2.5"'
+        raise InvalidArgument("device compute", found, "a NumPy that it knows", hint) from error
 
 
 def on_device(array: Any) -> Any:

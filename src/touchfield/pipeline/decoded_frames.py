@@ -2,6 +2,7 @@
 to that frame, and goes on from there for the next one.
 
 Sequential access is decoded ahead: while one segment is read, the next ones are decoded on the other cores.
+Whoever asks for a frame comes first: after a jump, and once a segment is reached, the other cores stop.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache, lru_cache, partial
-from threading import Lock
+from threading import Event, Lock
 from typing import Any, Final
 
 from touchfield.compute.threads import worker_count
@@ -40,7 +41,7 @@ class SegmentFrames:
         self._lock = Lock()
         self._cursor: tuple[int, Iterator[ForceField], int] | None = None
         self._latest: tuple[int, ForceField] | None = None
-        self._lookahead: dict[int, Future[Iterator[ForceField]]] = {}
+        self._lookahead: dict[int, _Lookahead] = {}
 
     def __call__(self, frame: int) -> ForceField:
         """One frame; decodes its segment up to it, or one frame in sequential access."""
@@ -49,9 +50,8 @@ class SegmentFrames:
                 return self._latest[1]
             segment = self._reader.segment_of(frame)
             entry = self._reader.segments[segment]
-            if self._latest is not None and self._latest[0] + 1 == frame:
-                self._look_ahead(segment)
-            else:
+            is_next = self._latest is not None and self._latest[0] + 1 == frame
+            if not is_next:
                 self._forget(range(segment, segment))
             if self._cursor is None or self._cursor[0] != segment or self._cursor[2] > frame:
                 self._cursor = (segment, self._segment_fields(segment), entry.first_frame)
@@ -62,6 +62,8 @@ class SegmentFrames:
             if frame + 1 == entry.first_frame + entry.frame_count:
                 next(fields, None)  # checks that the body ends after its last frame
             self._cursor, self._latest = (segment, fields, frame + 1), (frame, decoded)
+            if is_next:
+                self._look_ahead(segment)
             return decoded
 
     def _look_ahead(self, segment: int) -> None:
@@ -73,40 +75,62 @@ class SegmentFrames:
         self._forget(window)
         for later in window[1:]:
             if later not in self._lookahead:
-                self._lookahead[later] = _pool(workers).submit(_start_decoding, self._decode, later)
+                self._lookahead[later] = _Lookahead(self._decode, later, workers)
 
     def _forget(self, window: range) -> None:
         for later in [i for i in self._lookahead if i not in window]:
-            self._lookahead.pop(later).cancel()
+            self._lookahead.pop(later).stop()
 
     def _segment_fields(self, segment: int) -> Iterator[ForceField]:
         """The fields of a segment; one whose lookahead failed is decoded again, and fails on access."""
-        future = self._lookahead.pop(segment, None)
-        if future is None or future.cancel():
-            return self._decode(segment)
+        lookahead = self._lookahead.pop(segment, None)
+        fields = None if lookahead is None else lookahead.fields()
+        return self._decode(segment) if fields is None else fields
+
+
+class _Lookahead:
+    """The fields of one segment, decoded by another thread until they are requested."""
+
+    def __init__(self, decode: Decode, segment: int, workers: int) -> None:
+        self._must_stop = Event()
+        self._future: Future[Iterator[ForceField]] = _pool(workers).submit(self._run, decode, segment)
+
+    def _run(self, decode: Decode, segment: int) -> Iterator[ForceField]:
+        """The fields of a segment; the first of them are decoded now."""
+        fields = decode(segment)
+        decoded: deque[ForceField] = deque()
+        size = 0
+        while not self._must_stop.is_set() and size <= MAX_LOOKAHEAD_BYTES:
+            field = next(fields, None)
+            if field is None:
+                break
+            decoded.append(field)
+            size += field.forces_n.nbytes
+
+        def resumed() -> Iterator[ForceField]:
+            while decoded:
+                yield decoded.popleft()
+            yield from fields
+
+        return resumed()
+
+    def stop(self) -> None:
+        """Decode no further frame; returns at once."""
+        self._must_stop.set()
+        self._future.cancel()
+
+    def fields(self) -> Iterator[ForceField] | None:
+        """The fields, of which those so far are there; waits for one frame at most.
+
+        None if nothing was begun, or it failed.
+        """
+        self._must_stop.set()
+        if self._future.cancel():
+            return None
         try:
-            return future.result()
+            return self._future.result()
         except Exception:
-            return self._decode(segment)
-
-
-def _start_decoding(decode: Decode, segment: int) -> Iterator[ForceField]:
-    """The fields of a segment; the first of them are decoded now."""
-    fields = decode(segment)
-    decoded: deque[ForceField] = deque()
-    size = 0
-    for field in fields:
-        decoded.append(field)
-        size += field.forces_n.nbytes
-        if size > MAX_LOOKAHEAD_BYTES:
-            break
-
-    def resumed() -> Iterator[ForceField]:
-        while decoded:
-            yield decoded.popleft()
-        yield from fields
-
-    return resumed()
+            return None
 
 
 def segment_layout(reader: TouchReader, keys: Mapping[str, Any]) -> Segments | None:

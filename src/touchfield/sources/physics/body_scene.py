@@ -8,11 +8,11 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 
-from touchfield.arrays import Float64s
+from touchfield.arrays import Bools, Float64s
 from touchfield.compute.threads import for_chunks
 from touchfield.errors import InvalidArgument, require_positive
 from touchfield.medium import ForceField, Grid
@@ -78,6 +78,7 @@ class BodyScene(MovingScene):
         self._is_static = tuple(body.is_rigid and body.track.is_constant for body in bodies)
         self._velocities = cache(lambda n: self._bodies[n].track.velocities(self.rate_hz))
         self._static_sum: tuple[Grid, ForceProfile, ForceField] | None = None
+        self._latest: tuple[int, Grid, ForceProfile, ForceField] | None = None
 
     def bodies(self) -> tuple[Body, ...]:
         return self._bodies
@@ -100,7 +101,7 @@ class BodyScene(MovingScene):
         if not thin:
             return self, ()
         other = copy.copy(self)
-        other._bodies, other._static_sum = tuple(bodies), None
+        other._bodies, other._static_sum, other._latest = tuple(bodies), None, None
         return other, tuple(thin)
 
     def _box_m(self, start: int, stop: int) -> Float64s:
@@ -125,12 +126,42 @@ class BodyScene(MovingScene):
 
         Each body is in its pose of the frame.
 
-        The sum of the static bodies is cached for the latest grid and profile.
+        The sum of the static bodies is cached for the latest grid and profile. A frame in which no body has
+        moved since the one before is the same object.
 
         Raises `InvalidArgument` if there is no such frame, or a body cannot be moved to its pose
         (`Scene.moved`).
         """
         require_frame(frame, self.frame_count)
+        latest, is_repeated = self._latest, self._is_repeated(frame)
+        if is_repeated and latest is not None and latest[:3] == (frame - 1, grid, profile):
+            field = latest[3]
+        else:
+            field = self._sum_of_bodies(frame, grid, profile)
+        # a field may be large: it is kept only for a frame that needs it
+        self._latest = (frame, grid, profile, field) if self._is_repeated(frame + 1) else None
+        return field
+
+    def _is_repeated(self, frame: int) -> bool:
+        """Return True if no body has moved since the frame before, nor moves then."""
+        if not 0 < frame < self.frame_count:
+            return False
+        near = slice(max(frame - 2, 0), frame + 1)  # between the poses from which both velocities are taken
+        return not self._moves[near].any()
+
+    @cached_property
+    def _moves(self) -> Bools:
+        """Whether any body moves from each frame to the next, bool [frame_count - 1]."""
+        moves = np.zeros(self.frame_count - 1, np.bool_)
+        for body, is_static in zip(self._bodies, self._is_static):
+            if is_static:
+                continue
+            for poses in (body.track.positions_m, body.track.quaternions):
+                moves |= (poses[1:] != poses[:-1]).any(axis=1)
+            moves |= not body.is_rigid
+        return moves
+
+    def _sum_of_bodies(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
         static = np.flatnonzero(self._is_static).tolist()
         moving = np.flatnonzero(np.logical_not(self._is_static)).tolist()
         parts = list[_Part]()

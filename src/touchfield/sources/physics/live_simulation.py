@@ -9,6 +9,7 @@ import numpy as np
 
 from touchfield.arrays import Float64s
 from touchfield.errors import SourceError
+from touchfield.sources.physics.rest import RestWatch
 from touchfield.sources.physics.simulation import (
     check_state,
     collect_warnings,
@@ -36,6 +37,8 @@ class LiveSimulation:
         Frames a second.
     where : str
         Name of the model in messages.
+    can_rest : bool
+        As in `simulation.simulate`. A force that `control` applies wakes a body.
 
     Attributes
     ----------
@@ -43,16 +46,19 @@ class LiveSimulation:
         MuJoCo's warnings; the caller may clear it.
     """
 
-    def __init__(self, model: Any, body_ids: Sequence[int], rate_hz: float, where: str) -> None:
+    def __init__(
+        self, model: Any, body_ids: Sequence[int], rate_hz: float, where: str, can_rest: bool = False
+    ) -> None:
         self._mujoco, self._model, self._where = load_mujoco(), model, where
         self._ids, self._rate_hz = np.asarray(body_ids, np.intp), rate_hz
-        self._steps = steps_per_frame(model, rate_hz)[0]
+        self._steps, self._can_rest = steps_per_frame(model, rate_hz)[0], can_rest
         self.control: Control | None = None
         self.notes = list[str]()
         self.restart()
 
     def restart(self) -> None:
         """Return to frame 0."""
+        self._rest = RestWatch(self._mujoco, self._model, self._rate_hz) if self._can_rest else None
         self._data, self._frame = self._mujoco.MjData(self._model), 0
         start_state(self._mujoco, self._model, self._data)
 
@@ -66,6 +72,8 @@ class LiveSimulation:
         with collect_warnings(self._where, "a simulation that stops", "a model that can be stepped") as found:
             if self._frame:
                 mujoco.mj_step(model, data, self._steps)
+                if self._rest is not None:
+                    self._rest.update(data)
             mujoco.mj_kinematics(model, data)
             if self.control is not None:
                 self.control(model, data)

@@ -28,6 +28,7 @@ from touchfield.errors import InvalidArgument, SourceError, import_extra
 from touchfield.medium.budget import require_memory
 from touchfield.medium.pose_track import MAX_POSES, PoseTrack
 from touchfield.sources.mesh.mesh_scene import MeshScene
+from touchfield.sources.physics.rest import RestWatch
 from touchfield.sources.poses import quaternion_of_euler
 from touchfield.sources.shapes.shapes import Superquadric, rotation_matrix
 
@@ -120,6 +121,7 @@ def simulate(
     rate_hz: float,
     where: str,
     posed: Mapping[int, PoseTrack] | None = None,
+    can_rest: bool = False,
 ) -> tuple[list[PoseTrack], tuple[str, ...]]:
     """Step a model and record the poses of its bodies.
 
@@ -127,6 +129,8 @@ def simulate(
     set, with a note. The simulation starts from the keyframe named `START`, else from the first, with a
     note, else from the initial state. Controls are those of the keyframe, else 0, and do not change. `where`
     names the model in messages; `posed` are prescribed poses, and so velocities, of bodies with a free joint.
+    With `can_rest` bodies that have come to rest keep their poses (`rest`); not if any body is posed, which
+    could carry them.
 
     Returns a track, scene from body frame, for each of `body_ids`, and notes.
 
@@ -145,6 +149,7 @@ def simulate(
     ids = np.asarray(body_ids, np.intp)
     recorder = _PoseRecorder(frame_count, len(ids))
     driven = [_driven_state(model, body, track, rate_hz) for body, track in (posed or {}).items()]
+    rest = RestWatch(mujoco, model, rate_hz) if can_rest and not driven else None
     with collect_warnings(where, "a simulation that stops", "a model that MuJoCo can step") as messages:
         data = mujoco.MjData(model)
         notes += start_state(mujoco, model, data)
@@ -155,6 +160,8 @@ def simulate(
             recorder.add(data.xquat[ids], data.xpos[ids])
             if frame + 1 < frame_count:
                 mujoco.mj_step(model, data, steps)
+                if rest is not None:
+                    rest.update(data)
             if messages:
                 notes += check_state(mujoco, data, messages, f"{where}, {(frame + 1) / rate_hz:g} s")
     return recorder.tracks(), notes

@@ -282,10 +282,10 @@ def open_physics(path: Path, options: SourceOptions) -> BodyScene:
         driven = {
             body_id: posed[body.name] for body, body_id in zip(table.bodies, ids, strict=True) if body.poses
         }
-        tracks, notes = simulate(model, ids, frames, rate, str(path), driven)
+        tracks, notes = simulate(model, ids, frames, rate, str(path), driven, can_rest=True)
         if not driven:
             floor_ids = [0] * bool(table.floor and table.floor.touchable)
-            simulation = partial(LiveSimulation, model, [*ids, *floor_ids], rate, str(path))
+            simulation = partial(LiveSimulation, model, [*ids, *floor_ids], rate, str(path), can_rest=True)
         notes = (*warnings, *notes)
     else:
         for body in table.bodies:
