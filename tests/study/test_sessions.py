@@ -190,7 +190,8 @@ class Handle(PointDevice):
 
 
 def with_handle(monkeypatch, handle):
-    monkeypatch.setattr(study, "point_device", lambda text: PointChoice("handle", lambda: handle, None, False))
+    choice = PointChoice("handle", lambda: handle, None, False)
+    monkeypatch.setattr(study, "point_device", lambda text: choice)
     monkeypatch.setattr(study, "_WAIT_S", 0.2)
 
 
