@@ -200,7 +200,8 @@ def _symbols_met(contacts: Sequence[Trace], frames: Frames, rate_hz: float | Non
         cells = np.stack([_cells(c.positions_m[start:stop], frames.grid) for c in contacts], axis=1)
         cells = cells[(cells >= 0).all(axis=1)]
         index = np.stack(np.unravel_index(cells.reshape(-1), frames.grid.shape), axis=-1)
-        parts.append(frames.take(int(number)).symbols_at(index).reshape(cells.shape))
+        symbols = frames.take(int(number)).symbols_at(index)
+        parts.append(symbols.reshape(-1, len(contacts)))
         in_time += int(stop - start)
     return np.concatenate(parts), in_time
 
