@@ -1,5 +1,5 @@
-"""A medium from a few points (paper section 6.2): a moving ball rebuilt from 12 of its samples, beside points at
-random.
+"""A medium from a few points (paper section 6.2): a moving ball rebuilt from 12 of its samples, beside points
+at random.
 """
 
 import sys
