@@ -169,14 +169,26 @@ def _tile_sums(values: Float64s) -> Float64s:
 
 
 def _least_loss(lost: Float64s, sent: Float64s, budget: float) -> NDArray[np.intp]:
-    """Return the choice of each tile that minimises lost + lambda sent within the budget."""
+    """Return the choice of each tile that minimises lost + lambda sent within the budget.
+
+    What is left of the budget is spent tile by tile, where it saves most for its bits.
+    """
     low, high = 1e-9, 1e9
     for _ in range(60):
         middle = np.sqrt(low * high)
         choice = (lost + middle * sent).argmin(axis=0)
         is_within = np.take_along_axis(sent, choice[None], 0).sum() <= budget
         low, high = (low, middle) if is_within else (middle, high)
-    return np.asarray((lost + high * sent).argmin(axis=0))
+    choice = np.asarray((lost + high * sent).argmin(axis=0))
+    while True:
+        lost_now, sent_now = (np.take_along_axis(bits, choice[None], 0) for bits in (lost, sent))
+        saved, more = lost_now - lost, sent - sent_now
+        is_better = (saved > 0) & (more <= budget - sent_now.sum())
+        if not is_better.any():
+            return choice
+        rate = np.where(is_better, saved / np.maximum(more, 1e-9), -1.0)
+        option, *tile = np.unravel_index(rate.argmax(), rate.shape)
+        choice[tuple(tile)] = option
 
 
 def signed(field: ForceField, level: int) -> Float64s:
