@@ -6,7 +6,11 @@ Pairs of Gaussian fields S and T of 64^3 samples, correlation exp(-r^2/2L^2) for
 and 0.8 between S and T, in 8 levels. Eight fields are cut from a periodic volume of twice the side, so that
 none is periodic. The truth is the integral of the normal density over the levels. Four quantities: H(S),
 H(S|T), I(S;T), and WMR of a device that renders half of the levels. Each interval that is refused is counted;
-coverage is that of the others. With 400 fields the standard error of a coverage is 1.1 %.
+coverage is that of the others. Its standard error comes from the coverages of the volumes, because fields of
+one volume are dependent. It is about 0.6 % for 1200 fields; for 400 it would be 1.1 %, too much to tell 96
+from 98 %.
+
+Intervals are slightly conservative: see `touchfield.measure.dependence`.
 """
 
 from __future__ import annotations
@@ -30,6 +34,8 @@ from touchfield.medium.grid import Grid
 
 SIDE = 64
 LEVELS = 8
+FIELDS = 8
+"""Fields of a volume."""
 BETWEEN = 0.8
 """Correlation of S and T in one place."""
 LENGTHS = (1, 2, 4, 8)
@@ -93,11 +99,17 @@ def quantities(s: FieldSymbols, t: FieldSymbols, rendered: FieldSymbols) -> dict
 
 
 def row(drawn: list[Quantity], truth: float) -> dict[str, float]:
-    """Return the coverage of a quantity, and the medians of what it states."""
+    """Return the coverage of a quantity, and the medians of what it states.
+
+    The standard error of the coverage is 0 for one volume, which does not tell it.
+    """
     intervals = [q.interval for q in drawn if q.interval is not None]
     dependences = [q.dependence for q in drawn if q.dependence is not None]
+    is_covered = [np.nan if i is None else i.low <= truth <= i.high for i in (q.interval for q in drawn)]
+    of_volumes = np.nanmean(np.reshape(is_covered, (-1, FIELDS)), axis=1)
     return {
-        "covered_percent": 100 * float(np.mean([i.low <= truth <= i.high for i in intervals])),
+        "covered_percent": 100 * float(np.nanmean(is_covered)),
+        "covered_error_percent": 100 * float(of_volumes.std() / math.sqrt(len(of_volumes))),
         "refused_percent": 100 - 100 * len(intervals) / len(drawn),
         "width": float(np.median([i.high - i.low for i in intervals])),
         "truth": truth,
@@ -115,18 +127,23 @@ def measure(volumes: int) -> Figures:
         for name, true_value in truth.items():
             drawn = [q[name] for q in found]
             rows.append({"quantity": name, "length": length, **row(drawn, true_value)})
-    return {"fields": 8 * volumes, "rows": rows}
+    return {"fields": FIELDS * volumes, "rows": rows}
 
 
 def bars(figures: Figures) -> list[Bar]:
-    """Require 93 to 97 % for every quantity and length, and few refusals."""
-    covered = [row["covered_percent"] for row in figures["rows"]]
+    """Require 93 to 97 % for every quantity and length up to two standard errors, and few refusals."""
+    covered = [(row["covered_percent"], 2 * row["covered_error_percent"]) for row in figures["rows"]]
+    lowest, highest = min(c + error for c, error in covered), max(c - error for c, error in covered)
     return [
-        at_least("coverage, lowest of all quantities and lengths", min(covered), 93.0, "%"),
-        at_most("coverage, highest of all quantities and lengths", max(covered), 97.0, "%"),
+        at_least(
+            "coverage plus two standard errors, lowest of all quantities and lengths", lowest, 93.0, "%"
+        ),
+        at_most(
+            "coverage less two standard errors, highest of all quantities and lengths", highest, 97.0, "%"
+        ),
         at_most("refused intervals, most", max(row["refused_percent"] for row in figures["rows"]), 5.0, "%"),
     ]
 
 
 if __name__ == "__main__":
-    bench("intervals", __doc__, measure, bars, volumes=(50, 1))
+    bench("intervals", __doc__, measure, bars, volumes=(150, 1))

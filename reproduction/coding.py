@@ -49,7 +49,7 @@ class Coded:
     norm_db : float
         10 log10 of the ratio L of the sums of norms, eq. 10 as printed with the sum below put in.
     beyond_mask : float
-        Share of the voxels whose error a hand can feel, |e| > max(F_0, k |F|).
+        Share of the voxels whose error is beyond the mask, |e| > max(F_0, k |F|).
     frames : tuple of FrameStats
     voxel_count : int
         Of the lattice.

@@ -37,8 +37,8 @@ INTRODUCTION: Final = """\
 *Literal*: 10^4 samples along each axis of the scene's own box, and the device's lattice over the same box, which
 stretches the scene onto the workspace. *Corrected*: both lattices over the workspace of the Phantom Omni, 160 x 120
 x 70 mm, in which the scene lies with its aspect kept. Forces are F = min(500 N/m x depth, 3.3 N) along the normal, in
-the metres of the hand; the field is sampled, not low-passed (0.055 mm of the hand is an eighth of the depth at which
-the force can be felt).
+the metres of the hand; the field is sampled, not low-passed (the force is F_0 = 0.05 N at a depth of 0.1 mm, which is
+about two samples of 0.055 mm).
 
 No lattice of 10^12 samples is allocated. Counts with ± are estimates: every s-th sample along each axis, from
 {starts} random starts, about {per_axis} samples along each axis and start; intervals are of 95 %, by the jackknife

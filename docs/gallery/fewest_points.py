@@ -1,5 +1,5 @@
-"""The fewest points (paper section 6.2): a moving ball rebuilt from 12 of its samples, beside points at
-random.
+"""A medium from a few points (paper section 6.2): a moving ball rebuilt from 12 of its samples, beside points
+at random.
 """
 
 import sys
@@ -8,11 +8,13 @@ from pathlib import Path
 OUT = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 
 # %%
-# # The fewest points
+# # A medium from a few points
 #
-# Section 6.2 of the paper asks for the fewest points from which a medium can be rendered. A ball of 15 mm
-# goes round. Its frames are written with a few modes, and points are sought whose forces tell what each mode
-# has: where they are the farthest from one another (Q-DEIM), and where the modes miss least.
+# Section 6.2 of the paper asks for the fewest points from which a medium can be rendered. This page does not
+# answer that: it compares chosen points with points at random, for one medium. A ball of 15 mm goes round.
+# Its frames are written with a few modes, and points are sought whose forces tell what each mode has: where
+# they are the farthest from one another (Q-DEIM), and where the modes miss least. That no other choice of as
+# many points is better is not shown; the modes of the medium are a bound for all of them.
 # `touchfield points 12 ball.touch rebuilt.touch` does the same with a file.
 import matplotlib.pyplot as plt
 import numpy as np

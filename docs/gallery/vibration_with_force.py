@@ -74,8 +74,9 @@ print(next(note for note in run.notes if "slew" in note))
 # ## As it is sent
 #
 # The force of the fastest slide, three axes, is split at 30 Hz into what is felt as a force, which a field
-# codes, and a vibration. Of that goes what a hand that holds a stylus can feel: thirds below its threshold
-# are dropped, the others quantised so that what is lost stays 3 dB below it.
+# codes, and a vibration. Of that goes what is above the threshold of a hand that holds a stylus (most of its
+# points are from one secondary source): thirds below it are dropped, the others quantised so that what is
+# lost stays 3 dB below it.
 low, high = Crossover(2500.0).split(felt[0.16])
 one = dft321(high)
 sent = reduce_vibration(one, 2500.0)

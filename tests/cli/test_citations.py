@@ -39,6 +39,20 @@ def test_measure_prints_its_sources_only_if_asked(sphere: Path, capsys: pytest.C
     assert lines == [f"source: {text}" for text in sources_of("measure")]
 
 
+def test_compare_and_plan_print_the_sources_of_their_figures(
+    sphere: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stream = str(tmp_path / "sphere.touch")
+    assert _exit_code(["encode", str(sphere), stream, "--nw", "4"]) == 0
+    capsys.readouterr()
+    plan = ["plan", str(sphere), "--budget", "1MB", "--nw", "4", "--k", "0.1", "--json", "--cite"]
+    compare = ["compare", str(sphere), stream, "--no-picture", "--json", "--cite"]
+    for arguments, author in ((compare, "Israr"), (plan, "Shoham")):
+        assert _exit_code(arguments) == 0
+        sources = json.loads(capsys.readouterr().out)["sources"]
+        assert sources == list(sources_of(arguments[0])) and author in sources[-1]
+
+
 def test_every_source_is_of_a_command_and_names_a_year() -> None:
     used = {text for command in cited_commands() for text in sources_of(command)}
     assert used == set(SOURCES.values()) and set(cited_commands()) <= set(COMMANDS)
@@ -51,8 +65,9 @@ def test_every_source_is_of_a_command_and_names_a_year() -> None:
 
 def test_modules_name_the_same_sources() -> None:
     """Each author named by a command is named by a module that computes its figures."""
-    folders = ("measure", "reduction")
-    files = (path for folder in folders for path in (ROOT / "src/touchfield" / folder).glob("*.py"))
+    folders, suffixes = ("measure", "reduction", "perception", "tasks"), (".py", ".toml")
+    paths = (path for folder in folders for path in (ROOT / "src/touchfield" / folder).iterdir())
+    files = (path for path in paths if path.suffix in suffixes)
     code = "".join(path.read_text() for path in files)
     for name in set(SOURCES) - {"touchfield", "paper"}:
         assert name in code.lower(), name

@@ -4,15 +4,19 @@ import csv
 import json
 import re
 import shutil
+import socket
 
 import numpy as np
 import pytest
 
 from touchfield.cli.main import _exit_code
 from touchfield.codec.touch.spec import TouchSpec
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.devices.drivers.registry import PointChoice
+from touchfield.errors import DeviceAbsent, DeviceError, InvalidArgument, SourceError
 from touchfield.pipeline import encode
 from touchfield.pipeline.spec import EncodeSpec
+from touchfield.render.point_device import PointDevice
+from touchfield.render.readiness import Readiness
 from touchfield.sources.shapes.analytic_scene import AnalyticScene
 from touchfield.sources.shapes.shapes import Sphere
 from touchfield.study import read_design, read_trials
@@ -157,6 +161,87 @@ def test_intervals_are_played_in_the_order_of_the_trial_and_nothing_tells_which_
     assert hand.played == expected
     assert hand.shown.pop(0) == "Each trial: three intervals. One of them differs from the others."
     assert all(re.fullmatch(r"trial \d of 6: interval \d of 3", text) for text in hand.shown)
+
+
+class Handle(PointDevice):
+    """A point device whose states are given; it records what is done with it."""
+
+    title = "handle"
+
+    def __init__(self, *states):
+        self.states, self.calls = list(states), []
+
+    def open(self):
+        self.calls.append("open")
+        if self.states[0] is None:
+            raise DeviceAbsent("handle", "not connected", "a connected one", "Plug it in.")
+
+    def readiness(self):
+        return self.states[0] if len(self.states) == 1 else self.states.pop(0)
+
+    def position_m(self):
+        raise AssertionError("no interval is presented")
+
+    def put_force_n(self, x, y, z):
+        raise AssertionError("no force is applied")
+
+    def close(self):
+        self.calls.append("close")
+
+
+def with_handle(monkeypatch, handle):
+    choice = PointChoice("handle", lambda: handle, None, False)
+    monkeypatch.setattr(study, "point_device", lambda text: choice)
+    monkeypatch.setattr(study, "_WAIT_S", 0.2)
+
+
+@pytest.mark.parametrize(
+    ("state", "found"),
+    [
+        (None, "found not connected"),
+        (Readiness(is_calibrated=False), "found a device that is not calibrated"),
+    ],
+)
+def test_a_device_that_is_not_ready_is_found_before_the_first_trial(state, found, folder, monkeypatch):
+    handle = Handle(state)
+    with_handle(monkeypatch, handle)
+    path, shown = write_design(folder, levels=(0.1, 0.6)), []
+    hand = Hand(monkeypatch, for_participant(read_design(path), "07"))
+    with pytest.raises(DeviceError, match=found):
+        run_session(path, folder / "out", SessionSpec("07", device="handle"), hand.ask, shown.append)
+    assert not hand.played and not (folder / "out").exists()
+    assert handle.calls[-1] == "close" and len(shown) == 1 and "waiting for" in shown[0]
+
+
+def test_a_session_waits_for_its_device_and_releases_it_before_the_first_interval(folder, monkeypatch):
+    handle = Handle(*[Readiness(is_powered=False)] * 2, Readiness(is_powered=True))
+    with_handle(monkeypatch, handle)
+    path = write_design(folder, levels=(0.1, 0.6))
+    hand = Hand(monkeypatch, for_participant(read_design(path), "07"))
+    spec, calls_at_interval = SessionSpec("07", device="handle"), []
+    monkeypatch.setattr(
+        study, "play", lambda *options: calls_at_interval.append(list(handle.calls)) or hand.play(*options)
+    )
+    assert run_session(path, folder / "out", spec, hand.ask).figures["state"] == "complete"
+    assert calls_at_interval[0] == ["open", "close"]
+    handle.states = [None]
+    again = run_session(path, folder / "out", spec, no_answer)
+    assert again.figures["state"].startswith("already complete") and handle.calls == ["open", "close"]
+
+
+def test_an_array_that_does_not_answer_and_a_stream_that_it_cannot_show(folder, monkeypatch, capsys):
+    monkeypatch.setattr(study, "_WAIT_S", 0.0)
+    path, out = str(write_design(folder, levels=(0.1, 0.6))), str(folder / "out")
+    with socket.socket() as taken:  # bound, and not listening: nothing answers there
+        taken.bind(("127.0.0.1", 0))
+        device = f"pins:127.0.0.1:{taken.getsockname()[1]}"
+        assert _exit_code(["study", "run", path, out, "--participant", "1", "--device", device])
+    message = capsys.readouterr().err
+    assert "127.0.0.1" in message and "Traceback" not in message
+    encode(BALL, folder / "fine.touch", EncodeSpec(device="tshirt-32x32"))
+    assert _exit_code(["study", "run", path, out, "--participant", "1", "--device", "sim"])
+    assert "fine.touch: found a stream for the array" in capsys.readouterr().err
+    assert not (folder / "out").exists()
 
 
 def test_participants_have_orders_of_their_own(folder):

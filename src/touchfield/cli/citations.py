@@ -31,6 +31,10 @@ SOURCES: Final[Mapping[str, str]] = MappingProxyType(
         "data, Physica D 58, 1992 (test against chance)",
         "manohar": "K. Manohar et al., 2018, after Z. Drmac and S. Gugercin, 2016 (points that determine "
         "modes)",
+        "israr": "A. Israr, S. Choi and H. Z. Tan, Detection threshold and mechanical impedance of the hand "
+        "in a pen-hold posture, IROS, 2006 (threshold of vibration)",
+        "shoham": "Y. Shoham and A. Gersho, Efficient bit allocation for an arbitrary set of quantizers, "
+        "IEEE Transactions on Acoustics, Speech, and Signal Processing 36, 1988 (lambda)",
     }
 )
 """The text of each source, by a short name."""
@@ -43,6 +47,8 @@ _CITED: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "points": ("manohar",),
         "similar": ("meila", "endres", *_INTERVALS),
         "correlate": ("miller", "theiler", *_INTERVALS),
+        "compare": ("israr",),
+        "plan": ("shoham",),
     }
 )
 

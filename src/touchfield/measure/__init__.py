@@ -2,10 +2,12 @@
 field (eq. 10 and the perceptual mask), and the bit rate (eq. 9).
 
 =====================  ================================================================================
-counts                 `Counts` of arrays or of given probabilities; `field_counts`, `interaction_counts`
+counts                 `Counts` of arrays or of given probabilities; `field_counts`, `interaction_counts`,
+                       `contact_counts` and `tool_contacts` (several contacts at once)
 quantities of them     `entropy`, `joint_entropy`, `conditional_entropy`, `mutual_information`,
                        `variation_of_information`, `normalised_mutual_information`,
-                       `jensen_shannon_distance`; `field_entropy`, `interaction_entropy`
+                       `total_correlation`, `jensen_shannon_distance`; `field_entropy`,
+                       `interaction_entropy`
 limits to a coder      `coding_limits`
 of a device            `capacity`, `codomain_bits`
 of energy              `passivity`, `loop_work_j`
@@ -31,9 +33,16 @@ from touchfield.measure.information import (
     joint_entropy,
     mutual_information,
     normalised_mutual_information,
+    total_correlation,
     variation_of_information,
 )
-from touchfield.measure.interaction import interaction_counts, interaction_entropy, visits
+from touchfield.measure.interaction import (
+    contact_counts,
+    interaction_counts,
+    interaction_entropy,
+    tool_contacts,
+    visits,
+)
 from touchfield.measure.limits import CodingLimits, coding_limits
 from touchfield.measure.passivity import Passivity, loop_work_j, passivity
 from touchfield.measure.quantity import Dependence, FewSamplesWarning, Interval, Quantity, Spread, spread
@@ -53,9 +62,10 @@ __all__ = [
     "ESTIMATORS", "Capacity", "CodingLimits", "Contact", "Correlation", "Counts", "Dependence", "Descriptor",
     "FewSamplesWarning", "FieldSymbols", "Interval", "MediumIndex", "Passivity", "Quantity", "Similarity",
     "Spread", "Trace", "capacity", "coding_limits", "codomain_bits", "compression_distance",
-    "conditional_entropy",
-    "contact_along_rays", "descriptor", "entropy", "estimate_bits", "field_counts", "field_entropy",
+    "conditional_entropy", "contact_along_rays", "contact_counts", "descriptor", "entropy", "estimate_bits",
+    "field_counts", "field_entropy",
     "interaction_counts", "interaction_entropy", "jensen_shannon_distance", "joint_entropy",
     "loop_work_j", "mutual_information", "normalised_mutual_information", "passivity", "picture_correlation",
-    "read_trace", "similarity", "spread", "variation_of_information", "visits",
+    "read_trace", "similarity", "spread", "tool_contacts",
+    "total_correlation", "variation_of_information", "visits",
 ]  # fmt: skip

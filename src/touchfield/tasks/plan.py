@@ -1,12 +1,14 @@
 """Tries lattices and settings of the coder, and finds those with the least error within a budget of bytes or
 bits per second (paper section 4).
 
-The search minimises R + lambda D. A moving medium has a bit rate: R is that of a long stream, estimated from
-a few pairs of consecutive frames spread over the scene. The first frame of a pair gives the cost of an
-independent frame, the second that of a predicted frame. A static medium is sent once, and has a size in
-bytes. D is the NMSE on the lattice of the largest n_w: a coarser stream is decoded and interpolated to it, as
-a receiver does, so that the loss of a coarse lattice counts. The mask is the same for all settings, whatever
-k a coder uses.
+The search minimises R + lambda D; lambda is the slope of the convex hull of all settings at the choice (Y.
+Shoham and A. Gersho, Efficient bit allocation for an arbitrary set of quantizers, IEEE Transactions on
+Acoustics, Speech, and Signal Processing 36, 1988). A moving medium has a bit rate: R is that of a long
+stream, estimated from a few pairs of consecutive frames spread over the scene. The first frame of a pair
+gives the cost of an independent frame, the second that of a predicted frame. A static medium is sent once,
+and has a size in bytes. D is the NMSE on the lattice of the largest n_w: a coarser stream is decoded and
+interpolated to it, as a receiver does, so that the loss of a coarse lattice counts. The mask is the same for
+all settings, whatever k a coder uses.
 """
 
 from __future__ import annotations

@@ -26,12 +26,13 @@ import numpy as np
 from touchfield._version import __version__
 from touchfield.atomic import atomic_path
 from touchfield.compute.threads import Progress, silent
-from touchfield.devices.drivers.registry import is_array_device, point_device
+from touchfield.devices.drivers.registry import array_device, is_array_device, point_device
 from touchfield.devices.drivers.touch_down import touch_down
 from touchfield.errors import InvalidArgument, SourceError, as_source_error, is_finite
 from touchfield.files import json_of
 from touchfield.network.opening import open_stream
 from touchfield.pipeline.result import Result
+from touchfield.render.readiness import DEFAULT_WAIT_S, Unit, open_when_ready
 from touchfield.render.spec import RenderSpec
 from touchfield.study.analysis import Fit, fit_psychometric, level_tests, power_of
 from touchfield.study.design import (
@@ -59,6 +60,7 @@ TEMPLATES: Final = ("design.toml", "consent.md", "device.md")
 SESSION: Final = "session.json"
 _SIMULATED: Final = "simulated: "
 _MAX_SESSION_BYTES: Final = 1 << 20
+_WAIT_S: Final = DEFAULT_WAIT_S  # until the device of a session must be ready, as of `play`
 
 Ask = Callable[[str, int], int | None]
 """``ask(question, answers) -> 1 to answers``, or None to stop."""
@@ -207,18 +209,23 @@ def run_session(
 ) -> Result:
     """Run or continue the session of a participant, and return how far it came.
 
-    `InvalidArgument` or `SourceError` if the design is wrong, the folder has another design, earlier trials
-    do not follow from it, somebody else answered them, or there is no such device.
+    A device must be ready before the first trial, and before anything is written. `InvalidArgument` or
+    `SourceError` if the design is wrong, the folder has another design, earlier trials do not follow from
+    it, somebody else answered them, or there is no such device; `DeviceError` if it is not ready in time.
     """
     design, folder = read_playable_design(design_path), Path(folder)
     path = trials_path(folder, spec.label)
-    observer = None
+    observer, unit = None, None
     if spec.observer is not None:  # before anything is written
         observer = SimulatedObserver.parse(spec.observer, design.chance, design.seed)
-    elif not is_array_device(spec.device or ""):
-        point_device(spec.device or "")  # InvalidArgument for an unknown one
+    else:
+        unit = _unit_of(spec.device or "")
     earlier = read_trials(path) if path.exists() else ()
     _require_same_observer(path, earlier, spec, design.chance)
+    if observer is None and len(earlier) < design.trials:
+        _require_shown(design, spec.device or "")
+        if unit is not None:
+            _require_ready(unit, show)
     design = for_participant(_session_design(design, folder, report), spec.label)
     if observer is not None:
         observer = replace(observer, seed=design.seed)
@@ -241,6 +248,34 @@ def run_session(
         report(done, design.trials)
     state = "complete" if done == design.trials else "stopped; the same command continues it"
     return Result({"file": str(path), "trials": done, "of": design.trials, "state": state}, notes)
+
+
+def _unit_of(device: str) -> Unit | None:
+    """The device of a session, not open; None for a simulated hand. `InvalidArgument` for an unknown one."""
+    if is_array_device(device):
+        return array_device(device)
+    choice = point_device(device)
+    return None if choice.is_simulated else choice.opener()
+
+
+def _require_shown(design: StudyDesign, device: str) -> None:
+    """`InvalidArgument` if a stream of the design is for an array and the device is a point."""
+    if is_array_device(device):
+        return
+    for stream in dict.fromkeys((design.reference, *(compared.stream for compared in design.comparisons))):
+        with open_stream(stream) as opened:
+            head = opened.reader.head
+        if head.device_type == 2:
+            found, hint = f"a stream for the array {head.device_name}", "Name an array as the --device."
+            raise InvalidArgument(stream, found, f"one in space, for --device {device}", hint)
+
+
+def _require_ready(unit: Unit, show: Show) -> None:
+    """Open a device, wait until it is ready, and close it; `DeviceError` if it is not ready in time."""
+    try:
+        open_when_ready(unit, _WAIT_S, on_note=show)
+    finally:
+        unit.close()
 
 
 def _identity(answered_by: str, chance: float) -> Psychometric | str:
