@@ -117,10 +117,12 @@ typedef struct {
     int64_t at[4];                        /* frame and voxel that are compared */
     compared_body *state;                 /* [bodies] */
     compared_brick *compared;             /* [bricks] */
-    int64_t *mover, movers;               /* bodies that have moved within the span of the body that is compared */
-    int64_t *neighbour, neighbours;       /* bodies that may reach that body, */
+    /* lists of bodies, ascending */
+    int64_t *moved, moved_count;          /* those that have moved since the frame before, */
+    int64_t *mover, movers;               /* and of these those that reach the body that is compared, or have left it */
+    int64_t *neighbour, neighbours;       /* those that may reach that body, */
     int64_t *near, nears;                 /* the brick of it that is compared, */
-    int64_t *candidate, candidates;       /* and the row of voxels, each list ascending */
+    int64_t *candidate, candidates;       /* and the row of voxels */
     body_part *part;                      /* bodies that reach the voxel */
 } bound_search;
 
@@ -324,15 +326,17 @@ static inline int has_crossed(const compared_body *mover, const voxel_box *box) 
     return boxes_overlap(&mover->span, box) || boxes_overlap(&mover->previous_span, box);
 }
 
-/* List the neighbours of a body, and which of them, or of those that it has lost, have moved. */
-static inline void find_neighbours(bound_search *s, int64_t body, const uint8_t *stays) {
-    const voxel_box *span = &s->state[body].span;
-    s->neighbours = s->movers = 0;
-    for (int64_t m = 0; m < s->source.count; m++) {
-        if (m == body) continue;
-        if (boxes_overlap(&s->state[m].span, span)) s->neighbour[s->neighbours++] = m;
-        if (!stays[m] && has_crossed(s->state + m, span)) s->mover[s->movers++] = m;
-    }
+/* List the bodies that have moved and reach a body, or have left it. */
+static inline void find_movers(bound_search *s, int64_t body) {
+    s->movers = 0;
+    for (int64_t m = 0; m < s->moved_count; m++)
+        if (has_crossed(s->state + s->moved[m], &s->state[body].span)) s->mover[s->movers++] = s->moved[m];
+}
+
+static inline void find_neighbours(bound_search *s, int64_t body) {
+    s->neighbours = 0;
+    for (int64_t m = 0; m < s->source.count; m++)
+        if (m != body && boxes_overlap(&s->state[m].span, &s->state[body].span)) s->neighbour[s->neighbours++] = m;
 }
 
 static inline int is_crossed(const bound_search *s, const voxel_box *box) {
@@ -341,11 +345,12 @@ static inline int is_crossed(const bound_search *s, const voxel_box *box) {
     return 0;
 }
 
-/* Compare what has changed of a body. */
-static inline void compare_body(bound_search *s, int64_t body, const uint8_t *stays, int is_new) {
+/* Compare what has changed of a body; `is_new` if it has moved. */
+static inline void compare_body(bound_search *s, int64_t body, int is_new) {
     const double size[3] = {8.0, 8.0, 8.0};
-    find_neighbours(s, body, stays);
+    if (!is_new) find_movers(s, body);
     if (!is_new && !s->movers) return;
+    find_neighbours(s, body);
     for (int64_t n = s->start[body]; n < s->start[body + 1]; n++) {
         compared_brick *brick = s->compared + n;
         const int32_t *at = s->brick + 3 * n;
@@ -360,7 +365,8 @@ static inline void compare_body(bound_search *s, int64_t body, const uint8_t *st
 
 typedef struct { /* of all frames: poses [bodies][7], and motions [bodies][6] of source and decoded tracks */
     const double *pose, *motion[2], *lattice;
-    const uint8_t *stays; /* whether a body has not moved since the frame before */
+    const uint8_t *stays;   /* whether a body has not moved since the frame before */
+    const int64_t *repeats; /* how many equal frames a frame stands for */
 } body_moves;
 
 /* Place a body in a frame. */
@@ -379,12 +385,12 @@ static inline int64_t compare_frames(bound_search *s, const body_moves *moves, i
     int64_t bodies = s->source.count, violations = 0;
     for (int64_t frame = start; frame < stop; frame++) {
         const uint8_t *stays = moves->stays + frame * bodies;
-        s->at[0] = frame;
+        s->at[0] = frame, s->moved_count = 0;
         for (int64_t n = 0; n < bodies; n++)
-            if (frame == start || !stays[n]) place_body(s, moves, frame, n);
+            if (frame == start || !stays[n]) place_body(s, moves, frame, n), s->moved[s->moved_count++] = n;
         for (int64_t n = 0; n < bodies; n++) {
-            compare_body(s, n, stays, frame == start || !stays[n]);
-            violations += s->state[n].violations;
+            compare_body(s, n, frame == start || !stays[n]);
+            violations += moves->repeats[frame] * s->state[n].violations;
         }
     }
     return violations;
@@ -420,12 +426,11 @@ static inline int read_bodies(buffer_list *arrays, PyObject *object, bound_searc
     return 1;
 }
 
-/* (poses, source, decoded) and stays; the number of frames. 0: an error is raised. */
-static inline int read_moves(buffer_list *arrays, PyObject *object, PyObject *stays, int64_t bodies, body_moves *moves,
-                             int64_t *frames) {
-    PyObject *poses, *source, *decoded;
+/* (poses, source, decoded, stays, repeats); the number of frames. 0: an error is raised. */
+static inline int read_moves(buffer_list *arrays, PyObject *object, int64_t bodies, body_moves *moves, int64_t *frames) {
+    PyObject *poses, *source, *decoded, *stays, *repeats;
     int64_t rows = -1;
-    if (!PyArg_ParseTuple(object, "OOO", &poses, &source, &decoded)) return 0;
+    if (!PyArg_ParseTuple(object, "OOOOO", &poses, &source, &decoded, &stays, &repeats)) return 0;
     if (!(moves->pose = (const double *)add_numbers(arrays, poses, 7, &rows)) ||
         !(moves->motion[0] = (const double *)add_numbers(arrays, source, 6, &rows)) ||
         !(moves->motion[1] = (const double *)add_numbers(arrays, decoded, 6, &rows)) ||
@@ -433,13 +438,13 @@ static inline int read_moves(buffer_list *arrays, PyObject *object, PyObject *st
         return 0;
     if (bodies < 1 || rows % bodies) return refuse(TOUCH_ARGUMENT, "moves of another number of bodies");
     *frames = rows / bodies;
-    return 1;
+    return (moves->repeats = (const int64_t *)add_numbers(arrays, repeats, 1, frames)) != NULL;
 }
 
 /* Compare frames in memory of its own; the number of voxels outside the bound, -1 without memory. */
 static inline int64_t compare_frames_in(bound_search *s, const body_moves *moves, int64_t start, int64_t stop) {
     size_t bodies = (size_t)s->source.count, bricks = (size_t)s->start[bodies];
-    size_t bytes = 2 * sizeof(touch_placement) + sizeof(compared_body) + sizeof(body_part) + 4 * sizeof(int64_t);
+    size_t bytes = 2 * sizeof(touch_placement) + sizeof(compared_body) + sizeof(body_part) + 5 * sizeof(int64_t);
     touch_placement *placement = (touch_placement *)calloc(bodies + 1, bytes);
     s->compared = (compared_brick *)calloc(bricks + 1, sizeof(compared_brick));
     int64_t violations = -1;
@@ -447,7 +452,7 @@ static inline int64_t compare_frames_in(bound_search *s, const body_moves *moves
         s->placement[0] = placement, s->placement[1] = placement + bodies;
         s->state = (compared_body *)(void *)(placement + 2 * bodies);
         s->part = (body_part *)(void *)(s->state + bodies);
-        s->mover = (int64_t *)(void *)(s->part + bodies + 1);
+        s->moved = (int64_t *)(void *)(s->part + bodies + 1), s->mover = s->moved + bodies;
         s->neighbour = s->mover + bodies, s->near = s->neighbour + bodies, s->candidate = s->near + bodies;
         s->decoded.box = s->source.box, s->decoded.count = s->source.count;
         s->source.placement = s->placement[0], s->decoded.placement = s->placement[1];
@@ -458,9 +463,9 @@ static inline int64_t compare_frames_in(bound_search *s, const body_moves *moves
     return violations;
 }
 
-/* (start, stop, bodies, moves, stays, lattice, rule, ratios, voxels) */
+/* (start, stop, bodies, moves, lattice, rule, ratios, voxels) */
 static PyObject *native_compare_frames(PyObject *module, PyObject *arguments) {
-    PyObject *bodies, *motions, *stays, *lattice, *ratios, *voxels;
+    PyObject *bodies, *motions, *lattice, *ratios, *voxels;
     long long start, stop;
     int64_t frames, violations = 0;
     bound_search s;
@@ -469,11 +474,11 @@ static PyObject *native_compare_frames(PyObject *module, PyObject *arguments) {
     (void)module;
     memset(&s, 0, sizeof s);
     memset(&moves, 0, sizeof moves);
-    if (!PyArg_ParseTuple(arguments, "LLOOOO(dddd)OO", &start, &stop, &bodies, &motions, &stays, &lattice, &s.rule.k,
-                          &s.rule.f0_n, &s.rule.floor_n, &s.rule.limit_n, &ratios, &voxels))
+    if (!PyArg_ParseTuple(arguments, "LLOOO(dddd)OO", &start, &stop, &bodies, &motions, &lattice, &s.rule.k, &s.rule.f0_n,
+                          &s.rule.floor_n, &s.rule.limit_n, &ratios, &voxels))
         return NULL;
     int is_done = read_lattice(lattice, &s.world) && read_bodies(&arrays, bodies, &s, &moves) &&
-                  read_moves(&arrays, motions, stays, s.source.count, &moves, &frames) && check_range(start, stop, frames) &&
+                  read_moves(&arrays, motions, s.source.count, &moves, &frames) && check_range(start, stop, frames) &&
                   (s.ratio = (double *)add_output(&arrays, ratios, 8, &s.source.count)) &&
                   (s.voxel = (int64_t *)add_output(&arrays, voxels, 32, &s.source.count));
     if (is_done) {

@@ -218,21 +218,29 @@ def _compare_block(
     lattice: tuple[Any, ...],
     rule: tuple[float, float, float, float],
 ) -> BoundCheck:
-    """Compare the frames of a block on all cores; arguments as of `native.compare_frames`."""
+    """Compare the frames of a block on all cores; arguments as of `native.compare_frames`.
+
+    A frame in which no body moves equals the one before, and is counted with it.
+    """
     body_count = moves.poses.shape[1]
     stays = np.zeros((len(frames), body_count), np.bool_)
     stays[1:] = np.all([(column[1:] == column[:-1]).all(axis=2) for column in moves], axis=0)
+    moved = np.flatnonzero(~stays.all(axis=1))
+    repeats = np.diff(np.append(moved, len(frames)))
+    columns = *moves, stays
+    if len(moved) < len(frames):
+        columns = tuple(column[moved] for column in columns)
 
     def compare_some(start: int, stop: int) -> BoundCheck:
         result = BoundCheck.empty(body_count)
         found = result.ratios, result.voxels
-        violations = native.compare_frames(start, stop, bodies, moves, stays, lattice, rule, *found)
+        violations = native.compare_frames(start, stop, bodies, (*columns, repeats), lattice, rule, *found)
         return replace(result, violations=violations)
 
     total = BoundCheck.empty(body_count)
-    for result in for_chunks(compare_some, len(frames), chunk=_CHUNK_FRAMES):
+    for result in for_chunks(compare_some, len(moved), chunk=_CHUNK_FRAMES):
         total = total.merged(result)
-    total.voxels[:, 0] = np.where(total.voxels[:, 0] >= 0, frames[total.voxels[:, 0]], -1)
+    total.voxels[:, 0] = np.where(total.voxels[:, 0] >= 0, frames[moved[total.voxels[:, 0]]], -1)
     return total
 
 
