@@ -518,6 +518,7 @@ def compare_frames(
     the decoded fields, their `bound_cells` and the largest of each brick, and marks, uint8 [n, 512], set to 1
     for cells that contribute to a voxel outside the bound ([0, 512] to mark nothing). `moves`: the columns of
     `error_bound.BlockMoves`; whether a body has not moved since the frame before, bool [frames, bodies]; and
-    how many equal frames a frame stands for, int64 [frames]. Raises `ratios`, float64 [bodies], to larger ones, with frame and voxel in `voxels`, int64 [bodies, 4].
-    Returns the number of voxels in all frames whose error exceeds the mask.
+    how many equal frames a frame stands for, int64 [frames]. Raises `ratios`, float64 [bodies], to larger
+    ones, with frame and voxel in `voxels`, int64 [bodies, 4]. Returns the number of voxels in all frames
+    whose error exceeds the mask.
     """
