@@ -164,7 +164,8 @@ class PoseTrack(EqualByValue):
         """
         scaling = self, scale, np.asarray(offset_m, np.float64)
         track = PoseTrack._unchecked(self.quaternions, _scaled=scaling)
-        faulty = np.flatnonzero(~np.isfinite(track.positions(slice(None))).all(axis=1))
+        with np.errstate(over="ignore"):
+            faulty = np.flatnonzero(~np.isfinite(track.positions(slice(None))).all(axis=1))
         if len(faulty):
             where = f"pose track, frame {faulty[0]}"
             raise InvalidArgument(where, "a number that is not finite", "finite poses")
