@@ -136,12 +136,18 @@ def test_check_of_single_frames_agrees_with_all_frames() -> None:
 
 
 def resting_now_and_then(seed: int, frames: int) -> HapticScene:
-    """Bodies of noise in a crowd, which move in every frame, in some frames or never."""
+    """Bodies of noise in a crowd, which move in every frame, in some frames or never.
+
+    Every second one jumps. With an odd seed there are frames in which none moves.
+    """
+    rates = ((0.0, 0.05, 0.3, 1.0), (0.0, 0.1, 0.2, 0.05))[seed % 2]
     rng, bodies = np.random.default_rng(seed), []
     for n in range(6):
-        moves = rng.random((frames, 1)) < (0.0, 0.05, 0.3, 1.0)[n % 4]
+        moves = rng.random((frames, 1)) < rates[n % 4]
         turn = np.cumsum(rng.normal(0, 0.1, (frames, 3)) * moves, axis=0)
-        phase = rng.uniform(-1, 1, 3) + np.cumsum(rng.normal(0, 0.15, (frames, 3)) * moves, axis=0)
+        phase = rng.uniform(-1, 1, 3) + np.cumsum(
+            rng.normal(0, (0.15, 1.0)[n % 2], (frames, 3)) * moves, axis=0
+        )
         quaternions = Rotation.from_rotvec(turn).as_quat(scalar_first=True)
         track = PoseTrack(quaternions, 0.009 * np.sin(phase))
         bodies.append(HapticObject(f"body {n}", single_frame_medium(noise(10 * seed + n, 1.0)), track))
