@@ -289,12 +289,12 @@ static inline int64_t compare_row(bound_search *s, body_part own, touch_vector p
     return violations;
 }
 
-/* Whether the largest ratio is known not to be in a brick of a body, and no voxel outside the bound, where only it reaches. */
+/* Whether the bounds of a brick's cells leave neither a larger ratio nor a violation where only its body reaches. */
 static inline int is_within(const bound_search *s, body_part own) {
     return (double)s->max_bound[own.brick] <= less_of(s->ratio[own.body], 1.0);
 }
 
-/* Compare the voxels of a brick of a body that has `neighbours`; how many are outside the bound. */
+/* Compare the voxels of a brick of a body whose `neighbours` are known; how many are outside the bound. */
 static inline int64_t compare_brick(bound_search *s, body_part own) {
     const touch_placement *o = s->placement[0] + own.body;
     const voxel_box *box = &s->compared[own.brick].box;
@@ -339,6 +339,7 @@ static inline void find_neighbours(bound_search *s, int64_t body) {
         if (m != body && boxes_overlap(&s->state[m].span, &s->state[body].span)) s->neighbour[s->neighbours++] = m;
 }
 
+/* Whether one of the `movers` has crossed these voxels. */
 static inline int is_crossed(const bound_search *s, const voxel_box *box) {
     for (int64_t m = 0; m < s->movers; m++)
         if (has_crossed(s->state + s->mover[m], box)) return 1;
