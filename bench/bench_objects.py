@@ -184,13 +184,13 @@ def exponent(counts: Iterable[int], seconds: Iterable[float]) -> float:
     return float(np.polyfit(np.log(list(counts)), np.log(list(seconds)), 1)[0])
 
 
-def scaling(frames: int, balls: int) -> Figures:
-    """Measure the exponents, from `frames` frames of four balls and from `balls` balls in 64 frames."""
+def scaling(frames: int, balls: int = 4) -> Figures:
+    """Measure the exponents, from `frames` frames of `balls` balls, and from `balls` in half the frames."""
     factors = [2**n for n in range(DOUBLINGS + 1)]
     coded(1, 2)  # compile the kernels
-    by_frames = [coded(4, frames * factor) for factor in factors]
-    by_balls = [coded(balls * factor, 64) for factor in factors]
-    half, whole = by_frames[-2], coded(4, frames * factors[-1], frames * factors[-2])
+    by_frames = [coded(balls, frames * factor) for factor in factors]
+    by_balls = [coded(balls * factor, frames // 2) for factor in factors]
+    half, whole = by_frames[-2], coded(balls, frames * factors[-1], frames * factors[-2])
     return {
         "frames_cpu_s": {str(frames * n): run.cpu_s for n, run in zip(factors, by_frames, strict=True)},
         "balls_cpu_s": {str(balls * n): run.cpu_s for n, run in zip(factors, by_balls, strict=True)},
@@ -235,6 +235,7 @@ def encoded_bodies(seconds: int) -> Figures | None:
 
 def measure(queries: int, seconds: int) -> Figures:
     """Measure frames and queries by touchfield and by SciPy, and the encoding of many bodies."""
+    bodies = encoded_bodies(seconds)  # first, as a process inherits the peak memory of the one that starts it
     composed = scene()
     peer, frames = Scipy(composed), composed.voxelise()
     points = np.random.default_rng(1).uniform(0, 0.128, (queries, 3))
@@ -277,9 +278,9 @@ def measure(queries: int, seconds: int) -> Figures:
         "kernel_us": kernel_us(composed, middle),
         "check_ms_a_frame": check,
         "largest_difference_n": differ,
-        "scaling": scaling(128, 4) if seconds >= FULL_SECONDS else scaling(32, 1),
+        "scaling": scaling(128 if seconds >= FULL_SECONDS else 32),
         "seconds": seconds,
-        "bodies": encoded_bodies(seconds),
+        "bodies": bodies,
     }
 
 
