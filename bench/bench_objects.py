@@ -202,7 +202,7 @@ def scaling(frames: int, balls: int = 4) -> Figures:
 
 
 def hundred_bodies(path: Path, seconds: int) -> None:
-    """Write a scene of 100 bodies that fall on a floor and come to rest, apart from each other."""
+    """Write a scene of 100 bodies that fall on a floor and nearly come to rest, apart from each other."""
     rng = np.random.default_rng(1)
     shapes = (
         'kind = "box"\nhalf_extents_m = [0.03, 0.02, 0.025]',
