@@ -2,7 +2,10 @@
 
    All voxels that the bodies reach are compared. Both fields of a body are stored as cells in the same order, and each cell
    has an upper bound of its error ratio. A voxel that only one body reaches is evaluated only if that bound exceeds the
-   largest ratio found so far; a voxel that several bodies reach is always evaluated. */
+   largest ratio found so far; a voxel that several bodies reach is always evaluated.
+
+   From one frame to the next, only bricks are compared whose body has moved, or that a moving body reaches or has left. The
+   others give the same ratios as before, and the same number of voxels outside the bound. */
 #ifndef TOUCHFIELD_ERROR_BOUND_H
 #define TOUCHFIELD_ERROR_BOUND_H
 
@@ -90,6 +93,16 @@ typedef struct {
     int64_t body, brick;
 } body_part;
 
+typedef struct { /* a brick of a body, as last compared */
+    voxel_box box;
+    int64_t violations;
+} compared_brick;
+
+typedef struct { /* of a body */
+    voxel_box span, previous_span; /* voxels around it, in this frame and the one before */
+    int64_t violations;            /* of its bricks */
+} compared_body;
+
 typedef struct {
     touch_placed_objects source, decoded; /* which share all but samples and placements */
     touch_placement *placement[2];        /* [bodies] each */
@@ -102,8 +115,14 @@ typedef struct {
     double *ratio;                        /* [bodies]: the largest so far */
     int64_t *voxel;                       /* [bodies][4]: frame and voxel of it */
     int64_t at[4];                        /* frame and voxel that are compared */
-    voxel_box *span, *previous_span;      /* of each body, in this frame and the one before */
-    int64_t *candidate, candidates;       /* bodies that may reach the brick that is compared */
+    compared_body *state;                 /* [bodies] */
+    compared_brick *compared;             /* [bricks] */
+    /* lists of bodies, ascending */
+    int64_t *moved, moved_count;          /* those that have moved since the frame before, */
+    int64_t *mover, movers;               /* and of these those that reach the body that is compared, or have left it */
+    int64_t *neighbour, neighbours;       /* those that may reach that body, */
+    int64_t *near, nears;                 /* the brick of it that is compared, */
+    int64_t *candidate, candidates;       /* and the row of voxels */
     body_part *part;                      /* bodies that reach the voxel */
 } bound_search;
 
@@ -115,11 +134,11 @@ static inline int64_t floor_of(double x) {
 static inline double less_of(double a, double b) { return a < b ? a : b; }
 static inline double more_of(double a, double b) { return a > b ? a : b; }
 
-/* The voxels around a box of a body, in samples from the corner of its box; 0: none. */
-static inline int span_of(const touch_lattice *world, const touch_placement *o, const double first[3], const double size[3],
-                          voxel_box *box) {
-    int is_met = 1;
-    for (int a = 0; a < 3 && is_met; a++) {
+/* The voxels around a box of a body, in samples from the corner of its box. */
+static inline voxel_box span_of(const touch_lattice *world, const touch_placement *o, const double first[3],
+                                const double size[3]) {
+    voxel_box box;
+    for (int a = 0; a < 3; a++) {
         double centre = o->position_m[a] - world->origin_m[a], reach = 0.0, spacing = world->spacing_m[a];
         for (int b = 0; b < 3; b++) {
             double to_m = o->rotation[3 * a + b] * o->spacing_m[b];
@@ -128,10 +147,10 @@ static inline int span_of(const touch_lattice *world, const touch_placement *o, 
         }
         double low = ceil(more_of((centre - reach) / spacing - ON_A_SAMPLE, 0.0));
         double high = less_of((centre + reach) / spacing + ON_A_SAMPLE, (double)world->shape[a] - 1.0);
-        is_met = low <= high;
-        box->low[a] = is_met ? (int64_t)low : INT64_MAX, box->high[a] = is_met ? (int64_t)high : -1;
+        if (!(low <= high)) return (voxel_box){{INT64_MAX, INT64_MAX, INT64_MAX}, {-1, -1, -1}};
+        box.low[a] = (int64_t)low, box.high[a] = (int64_t)high;
     }
-    return is_met;
+    return box;
 }
 
 static inline int boxes_overlap(const voxel_box *a, const voxel_box *b) {
@@ -225,11 +244,13 @@ static inline int compare_voxel(bound_search *s, int64_t parts, touch_vector poi
     return ratio > 1.0;
 }
 
-/* Find the candidates that reach a voxel, as parts from the second one on. */
-static inline int64_t find_parts(bound_search *s, touch_vector point_m) {
+/* Find the candidates that reach voxel n of the row, as parts from the second one on. */
+static inline int64_t find_parts(bound_search *s, touch_vector point_m, int64_t n) {
     int64_t count = 0;
     for (int64_t m = 0; m < s->candidates; m++) {
         int64_t body = s->candidate[m];
+        const voxel_box *span = &s->state[body].span;
+        if (n < span->low[2] || n > span->high[2]) continue;
         const touch_placement *o = s->placement[0] + body;
         int64_t brick = brick_at(&s->source, body, touch_placed_samples(o, arm_to(o, point_m)));
         if (brick >= 0) s->part[++count] = (body_part){body, brick};
@@ -258,7 +279,7 @@ static inline int64_t compare_row(bound_search *s, body_part own, touch_vector p
             !touch_is_supported(s->source.supported, own.brick, i, j, k))
             continue;
         double bound = s->bound[512 * own.brick + (i & 7) * 64 + (j & 7) * 8 + (k & 7)];
-        int64_t others = s->candidates ? find_parts(s, point_m) : 0;
+        int64_t others = s->candidates ? find_parts(s, point_m, n) : 0;
         if (!others && bound <= less_of(*ratio, 1.0)) continue;
         /* the voxel was compared together with the bricks of the first of these bodies */
         if (others && s->part[1].body < own.body) continue;
@@ -268,66 +289,109 @@ static inline int64_t compare_row(bound_search *s, body_part own, touch_vector p
     return violations;
 }
 
-/* Compare the voxels of a brick of a body; how many are outside the bound. */
+/* Whether the bounds of a brick's cells leave neither a larger ratio nor a violation where only its body reaches. */
+static inline int is_within(const bound_search *s, body_part own) {
+    return (double)s->max_bound[own.brick] <= less_of(s->ratio[own.body], 1.0);
+}
+
+/* Compare the voxels of a brick of a body whose `neighbours` are known; how many are outside the bound. */
 static inline int64_t compare_brick(bound_search *s, body_part own) {
     const touch_placement *o = s->placement[0] + own.body;
-    const int32_t *brick = s->brick + 3 * own.brick;
-    const double first[3] = {8.0 * brick[0], 8.0 * brick[1], 8.0 * brick[2]}, size[3] = {8.0, 8.0, 8.0};
-    voxel_box box;
+    const voxel_box *box = &s->compared[own.brick].box;
     int64_t violations = 0;
-    if (!span_of(&s->world, o, first, size, &box)) return 0;
-    s->candidates = 0;
-    for (int64_t m = 0; m < s->source.count; m++)
-        if (m != own.body && boxes_overlap(s->span + m, &box)) s->candidate[s->candidates++] = m;
-    if (!s->candidates && (double)s->max_bound[own.brick] <= less_of(s->ratio[own.body], 1.0)) return 0;
-    for (int64_t i = box.low[0]; i <= box.high[0]; i++)
-        for (int64_t j = box.low[1]; j <= box.high[1]; j++) {
+    s->nears = 0;
+    for (int64_t m = 0; m < s->neighbours; m++)
+        if (boxes_overlap(&s->state[s->neighbour[m]].span, box)) s->near[s->nears++] = s->neighbour[m];
+    if (!s->nears && is_within(s, own)) return 0;
+    for (int64_t i = box->low[0]; i <= box->high[0]; i++)
+        for (int64_t j = box->low[1]; j <= box->high[1]; j++) {
             touch_vector point_m = touch_vector_of(s->world.origin_m[0] + (double)i * s->world.spacing_m[0],
                                                    s->world.origin_m[1] + (double)j * s->world.spacing_m[1], 0.0);
-            int64_t low = box.low[2], high = box.high[2];
-            s->at[1] = i, s->at[2] = j;
-            if (clip_row(&s->world, o, brick, point_m.x, point_m.y, &low, &high))
+            int64_t low = box->low[2], high = box->high[2];
+            s->at[1] = i, s->at[2] = j, s->candidates = 0;
+            for (int64_t m = 0; m < s->nears; m++) {
+                const voxel_box *span = &s->state[s->near[m]].span;
+                if (span->low[0] <= i && i <= span->high[0] && span->low[1] <= j && j <= span->high[1])
+                    s->candidate[s->candidates++] = s->near[m];
+            }
+            if (!s->candidates && is_within(s, own)) continue;
+            if (clip_row(&s->world, o, s->brick + 3 * own.brick, point_m.x, point_m.y, &low, &high))
                 violations += compare_row(s, own, point_m, low, high);
         }
     return violations;
 }
 
-/* Whether no moving body overlaps a body, in this frame or the one before. */
-static inline int is_alone(const bound_search *s, int64_t body, const uint8_t *stays) {
+/* Whether a body that has moved reaches these voxels, or did in the frame before. */
+static inline int has_crossed(const compared_body *mover, const voxel_box *box) {
+    return boxes_overlap(&mover->span, box) || boxes_overlap(&mover->previous_span, box);
+}
+
+/* List the bodies that have moved and reach a body, or have left it. */
+static inline void find_movers(bound_search *s, int64_t body) {
+    s->movers = 0;
+    for (int64_t m = 0; m < s->moved_count; m++)
+        if (has_crossed(s->state + s->moved[m], &s->state[body].span)) s->mover[s->movers++] = s->moved[m];
+}
+
+static inline void find_neighbours(bound_search *s, int64_t body) {
+    s->neighbours = 0;
     for (int64_t m = 0; m < s->source.count; m++)
-        if (!stays[m] && (boxes_overlap(s->span + m, s->span + body) || boxes_overlap(s->previous_span + m, s->span + body)))
-            return 0;
-    return 1;
+        if (m != body && boxes_overlap(&s->state[m].span, &s->state[body].span)) s->neighbour[s->neighbours++] = m;
+}
+
+/* Whether one of the `movers` has crossed these voxels. */
+static inline int is_crossed(const bound_search *s, const voxel_box *box) {
+    for (int64_t m = 0; m < s->movers; m++)
+        if (has_crossed(s->state + s->mover[m], box)) return 1;
+    return 0;
+}
+
+/* Compare what has changed of a body; `is_new` if it has moved. */
+static inline void compare_body(bound_search *s, int64_t body, int is_new) {
+    const double size[3] = {8.0, 8.0, 8.0};
+    if (!is_new) find_movers(s, body);
+    if (!is_new && !s->movers) return;
+    find_neighbours(s, body);
+    for (int64_t n = s->start[body]; n < s->start[body + 1]; n++) {
+        compared_brick *brick = s->compared + n;
+        const int32_t *at = s->brick + 3 * n;
+        const double first[3] = {8.0 * at[0], 8.0 * at[1], 8.0 * at[2]};
+        if (is_new) brick->box = span_of(&s->world, s->placement[0] + body, first, size);
+        if (!is_new && !is_crossed(s, &brick->box)) continue;
+        s->state[body].violations -= brick->violations;
+        brick->violations = compare_brick(s, (body_part){body, n});
+        s->state[body].violations += brick->violations;
+    }
 }
 
 typedef struct { /* of all frames: poses [bodies][7], and motions [bodies][6] of source and decoded tracks */
     const double *pose, *motion[2], *lattice;
-    const uint8_t *stays; /* whether a body has not moved since the frame before */
+    const uint8_t *stays;   /* whether a body has not moved since the frame before */
+    const int64_t *repeats; /* how many equal frames a frame stands for */
 } body_moves;
 
-/* Compare frames start to stop - 1; how many voxels in all are outside the bound. `counts` [bodies] is memory. */
-static inline int64_t compare_frames(bound_search *s, const body_moves *moves, int64_t start, int64_t stop, int64_t *counts) {
+/* Place a body in a frame. */
+static inline void place_body(bound_search *s, const body_moves *moves, int64_t frame, int64_t body) {
+    const int64_t row = frame * s->source.count + body, *box = s->source.box[body].brick_count;
+    const double corner[3] = {0.0, 0.0, 0.0}, size[3] = {8.0 * (double)box[0], 8.0 * (double)box[1], 8.0 * (double)box[2]};
+    for (int side = 0; side < 2; side++)
+        touch_place_object(moves->pose + 7 * row, moves->lattice + 6 * body, moves->motion[side] + 6 * row,
+                           s->placement[side] + body);
+    s->state[body].previous_span = s->state[body].span;
+    s->state[body].span = span_of(&s->world, s->placement[0] + body, corner, size);
+}
+
+/* Compare frames start to stop - 1; how many voxels in all are outside the bound. */
+static inline int64_t compare_frames(bound_search *s, const body_moves *moves, int64_t start, int64_t stop) {
     int64_t bodies = s->source.count, violations = 0;
     for (int64_t frame = start; frame < stop; frame++) {
         const uint8_t *stays = moves->stays + frame * bodies;
-        s->at[0] = frame;
-        memcpy(s->previous_span, s->span, (size_t)bodies * sizeof *s->span);
+        s->at[0] = frame, s->moved_count = 0;
+        for (int64_t n = 0; n < bodies; n++)
+            if (frame == start || !stays[n]) place_body(s, moves, frame, n), s->moved[s->moved_count++] = n;
         for (int64_t n = 0; n < bodies; n++) {
-            const int64_t row = frame * bodies + n, *box = s->source.box[n].brick_count;
-            const double corner[3] = {0.0, 0.0, 0.0}, size[3] = {8.0 * (double)box[0], 8.0 * (double)box[1], 8.0 * (double)box[2]};
-            for (int side = 0; side < 2; side++)
-                touch_place_object(moves->pose + 7 * row, moves->lattice + 6 * n, moves->motion[side] + 6 * row,
-                                   s->placement[side] + n);
-            (void)span_of(&s->world, s->placement[0] + n, corner, size, s->span + n);
-        }
-        for (int64_t n = 0; n < bodies; n++) {
-            /* otherwise nothing around the body has changed, and the last count is still right */
-            if (frame == start || !(stays[n] && is_alone(s, n, stays))) {
-                counts[n] = 0;
-                for (int64_t brick = s->start[n]; brick < s->start[n + 1]; brick++)
-                    counts[n] += compare_brick(s, (body_part){n, brick});
-            }
-            violations += counts[n];
+            compare_body(s, n, frame == start || !stays[n]);
+            violations += moves->repeats[frame] * s->state[n].violations;
         }
     }
     return violations;
@@ -363,12 +427,11 @@ static inline int read_bodies(buffer_list *arrays, PyObject *object, bound_searc
     return 1;
 }
 
-/* (poses, source, decoded) and stays; the number of frames. 0: an error is raised. */
-static inline int read_moves(buffer_list *arrays, PyObject *object, PyObject *stays, int64_t bodies, body_moves *moves,
-                             int64_t *frames) {
-    PyObject *poses, *source, *decoded;
+/* (poses, source, decoded, stays, repeats); the number of frames. 0: an error is raised. */
+static inline int read_moves(buffer_list *arrays, PyObject *object, int64_t bodies, body_moves *moves, int64_t *frames) {
+    PyObject *poses, *source, *decoded, *stays, *repeats;
     int64_t rows = -1;
-    if (!PyArg_ParseTuple(object, "OOO", &poses, &source, &decoded)) return 0;
+    if (!PyArg_ParseTuple(object, "OOOOO", &poses, &source, &decoded, &stays, &repeats)) return 0;
     if (!(moves->pose = (const double *)add_numbers(arrays, poses, 7, &rows)) ||
         !(moves->motion[0] = (const double *)add_numbers(arrays, source, 6, &rows)) ||
         !(moves->motion[1] = (const double *)add_numbers(arrays, decoded, 6, &rows)) ||
@@ -376,29 +439,34 @@ static inline int read_moves(buffer_list *arrays, PyObject *object, PyObject *st
         return 0;
     if (bodies < 1 || rows % bodies) return refuse(TOUCH_ARGUMENT, "moves of another number of bodies");
     *frames = rows / bodies;
-    return 1;
+    return (moves->repeats = (const int64_t *)add_numbers(arrays, repeats, 1, frames)) != NULL;
 }
 
 /* Compare frames in memory of its own; the number of voxels outside the bound, -1 without memory. */
 static inline int64_t compare_frames_in(bound_search *s, const body_moves *moves, int64_t start, int64_t stop) {
-    size_t bodies = (size_t)s->source.count;
-    size_t bytes = 2 * sizeof(touch_placement) + 2 * sizeof(voxel_box) + 2 * sizeof(int64_t) + sizeof(body_part);
+    size_t bodies = (size_t)s->source.count, bricks = (size_t)s->start[bodies];
+    size_t bytes = 2 * sizeof(touch_placement) + sizeof(compared_body) + sizeof(body_part) + 5 * sizeof(int64_t);
     touch_placement *placement = (touch_placement *)calloc(bodies + 1, bytes);
-    if (!placement) return -1;
-    s->placement[0] = placement, s->placement[1] = placement + bodies;
-    s->span = (voxel_box *)(void *)(placement + 2 * bodies), s->previous_span = s->span + bodies;
-    s->part = (body_part *)(void *)(s->previous_span + bodies);
-    s->candidate = (int64_t *)(void *)(s->part + bodies + 1);
-    s->decoded.box = s->source.box, s->decoded.count = s->source.count;
-    s->source.placement = s->placement[0], s->decoded.placement = s->placement[1];
-    int64_t violations = compare_frames(s, moves, start, stop, s->candidate + bodies);
+    s->compared = (compared_brick *)calloc(bricks + 1, sizeof(compared_brick));
+    int64_t violations = -1;
+    if (placement && s->compared) {
+        s->placement[0] = placement, s->placement[1] = placement + bodies;
+        s->state = (compared_body *)(void *)(placement + 2 * bodies);
+        s->part = (body_part *)(void *)(s->state + bodies);
+        s->moved = (int64_t *)(void *)(s->part + bodies + 1), s->mover = s->moved + bodies;
+        s->neighbour = s->mover + bodies, s->near = s->neighbour + bodies, s->candidate = s->near + bodies;
+        s->decoded.box = s->source.box, s->decoded.count = s->source.count;
+        s->source.placement = s->placement[0], s->decoded.placement = s->placement[1];
+        violations = compare_frames(s, moves, start, stop);
+    }
+    free(s->compared);
     free(placement);
     return violations;
 }
 
-/* (start, stop, bodies, moves, stays, lattice, rule, ratios, voxels) */
+/* (start, stop, bodies, moves, lattice, rule, ratios, voxels) */
 static PyObject *native_compare_frames(PyObject *module, PyObject *arguments) {
-    PyObject *bodies, *motions, *stays, *lattice, *ratios, *voxels;
+    PyObject *bodies, *motions, *lattice, *ratios, *voxels;
     long long start, stop;
     int64_t frames, violations = 0;
     bound_search s;
@@ -407,11 +475,11 @@ static PyObject *native_compare_frames(PyObject *module, PyObject *arguments) {
     (void)module;
     memset(&s, 0, sizeof s);
     memset(&moves, 0, sizeof moves);
-    if (!PyArg_ParseTuple(arguments, "LLOOOO(dddd)OO", &start, &stop, &bodies, &motions, &stays, &lattice, &s.rule.k,
-                          &s.rule.f0_n, &s.rule.floor_n, &s.rule.limit_n, &ratios, &voxels))
+    if (!PyArg_ParseTuple(arguments, "LLOOO(dddd)OO", &start, &stop, &bodies, &motions, &lattice, &s.rule.k, &s.rule.f0_n,
+                          &s.rule.floor_n, &s.rule.limit_n, &ratios, &voxels))
         return NULL;
     int is_done = read_lattice(lattice, &s.world) && read_bodies(&arrays, bodies, &s, &moves) &&
-                  read_moves(&arrays, motions, stays, s.source.count, &moves, &frames) && check_range(start, stop, frames) &&
+                  read_moves(&arrays, motions, s.source.count, &moves, &frames) && check_range(start, stop, frames) &&
                   (s.ratio = (double *)add_output(&arrays, ratios, 8, &s.source.count)) &&
                   (s.voxel = (int64_t *)add_output(&arrays, voxels, 32, &s.source.count));
     if (is_done) {

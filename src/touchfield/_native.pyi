@@ -506,8 +506,7 @@ def compare_frames(
     start: int,
     stop: int,
     bodies: tuple[Buffer, Buffer, Buffer, Buffer, Buffer, Buffer, Buffer, Buffer, Buffer, Buffer, Buffer],
-    moves: tuple[Buffer, Buffer, Buffer],
-    stays: Buffer,
+    moves: tuple[Buffer, Buffer, Buffer, Buffer, Buffer],
     lattice: Lattice,
     rule: Rule,
     ratios: Buffer,
@@ -517,8 +516,9 @@ def compare_frames(
 
     `bodies`: lattices, boxes, starts, bricks, tables and supports as in `CellPool`, cells of the source and
     the decoded fields, their `bound_cells` and the largest of each brick, and marks, uint8 [n, 512], set to 1
-    for cells that contribute to a voxel outside the bound ([0, 512] to mark nothing). `moves`:
-    `error_bound.Moves`. `stays`, bool [frames, bodies]: whether a body has not moved since the frame before.
-    Raises `ratios`, float64 [bodies], to larger ones, with frame and voxel in `voxels`, int64 [bodies, 4].
-    Returns the number of voxels in all frames whose error exceeds the mask.
+    for cells that contribute to a voxel outside the bound ([0, 512] to mark nothing). `moves`: the columns of
+    `error_bound.BlockMoves`; whether a body has not moved since the frame before, bool [frames, bodies]; and
+    how many equal frames a frame stands for, int64 [frames]. Raises `ratios`, float64 [bodies], to larger
+    ones, with frame and voxel in `voxels`, int64 [bodies, 4]. Returns the number of voxels in all frames
+    whose error exceeds the mask.
     """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -134,3 +135,45 @@ def test_a_part_may_include_the_first_and_the_last_pose() -> None:
 def test_invalid_poses_are_refused(quaternions: object, positions: object, message: str) -> None:
     with pytest.raises(InvalidArgument, match=message):
         PoseTrack(np.array(quaternions, float), np.array(positions, float))
+
+
+@given(seeds, vectors, st.floats(1e-3, 1e3))
+def test_a_scaled_track_shares_memory_and_has_the_same_numbers(
+    seed: int, offset: np.ndarray, scale: float
+) -> None:
+    _, track = any_track(seed)
+    scaled = track.scaled(scale, offset)
+    expected = scale * (track.positions_m - offset)
+    assert np.shares_memory(scaled.quaternions, track.quaternions)
+    for frames in (2, slice(1, 4), np.array([3, 0])):
+        np.testing.assert_array_equal(scaled.positions(frames), expected[frames])
+    again, part = pickle.loads(pickle.dumps(scaled)).scaled(2.0), scaled.between(1, 3)
+    np.testing.assert_array_equal(again.positions(slice(None)), 2.0 * expected)
+    np.testing.assert_array_equal(part.positions_m, expected[1:3])
+    assert "positions_m" not in vars(scaled)  # nothing above has made them
+    np.testing.assert_array_equal(scaled.positions_m, expected)
+    assert not scaled.positions_m.flags.writeable and scaled == pickle.loads(pickle.dumps(scaled))
+
+
+def test_a_part_shares_memory_unless_its_signs_change() -> None:
+    half_turns = np.outer(np.arange(5) * 1.5, [0.0, 0.0, 1.0])
+    track = PoseTrack(wxyz(Rotation.from_rotvec(half_turns)), np.zeros((5, 3)))
+    early, late = track.between(0, 2), track.between(4, 5)
+    assert np.shares_memory(early.quaternions, track.quaternions)
+    assert track.quaternions[4, 0] < 0 < late.quaternions[0, 0] and not late.quaternions.flags.writeable
+    np.testing.assert_array_equal(late.rotations(), track.rotations(slice(4, 5)))
+
+
+def test_motions_of_a_surface_are_damping_times_velocity() -> None:
+    _, track = any_track(3)
+    velocities = np.hstack(track.velocities(100.0))
+    np.testing.assert_array_equal(track.surface_motions(100.0, 0.5), 0.5 * velocities)
+    np.testing.assert_array_equal(track.surface_motions(100.0, 0.5, slice(2, 4)), 0.5 * velocities[2:4])
+    assert not track.surface_motions(100.0, 0.0, slice(2, 9)).any()
+    assert track.surface_motions(100.0, 0.0, slice(2, 9)).shape == (3, 6)
+    assert np.isinf(track.surface_motions(100.0, 1e308)).any()
+
+
+def test_scaling_beyond_all_numbers_is_refused() -> None:
+    with pytest.raises(InvalidArgument, match=r"frame 0.*not finite"):
+        any_track(1)[1].scaled(1e308, (1e10, 0.0, 0.0))

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -207,24 +206,13 @@ class PlacedFields:
         if not 0 <= frame < len(scene):
             raise InvalidArgument("frame", str(frame), f"0 to {len(scene) - 1}")
         pool = self._pool_of(frame)
-        tracks = [scene_object.track for scene_object in scene.objects]
-        poses = np.array([[*track.quaternions[frame], *track.positions_m[frame]] for track in tracks])
-        motions, placements = np.zeros((len(tracks), 6)), np.empty((len(tracks), _PLACEMENT_COLUMNS))
-        if scene.surface_damping_n_s_per_m:
-            with np.errstate(over="ignore"):  # forces that overflow are handled where they are clipped
-                motions[:] = scene.surface_damping_n_s_per_m * self._motions[frame]
-        native.place_objects(poses, pool.lattices, motions, placements)
+        quaternions, positions_m, motions, _ = scene.poses(frame)
+        placements = np.empty((len(quaternions), _PLACEMENT_COLUMNS))
+        native.place_objects(
+            np.hstack([quaternions, positions_m]), pool.lattices, np.array(motions), placements
+        )
         self._latest = frame, pool, placements
         return pool, placements
-
-    @cached_property
-    def _motions(self) -> Float64s:
-        """Linear and angular velocity of each object, float64 [frame, object, 6]."""
-        motions = [
-            np.hstack(scene_object.track.velocities(self._scene.rate_hz))
-            for scene_object in self._scene.objects
-        ]
-        return np.stack(motions, axis=1)
 
     def _pool_of(self, frame: int) -> CellPool:
         """Return the fields of one frame; those of rigid objects are computed once."""

@@ -403,21 +403,16 @@ class HapticScene(Picklable):
     @cached_property
     def _motions(self) -> list[Float64s]:
         """Velocities of each body times the surface damping, float64 [frames, 6]."""
-        damping, motions = self.surface_damping_n_s_per_m, list[Float64s]()
-        for scene_object in self.objects:
-            velocities = np.zeros((self.frame_count, 6))
-            if damping:
-                velocities = np.concatenate(scene_object.track.velocities(self.rate_hz), axis=1)
-            with np.errstate(over="ignore"):  # forces that overflow are handled where they are clipped
-                motions.append(velocities * damping)
-        return motions
+        damping = self.surface_damping_n_s_per_m
+        return [body.track.surface_motions(self.rate_hz, damping) for body in self.objects]
 
     def poses(self, frame: int) -> BodyPoses:
         """Return the poses of all bodies in a frame."""
         tracks = [scene_object.track for scene_object in self.objects]
+        positions_m: list[Any] = [track.positions(frame) for track in tracks]
         return BodyPoses(
             [track.quaternions[frame] for track in tracks],
-            [track.positions_m[frame] for track in tracks],
+            positions_m,
             [motions[frame] for motions in self._motions],
         )
 

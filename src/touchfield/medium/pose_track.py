@@ -9,17 +9,20 @@ A pose maps points from the body frame to the scene: x_scene = R x_body + t. Rot
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from touchfield.arrays import EqualByValue, Float64s
+from touchfield.arrays import EqualByValue, Float64s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium.field import frozen
 
 # frames times bodies of a scene in a file: a body at rest costs few bytes, but one pose per frame in memory
 MAX_POSES: Final = 1 << 24
+Frames = int | slice | Int64s
+"""A frame, or several as a slice or as indices."""
+
 _UNIT = 1e-3  # tolerance of a quaternion's length: the rounding of three digits in a text file
 
 
@@ -66,18 +69,48 @@ class PoseTrack(EqualByValue):
         object.__setattr__(self, "positions_m", frozen(t))
 
     @classmethod
+    def _unchecked(cls, quaternions: Float64s, **values: Any) -> PoseTrack:
+        """Return a track of quaternions that another track has checked, without a copy of them."""
+        track = object.__new__(cls)
+        for name, value in {"quaternions": quaternions, **values}.items():
+            object.__setattr__(track, name, value)
+        return track
+
+    if not TYPE_CHECKING:  # it would hide misspelt names from the type checker
+
+        def __getattr__(self, name: str) -> Any:
+            """Compute `positions_m` of a `scaled` track when it is first read."""
+            if name != "positions_m":
+                raise AttributeError(f"PoseTrack has no attribute {name!r}")
+            positions_m = frozen(self.positions(slice(None)))
+            object.__setattr__(self, "positions_m", positions_m)
+            return positions_m
+
+    @classmethod
     def constant(cls, frame_count: int = 1, position_m: ArrayLike = (0.0, 0.0, 0.0)) -> PoseTrack:
         """Return the track of a body at rest, without rotation."""
         q = np.tile([1.0, 0.0, 0.0, 0.0], (frame_count, 1))
         return cls(q, np.tile(np.asarray(position_m, np.float64), (frame_count, 1)))
 
     def __len__(self) -> int:
-        return len(self.positions_m)
+        return len(self.quaternions)
 
     @property
     def is_constant(self) -> bool:
         """True if all poses are the same."""
-        return all(bool((values == values[0]).all()) for values in (self.positions_m, self.quaternions))
+        columns = self.positions(slice(None)), self.quaternions
+        return all(bool((values == values[0]).all()) for values in columns)
+
+    def positions(self, frames: Frames) -> Float64s:
+        """Return positions of frames, metres, float64 [..., 3].
+
+        They equal ``positions_m[frames]``, which a `scaled` track would first compute and keep.
+        """
+        values = vars(self)
+        if "positions_m" in values:
+            return np.asarray(self.positions_m[frames])
+        source, scale, offset_m = values["_scaled"]
+        return np.asarray(scale * (source.positions(frames) - offset_m))
 
     def rotation(self, frame: int) -> Float64s:
         """Return R of one frame, float64 [3, 3]."""
@@ -89,11 +122,11 @@ class PoseTrack(EqualByValue):
 
     def to_scene(self, points_m: ArrayLike, frame: int) -> Float64s:
         """Convert points [..., 3] from the body frame to the scene, metres."""
-        return np.asarray(np.asarray(points_m, np.float64) @ self.rotation(frame).T + self.positions_m[frame])
+        return np.asarray(np.asarray(points_m, np.float64) @ self.rotation(frame).T + self.positions(frame))
 
     def to_body(self, points_m: ArrayLike, frame: int) -> Float64s:
         """Convert points [..., 3] from the scene to the body frame, metres."""
-        return np.asarray((np.asarray(points_m, np.float64) - self.positions_m[frame]) @ self.rotation(frame))
+        return np.asarray((np.asarray(points_m, np.float64) - self.positions(frame)) @ self.rotation(frame))
 
     def velocities(self, rate_hz: float, frames: slice = slice(None)) -> tuple[Float64s, Float64s]:
         """Return linear and angular velocity in the scene, each float64 [n, 3], of all or some frames.
@@ -106,25 +139,45 @@ class PoseTrack(EqualByValue):
             return np.zeros((len(index), 3)), np.zeros((len(index), 3))
         after, before = np.minimum(index + 1, n - 1), np.maximum(index - 1, 0)
         dt = (after - before) / rate_hz
-        velocity = (self.positions_m[after] - self.positions_m[before]) / dt[:, None]
+        velocity = (self.positions(after) - self.positions(before)) / dt[:, None]
         rotations = rotation_vectors(self.quaternions[before], self.quaternions[after])
         return velocity, rotations / dt[:, None]
+
+    def surface_motions(
+        self, rate_hz: float, damping_n_s_per_m: float, frames: slice = slice(None)
+    ) -> Float64s:
+        """Return surface damping times linear and angular velocity, N and N/m, float64 [n, 6].
+
+        Numbers that overflow are infinite; forces are limited where they are summed. Without damping the
+        array is a read-only view of a single zero.
+        """
+        if not damping_n_s_per_m:
+            return np.broadcast_to(0.0, (len(range(len(self))[frames]), 6))
+        with np.errstate(over="ignore"):
+            return np.asarray(damping_n_s_per_m * np.hstack(self.velocities(rate_hz, frames)))
 
     def scaled(self, scale: float, offset_m: ArrayLike = (0.0, 0.0, 0.0)) -> PoseTrack:
         """Return the track after x -> scale * (x - offset).
 
-        The body frame is scaled by the same factor.
+        The body frame is scaled by the same factor. The track shares the memory of this one: its positions
+        are computed when they are read. Raises `InvalidArgument` if one is not finite.
         """
-        track = PoseTrack(self.quaternions, scale * (self.positions_m - np.asarray(offset_m, np.float64)))
-        if np.array_equal(track.quaternions, self.quaternions):  # read-only, so both tracks can share them
-            object.__setattr__(track, "quaternions", self.quaternions)
+        scaling = self, scale, np.asarray(offset_m, np.float64)
+        track = PoseTrack._unchecked(self.quaternions, _scaled=scaling)
+        with np.errstate(over="ignore"):
+            faulty = np.flatnonzero(~np.isfinite(track.positions(slice(None))).all(axis=1))
+        if len(faulty):
+            where = f"pose track, frame {faulty[0]}"
+            raise InvalidArgument(where, "a number that is not finite", "finite poses")
         return track
 
     def between(self, start: int, stop: int) -> PoseTrack:
         """Return frames start to stop - 1."""
         if not 0 <= start < stop <= len(self):
             raise InvalidArgument("frames", f"{start}:{stop}", f"a range within 0:{len(self)}")
-        return PoseTrack(self.quaternions[start:stop], self.positions_m[start:stop])
+        q = self.quaternions[start:stop]
+        positions_m = frozen(self.positions(slice(start, stop)))
+        return PoseTrack._unchecked(frozen(-q) if q[0, 0] < 0 else q, positions_m=positions_m)
 
 
 _ORTHONORMAL: Final = 1e-6  # tolerance of the difference of R^T R and the identity

@@ -106,7 +106,7 @@ def _object(body: Body, mapping: Mapping) -> HapticObject:
     name = printable.encode()[:_NAME_BYTES].decode("utf-8", "ignore")
     count = len(body.track)
     if body.track.is_constant and not body.is_free:
-        rotation, shift = body.track.rotation(0), body.track.positions_m[0]
+        rotation, shift = body.track.rotation(0), body.track.positions(0)
         is_placed = np.array_equal(rotation, np.eye(3)) and not shift.any()
         placed_scene = body.scene if is_placed else body.scene.moved(rotation, shift)
         medium = _with_single_frame_made(device_medium(placed_scene, mapping))

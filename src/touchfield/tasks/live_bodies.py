@@ -191,7 +191,7 @@ class LiveBodies:
         if simulation is None:
             tracks = [body.track for body in self._objects]
             quaternions = np.stack([track.quaternions[index] for track in tracks])
-            return quaternions, np.stack([track.positions_m[index] for track in tracks])
+            return quaternions, np.stack([track.positions(index) for track in tracks])
         if index == 0:
             simulation.restart()
         quaternions, positions_m = simulation.next_poses()

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from independent_bound import mask_ratio
 from object_makers import F0_N, ball, head_of, moving_scene, tumbling
@@ -132,6 +133,75 @@ def test_check_of_single_frames_agrees_with_all_frames() -> None:
         separate = separate.merged(rule.check(pairs, moves, [frame]))
     assert together.violations == separate.violations > 0 and together.max_error == separate.max_error
     np.testing.assert_array_equal(together.ratios, separate.ratios)
+
+
+def resting_now_and_then(seed: int, frames: int) -> HapticScene:
+    """Bodies of noise in a crowd, which move in every frame, in some frames or never.
+
+    Every second one jumps. With an odd seed there are frames in which none moves.
+    """
+    rates = ((0.0, 0.05, 0.3, 1.0), (0.0, 0.1, 0.2, 0.05))[seed % 2]
+    rng, bodies = np.random.default_rng(seed), []
+    for n in range(6):
+        moves = rng.random((frames, 1)) < rates[n % 4]
+        turn = np.cumsum(rng.normal(0, 0.1, (frames, 3)) * moves, axis=0)
+        phase = rng.uniform(-1, 1, 3) + np.cumsum(
+            rng.normal(0, (0.15, 1.0)[n % 2], (frames, 3)) * moves, axis=0
+        )
+        quaternions = Rotation.from_rotvec(turn).as_quat(scalar_first=True)
+        track = PoseTrack(quaternions, 0.009 * np.sin(phase))
+        bodies.append(HapticObject(f"body {n}", single_frame_medium(noise(10 * seed + n, 1.0)), track))
+    return HapticScene(WORLD, 1000.0, tuple(bodies), 3.0, 0.5 * (seed % 2))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_comparing_what_has_moved_finds_what_comparing_every_frame_in_full_finds(seed: int) -> None:
+    """A lone frame is compared in full. Ratios, voxels, violations and marks are equal to the last bit."""
+    frames = 24
+    scene = resting_now_and_then(seed, frames)
+    f0_n = 0.0 if seed == 2 else F0_N
+    pairs = [Pair(body.field(0), body.field(0) + noise(n, 0.1)) for n, body in enumerate(scene.objects)]
+    rule, moves = ComposedRule(scene, 0.1, f0_n), Moves.of(scene, [body.track for body in scene.objects])
+    found, separate = rule.check(pairs, moves, range(frames)), BoundCheck.empty(6)
+    samples = [np.zeros(0, np.int64)] * 6
+    for frame in range(frames):
+        separate = separate.merged(rule.check(pairs, moves, [frame]))
+        violating = rule.violating_samples(pairs, moves, [frame])
+        samples = [np.union1d(a, b) for a, b in zip(samples, violating, strict=True)]
+    np.testing.assert_array_equal(found.ratios, separate.ratios)
+    np.testing.assert_array_equal(found.voxels, separate.voxels)
+    assert found.violations == separate.violations > 1000
+    for together, alone in zip(rule.violating_samples(pairs, moves, range(frames)), samples, strict=True):
+        np.testing.assert_array_equal(together, alone)
+
+
+def test_blocks_of_moves_join_without_a_seam() -> None:
+    """Velocities at the border of a block need the frames of the next, and a check goes on across it."""
+    border, around = 2048, range(2040, 2056)
+    scene = resting_now_and_then(1, border + 30)
+    tracks = [body.track for body in scene.objects]
+    rounded = [PoseTrack(t.quaternions, np.rint(t.positions_m / 1e-4) * 1e-4) for t in tracks]
+    moves = Moves.of(scene, rounded)
+    blocks = list(moves.blocks(range(len(scene))))
+    assert [(frames[0], frames[-1]) for frames, _ in blocks] == [(0, border - 1), (border, len(scene) - 1)]
+    poses, source, decoded = (
+        np.concatenate(columns) for columns in zip(*(m for _, m in blocks), strict=True)
+    )
+    for n, (track, other) in enumerate(zip(tracks, rounded, strict=True)):
+        # a block may have the other sign of its quaternions
+        np.testing.assert_array_equal(np.abs(poses[:, n, :4]), np.abs(other.quaternions))
+        np.testing.assert_array_equal(poses[:, n, 4:], other.positions_m)
+        for column, of in ((source, track), (decoded, other)):
+            np.testing.assert_array_equal(column[:, n], 0.5 * np.hstack(of.velocities(1000.0)))
+    pairs = [Pair(body.field(0), body.field(0) + noise(n, 0.1)) for n, body in enumerate(scene.objects)]
+    rule, separate = ComposedRule(scene, 0.1, F0_N), BoundCheck.empty(6)
+    for frame in around:
+        separate = separate.merged(rule.check(pairs, moves, [frame]))
+    found = rule.check(pairs, moves, around)
+    np.testing.assert_array_equal(found.ratios, separate.ratios)
+    np.testing.assert_array_equal(found.voxels, separate.voxels)
+    assert found.violations == separate.violations
+    assert rule.check(pairs, moves, range(border, around.stop)).violations > 1000
 
 
 @pytest.mark.parametrize("damping", [0.0, 2.0])

@@ -421,7 +421,7 @@ def test_the_memory_of_poses_is_limited(monkeypatch: pytest.MonkeyPatch) -> None
     assert simulation.frames_of("a.toml", 2.0, 1000.0, 3) == 2000
     assert simulation.frames_of("a.toml", 1e-6, 1000.0) == 1
     assert simulation.frames_of("a.toml", 0.0126, 1000.0) == 13
-    message = r"a\.toml: found 1\.1 GiB of poses, 5000 s at 1000 Hz for 3 bodies; expected at most 0\.5 GiB"
+    message = r"a\.toml: found 0\.8 GiB of poses, 5000 s at 1000 Hz for 3 bodies; expected at most 0\.5 GiB"
     with pytest.raises(InvalidArgument, match=message):
         simulation.frames_of("a.toml", 5000.0, 1000.0, 3)
 

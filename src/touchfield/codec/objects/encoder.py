@@ -84,7 +84,7 @@ def round_poses(track: PoseTrack, steps: PoseSteps, frames: slice = slice(None))
 
     InvalidArgument if a position exceeds 2^50 steps.
     """
-    positions_m, quaternions = track.positions_m[frames], track.quaternions[frames]
+    positions_m, quaternions = track.positions(frames), track.quaternions[frames]
     farthest = float(np.abs(positions_m).max())
     if farthest > MAX_STEPS * steps.position_m:
         expected = f"{MAX_STEPS * steps.position_m:g} m at most with a step of {steps.position_m:g} m"
@@ -107,7 +107,7 @@ def choose_pose_steps(
     ]
     spans = [max(coarsest[0] - POSITION_POWERS[0] + 1, 0), max(coarsest[1] - QUATERNION_POWERS[0] + 1, 0)]
     halvings = sorted(np.ndindex(*spans), key=lambda d: _POSITION_COST * d[0] + _QUATERNION_COST * d[1])
-    farthest_m = np.abs(track.positions_m).max()
+    farthest_m = np.abs(track.positions(slice(None))).max()
     for position_halvings, quaternion_halvings in halvings:
         steps = PoseSteps(
             2.0 ** (coarsest[0] - position_halvings), 2.0 ** (coarsest[1] - quaternion_halvings)

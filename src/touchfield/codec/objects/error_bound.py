@@ -143,18 +143,14 @@ class Moves:
         first = max(start - 1, 0)
         decoded = self._decode(first, min(stop + 1, scene.frame_count))
         inner = slice(start - first, stop - first)
-        poses = [np.hstack([track.quaternions[inner], track.positions_m[inner]]) for track in decoded]
+        poses = [np.hstack([track.quaternions[inner], track.positions(inner)]) for track in decoded]
         source = self._motions([body.track for body in scene.objects], slice(start, stop))
         return BlockMoves(np.stack(poses, axis=1), source, self._motions(decoded, inner))
 
     def _motions(self, tracks: Sequence[PoseTrack], frames: slice) -> Float64s:
         """Damping times velocity of each track, float64 [frames, bodies, 6]."""
-        b = self._scene.surface_damping_n_s_per_m
-        if not b:
-            return np.zeros((frames.stop - frames.start, len(tracks), 6))
-        rate_hz = self._scene.rate_hz
-        with np.errstate(over="ignore"):  # the kernels limit infinite values
-            return np.stack([b * np.hstack(track.velocities(rate_hz, frames)) for track in tracks], axis=1)
+        rate_hz, damping = self._scene.rate_hz, self._scene.surface_damping_n_s_per_m
+        return np.stack([track.surface_motions(rate_hz, damping, frames) for track in tracks], axis=1)
 
 
 @dataclass(frozen=True)
@@ -218,21 +214,29 @@ def _compare_block(
     lattice: tuple[Any, ...],
     rule: tuple[float, float, float, float],
 ) -> BoundCheck:
-    """Compare the frames of a block on all cores; arguments as of `native.compare_frames`."""
+    """Compare the frames of a block on all cores; arguments as of `native.compare_frames`.
+
+    A frame in which no body moves equals the one before, and is counted with it.
+    """
     body_count = moves.poses.shape[1]
     stays = np.zeros((len(frames), body_count), np.bool_)
     stays[1:] = np.all([(column[1:] == column[:-1]).all(axis=2) for column in moves], axis=0)
+    moved = np.flatnonzero(~stays.all(axis=1))
+    columns: Any = *moves, stays
+    if len(moved) < len(frames):
+        columns = [column[moved] for column in columns]
+    columns = *columns, np.diff(np.append(moved, len(frames)))  # how many frames each stands for
 
     def compare_some(start: int, stop: int) -> BoundCheck:
         result = BoundCheck.empty(body_count)
         found = result.ratios, result.voxels
-        violations = native.compare_frames(start, stop, bodies, moves, stays, lattice, rule, *found)
+        violations = native.compare_frames(start, stop, bodies, columns, lattice, rule, *found)
         return replace(result, violations=violations)
 
     total = BoundCheck.empty(body_count)
-    for result in for_chunks(compare_some, len(frames), chunk=_CHUNK_FRAMES):
+    for result in for_chunks(compare_some, len(moved), chunk=_CHUNK_FRAMES):
         total = total.merged(result)
-    total.voxels[:, 0] = np.where(total.voxels[:, 0] >= 0, frames[total.voxels[:, 0]], -1)
+    total.voxels[:, 0] = np.where(total.voxels[:, 0] >= 0, frames[moved[total.voxels[:, 0]]], -1)
     return total
 
 
@@ -270,7 +274,7 @@ def displacement_m(
     q, p = source.quaternions[frames], decoded.quaternions
     turn = 2 * np.linalg.norm(p - (p * q).sum(axis=1, keepdims=True) * q, axis=1)
     distance_m: Float64s = (
-        np.linalg.norm(decoded.positions_m - source.positions_m[frames], axis=1) + turn * reach_m
+        np.linalg.norm(decoded.positions_m - source.positions(frames), axis=1) + turn * reach_m
     )
     return distance_m
 

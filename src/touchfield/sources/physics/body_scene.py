@@ -8,7 +8,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
 
@@ -76,7 +76,6 @@ class BodyScene(MovingScene):
         self.axes, self.notes = axes, notes
         self.simulation, self._can_move = simulation, tuple(can_move)
         self._is_static = tuple(body.is_rigid and body.track.is_constant for body in bodies)
-        self._velocities = cache(lambda n: self._bodies[n].track.velocities(self.rate_hz))
         self._static_sum: tuple[Grid, ForceProfile, ForceField] | None = None
         self._latest: tuple[int, Grid, ForceProfile, ForceField] | None = None
 
@@ -116,7 +115,7 @@ class BodyScene(MovingScene):
             if points is not None and any(group is None for group in planes):
                 box = np.stack([points.min(axis=0), points.max(axis=0)])
             frames = slice(start, start + 1 if is_static else stop)
-            low, high = _moved_boxes(box, body.track.rotations(frames), body.track.positions_m[frames])
+            low, high = _moved_boxes(box, body.track.rotations(frames), body.track.positions(frames))
             lows.append(low.min(axis=0))
             highs.append(high.max(axis=0))
         return np.stack([np.min(lows, axis=0), np.max(highs, axis=0)])
@@ -175,14 +174,14 @@ class BodyScene(MovingScene):
         parts = list[_Part]()
         for n in indices:
             body = self._bodies[n]
-            rotation, shift, scene = body.track.rotation(frame), body.track.positions_m[frame], body.scene
+            rotation, shift, scene = body.track.rotation(frame), body.track.positions(frame), body.scene
             if not (np.array_equal(rotation, np.eye(3)) and not shift.any()):
                 scene = scene.moved(rotation, shift)
             field = scene.field(0 if body.is_rigid else frame, grid, profile)
             motion, damping = _AT_REST, profile.surface_damping_n_s_per_m
             if damping and not self._is_static[n]:  # origin, b v and b omega
-                velocity, spin = (damping * values[frame] for values in self._velocities(n))
-                motion = tuple(np.concatenate([body.track.positions_m[frame], velocity, spin]).tolist())
+                (moved,) = body.track.surface_motions(self.rate_hz, damping, slice(frame, frame + 1))
+                motion = tuple(np.concatenate([body.track.positions(frame), moved]).tolist())
             parts.append((field, motion))
         return parts
 

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 FRAME_RATE_HZ: Final = 1000.0  # default frames a second: the rate of haptic rendering
 SECONDS: Final = 2.0  # default duration of a simulation
 START: Final = "touchfield"  # name of the keyframe from which a simulation starts, else the first
-_BYTES_PER_POSE: Final = 10 * 8  # seven float64 of the source, and three of the position in hand metres
+_BYTES_PER_POSE: Final = 7 * 8  # float64; the poses in hand metres share them
 _BLOCK_FRAMES: Final = 1024  # frames that are recorded before they are added to the tracks
 _MAX_STEPS: Final = 20_000_000  # steps times bodies: up to half a minute of one core
 _STEPS_S: Final = (1e-9, 1e9)
