@@ -220,7 +220,9 @@ class Room(DepthSequence):
         v, u = np.mgrid[: self.height, : self.width]
         rays = np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy, np.ones(u.shape)], -1) @ pose[:3, :3].T
         depth = (2.6 - start[2]) / np.maximum(rays[..., 2], 1e-6)
-        depth = np.minimum(depth, np.where(rays[..., 1] > 0, (0.8 - start[1]) / np.maximum(rays[..., 1], 1e-6), np.inf))
+        depth = np.minimum(
+            depth, np.where(rays[..., 1] > 0, (0.8 - start[1]) / np.maximum(rays[..., 1], 1e-6), np.inf)
+        )
         square = (rays**2).sum(axis=-1)
         for centre, radius in self._balls:
             away = np.asarray(centre) - start
@@ -228,7 +230,7 @@ class Room(DepthSequence):
             inside = along**2 - square * (away @ away - radius**2)
             hit = (along - np.sqrt(np.maximum(inside, 0))) / square
             depth = np.where((inside > 0) & (hit > 0), np.minimum(depth, hit), depth)
-        return depth
+        return np.asarray(depth)
 
 
 def arc(count: int) -> Float64s:
@@ -257,8 +259,6 @@ def corridor(views: int) -> Scene:
     """Return a corridor along which the camera takes `views` pictures, fused."""
     balls = tuple(((3 * CORRIDOR_STEP_M * n, 0.5, 2.2), 0.25) for n in range(-2, views // 3 + 3))
     return FusedScene(Room(way(views), balls))
-
-
 
 
 # -- settings by axis --------------------------------------------------------------------------------------

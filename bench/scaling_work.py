@@ -2,10 +2,10 @@
 
     python bench/scaling_work.py OPERATION AXIS FOLDER SIZE...
 
-The operation runs twice on a small medium, so that kernels are compiled and loaded, and then once on each
-medium. Processor time is that of all threads, less that of the second small run; memory is the largest
-resident memory during a run, less that before it. Files that an operation reads are made in FOLDER where
-they are missing; making them is not measured.
+Processor time is that of all threads; the operation runs once beforehand, so that kernels are compiled and
+loaded. That of `play` is the time of a number of ticks, without opening the medium.
+Memory is the largest resident memory during a run, less that before it. Files that an operation reads are
+made in FOLDER where they are missing; making them is not measured.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ import os
 import re
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,14 +42,8 @@ from touchfield.tasks.measure import measure_medium
 Run = Callable[[], Figures]
 """An operation with its input; returns what describes the medium."""
 
-SMALL: Final = {
-    "frames": ("frames", 1), "surface": ("surface", 1 / 256), "box": ("surface", 1 / 256),
-    "objects": ("objects", 2), "bodies": ("bodies", 1), "bodies in a box": ("bodies", 1),
-    "views": ("views", 2), "room": ("views", 2), "room in a box": ("views", 2), "corridor": ("views", 2),
-    "media": ("media", KINDS),
-}  # fmt: skip
-"""The medium, axis and size, on which an operation on an axis runs first."""
-TICKS: Final = 4000
+TICKS, TICKS_OF_FRAMES, FIRST_TICK = 40_000, 4000, 100
+"""Ticks that are measured on a medium of one frame and on others, and the number of the first of them."""
 NEAR_M, STOPS, STEP_M = 0.02, 32, 1e-4
 """A hand goes to so many places with a force, this near to the middle, in steps of `STEP_M`."""
 MEDIA: Final = 640
@@ -135,17 +129,22 @@ def composing(axis: str, size: float, folder: Path) -> Run:
     return run
 
 
-def playing(axis: str, size: float, folder: Path, ticks: int = TICKS) -> Run:
-    """Play the file in a loop to a simulated device that moves through the forces."""
+def playing(axis: str, size: float, folder: Path) -> Run:
+    """Play the file in a loop to a simulated device that moves through the forces.
+
+    The figures have the processor seconds from one tick to a later one, in place of those of the whole run.
+    """
     medium = decode(encoded(axis, size, folder))
     path_m = hand_path_m(medium[0])
+    ticks = TICKS_OF_FRAMES if len(medium) > 1 else TICKS
 
     def run() -> Figures:
+        moved = MovedDevice(path_m)
         run_offline(
-            medium, device("phantom-omni"), lambda: MovedDevice(path_m), RenderSpec(up="lattice"),
-            seconds=1e-3 * ticks, loop=True,
+            medium, device("phantom-omni"), lambda: moved, RenderSpec(up="lattice"),
+            seconds=1e-3 * (FIRST_TICK + ticks + 1), loop=True,
         )  # fmt: skip
-        return {}
+        return {"cpu_s": moved.times_s[FIRST_TICK + ticks] - moved.times_s[FIRST_TICK]}
 
     return run
 
@@ -157,18 +156,21 @@ OPERATIONS: Final[dict[str, Callable[..., Run]]] = {
 
 
 class MovedDevice(PointDevice):
-    """A device that moves along a closed path, float64 [n, 3], metres, whatever the force."""
+    """A device that moves along a closed path, float64 [n, 3], metres, whatever the force.
+
+    `times_s` are the processor seconds at each tick.
+    """
 
     def __init__(self, path_m: NDArray[np.float64]) -> None:
         self._path: list[Point] = [(x, y, z) for x, y, z in path_m.tolist()]
-        self._tick = 0
+        self.times_s: list[float] = []
 
     def open(self) -> None:
         pass
 
     def position_m(self) -> Point:
-        self._tick += 1
-        return self._path[self._tick % len(self._path)]
+        self.times_s.append(time.process_time())
+        return self._path[len(self.times_s) % len(self._path)]
 
     def put_force_n(self, x: float, y: float, z: float) -> None:
         pass
@@ -250,13 +252,6 @@ def resident_mb(name: str) -> float:
     return 1024 * int(found[1]) / 1e6 if found else float("nan")
 
 
-def processor_s(run: Run) -> tuple[float, Figures]:
-    """Return the processor seconds of a run on all threads, and its figures."""
-    start = time.process_time()
-    figures = run()
-    return time.process_time() - start, figures
-
-
 def settled_mb() -> float:
     """Return the resident memory once what was freed is back with the system, megabytes."""
     gc.collect()
@@ -266,29 +261,27 @@ def settled_mb() -> float:
     return resident_mb("VmRSS")
 
 
-def measure(operation: str, axis: str, sizes: Iterable[float], folder: Path) -> list[Figures]:
-    """Return processor seconds, megabytes and figures of an operation on the media of an axis."""
-    make, small = OPERATIONS[operation], SMALL[axis]
-    for _ in range(2):
-        floor_s, _ = processor_s(make(*small, folder))
-    rows = []
+def measure(operation: str, axis: str, folder: Path, sizes: list[float]) -> None:
+    """Print a line for each size: processor seconds, megabytes, and figures of the medium.
+
+    The first size runs once more beforehand, so that kernels are compiled and loaded.
+    """
+    make = OPERATIONS[operation]
+    make(axis, sizes[0], folder)()
     for size in sizes:
         run = make(axis, size, folder)
         before_mb = settled_mb()
-        if operation == "play":
-            floor_s, _ = processor_s(playing(axis, size, folder, ticks=1))
         if os.access("/proc/self/clear_refs", os.W_OK):
             Path("/proc/self/clear_refs").write_text("5")  # the peak is that of the run alone
-        seconds, figures = processor_s(run)
-        peak_mb = resident_mb("VmHWM") - before_mb
-        rows.append({"size": size, "cpu_s": seconds - floor_s, "peak_mb": peak_mb, **figures})
-        print(json.dumps(rows[-1]), flush=True)
-    return rows
+        start_s = time.process_time()
+        figures = run()
+        seconds, peak_mb = time.process_time() - start_s, resident_mb("VmHWM") - before_mb
+        print(json.dumps({"size": size, "cpu_s": seconds, "peak_mb": peak_mb, **figures}), flush=True)
 
 
 def main() -> None:
     operation, axis, folder, *sizes = sys.argv[1:]
-    measure(operation, axis, map(float, sizes), Path(folder))
+    measure(operation, axis, Path(folder), list(map(float, sizes)))
 
 
 if __name__ == "__main__":
