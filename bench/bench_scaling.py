@@ -1,6 +1,7 @@
 """Measures how time and memory of each operation grow with frames, surface and empty box.
 
-    python bench/bench_scaling.py [--quick] [--doublings N] [--operations NAME,NAME] [--draw]
+    python bench/bench_scaling.py [--quick] [--doublings N] [--part P] [--operations NAME,NAME]
+    python bench/bench_scaling.py --draw
 
 Each row is an operation on media whose size is doubled four times (`--doublings`) along one axis
 (`scaling_media`): frames, surface, the empty box around it, or what an operation grows with besides: bodies,
@@ -14,8 +15,9 @@ pictures, media. A row runs in a process of its own, with two threads (`scaling_
 * Memory is the peak above that before the operation; nothing is subtracted, and less than 1 MB counts as 1.
 * `play` is the time of a number of ticks of a looped medium, without opening it: it must not grow at all.
 
-The size of surfaces is the number of samples with a force. `--operations` measures some of the operations.
-The picture is written to docs/pictures/scaling.png by a run of all, and from the stored result by `--draw`.
+The size of surfaces is the number of samples with a force. `--part` multiplies all sizes but those of boxes;
+`--operations` measures some of the operations. `--draw` measures nothing, and draws the stored result as
+docs/pictures/scaling.png.
 """
 
 from __future__ import annotations
@@ -31,7 +33,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from machine import Bar, Figures, at_most, bench, figure, stored
+from machine import Bar, Figures, at_most, bench, figure, stored, text
 from scaling_picture import draw
 
 HERE: Final = Path(__file__).resolve().parent
@@ -69,10 +71,11 @@ class Row:
         """The limit of the exponent of memory."""
         return CONSTANT if self.what == "box" else LINEAR
 
-    def sizes(self, doublings: int) -> list[float]:
-        """Return the small size, if there is one, and those that are measured."""
+    def sizes(self, doublings: int, part: float) -> list[float]:
+        """Return the small size, if there is one, and those that are measured, times `part` but for boxes."""
         small = [] if self.small is None else [self.small]
-        return [*small, *(self.first * 2**n for n in range(doublings + 1))]
+        first = self.first if self.what == "box" else part * self.first
+        return [*small, *(first * 2**n for n in range(doublings + 1))]
 
 
 ROWS: Final = (
@@ -88,7 +91,7 @@ ROWS: Final = (
     Row("measure", "frames", "frames", 1, 8),
     Row("measure", "surface", "surface", *SURFACE),
     Row("measure", "box", "box", *BOX, CONSTANT),
-    Row("index", "media", "media", 40, 40),
+    Row("index", "media", "media", 10, 40),
     Row("index", "surface", "surface", *SURFACE),
     Row("index", "box", "box", *BOX, CONSTANT),
     Row("search", "media", "media", 640, 2560),
@@ -105,12 +108,12 @@ ROWS: Final = (
 )
 
 
-def run_row(row: Row, doublings: int, folder: Path) -> list[Figures]:
+def run_row(row: Row, sizes: list[float], folder: Path) -> list[Figures]:
     """Run a row in a process of its own; return the figures of each size."""
-    script, sizes = HERE / "scaling_work.py", map(str, row.sizes(doublings))
+    script = HERE / "scaling_work.py"
     threads = {"TOUCHFIELD_THREADS": str(THREADS), "OPENBLAS_NUM_THREADS": str(THREADS)}
     done = subprocess.run(
-        [sys.executable, str(script), row.operation, row.axis, str(folder), *sizes],
+        [sys.executable, str(script), row.operation, row.axis, str(folder), *map(str, sizes)],
         env={**os.environ, **threads},
         stdout=subprocess.PIPE,
         text=True,
@@ -119,8 +122,13 @@ def run_row(row: Row, doublings: int, folder: Path) -> list[Figures]:
     return [json.loads(line) for line in done.stdout.splitlines()]
 
 
-def slope(sizes: list[float], values: list[float]) -> float:
-    """Return the slope of the line of least squares through log values over log sizes."""
+def slope(sizes: list[float], values: list[float]) -> float | None:
+    """Return the slope of the line of least squares through log values over log sizes.
+
+    None where the small medium took no less than another.
+    """
+    if min(*sizes, *values) <= 0:
+        return None
     return float(np.polyfit(np.log(sizes), np.log(values), 1)[0])
 
 
@@ -145,7 +153,7 @@ def figures_of(row: Row, cases: list[Figures]) -> Figures:
     }
 
 
-def measure(doublings: int, operations: str) -> Figures:
+def measure(doublings: int, part: float, operations: str) -> Figures:
     """Measure the rows of some operations, or of all."""
     selected = [
         row for row in ROWS if operations in ("all", row.operation) or row.operation in operations.split(",")
@@ -153,9 +161,9 @@ def measure(doublings: int, operations: str) -> Figures:
     rows: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder:
         for row in selected:
-            rows[row.name] = figures_of(row, run_row(row, doublings, Path(folder)))
-            print(f"{row.name}: {rows[row.name]['time_exponent']:.2f}", flush=True)
-    return {"doublings": doublings, "threads": THREADS, "rows": rows}
+            rows[row.name] = figures_of(row, run_row(row, row.sizes(doublings, part), Path(folder)))
+            print(f"{row.name}: {text(rows[row.name]['time_exponent'])}", flush=True)
+    return {"doublings": doublings, "part": part, "threads": THREADS, "rows": rows}
 
 
 def bars(figures: Figures) -> list[Bar]:
@@ -172,4 +180,7 @@ if __name__ == "__main__":
     if "--draw" in sys.argv[1:]:
         draw(stored("scaling")["rows"], PICTURE)
     else:
-        bench("scaling", __doc__, measure, bars, doublings=(4, 1), operations=("all", "encode,decode,search"))
+        bench(
+            "scaling", __doc__, measure, bars, doublings=(4, 1), part=(1.0, 0.5),
+            operations=("all", "encode,decode,search"),
+        )  # fmt: skip

@@ -88,14 +88,14 @@ def indexing(axis: str, size: float, folder: Path) -> Run:
     index = folder / "new.index.npz"
     index.unlink(missing_ok=True)
     if axis == "media":
-        files = media_folder(round(size), folder)
+        files, figures = media_folder(round(size), folder), {}
     else:
-        files = folder / f"only {axis} {size:g}"
-        files.mkdir(exist_ok=True)
-        link = files / "medium.touch"
-        if not link.exists():
-            link.hardlink_to(encoded(axis, size, folder))
-    return lambda: {"media": index_folder(files, index).figures["described"]}
+        path, files = encoded(axis, size, folder), folder / f"only {axis} {size:g}"
+        figures = {"supported_voxels": decode(path)[0].support_count}
+        if not files.exists():
+            files.mkdir()
+            (files / path.name).hardlink_to(path)
+    return lambda: {"media": index_folder(files, index).figures["described"], **figures}
 
 
 def searching(axis: str, size: float, folder: Path) -> Run:
@@ -135,7 +135,8 @@ def playing(axis: str, size: float, folder: Path) -> Run:
     The figures have the processor seconds from one tick to a later one, in place of those of the whole run.
     """
     medium = decode(encoded(axis, size, folder))
-    path_m = hand_path_m(medium[0])
+    first_frame = medium[0]
+    path_m, voxels = hand_path_m(first_frame), first_frame.support_count
     ticks = TICKS_OF_FRAMES if len(medium) > 1 else TICKS
 
     def run() -> Figures:
@@ -144,7 +145,8 @@ def playing(axis: str, size: float, folder: Path) -> Run:
             medium, device("phantom-omni"), lambda: moved, RenderSpec(up="lattice"),
             seconds=1e-3 * (FIRST_TICK + ticks + 1), loop=True,
         )  # fmt: skip
-        return {"cpu_s": moved.times_s[FIRST_TICK + ticks] - moved.times_s[FIRST_TICK]}
+        seconds = moved.times_s[FIRST_TICK + ticks] - moved.times_s[FIRST_TICK]
+        return {"cpu_s": seconds, "supported_voxels": voxels}
 
     return run
 
