@@ -6,8 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
-"""Of the axes of a panel, in their order; those of Okabe and Ito, which the colour-blind can distinguish."""
+COLOURS: Final = {
+    "frames": "#0072B2", "media": "#0072B2", "pictures": "#0072B2", "surface": "#D55E00", "bodies": "#D55E00",
+    "box": "#009E73", "pictures and surface": "#CC79A7",
+}  # fmt: skip
+"""Of what is doubled; those of Okabe and Ito, which the colour-blind can distinguish."""
 COLUMNS: Final = 3
 
 
@@ -48,13 +51,14 @@ def draw(rows: Mapping[str, Mapping[str, Any]], out: Path) -> None:
 def _panel(axis: Any, operation: str, rows: Mapping[str, Mapping[str, Any]]) -> None:
     ends = [1, 2 ** (len(next(iter(rows.values()))["sizes"]) - 1)]
     for values in (ends, [1, 1]):
-        axis.plot(ends, values, color="0.8", lw=1, zorder=1)
-    for colour, (what, row) in zip(COLOURS, rows.items()):
+        axis.plot(ends, values, color="0.72", lw=1, zorder=1)
+    for what, row in rows.items():
+        colour = COLOURS[what]
         sizes = [size / row["sizes"][0] for size in row["sizes"]]
         seconds = [value / row["cpu_s"][0] for value in row["cpu_s"]]
         peaks = [value / row["peak_mb"][0] for value in row["peak_mb"]]
         axis.plot(sizes, peaks, "--", color=colour, lw=1.2, zorder=2)
-        label = f"{what}: {row['time_exponent']:.2f}, {row['memory_exponent']:.2f}"
+        label = f"{what}: {row['time_exponent']:.2f}, {row['memory_exponent']:.2f}".replace("-0.00", "0.00")
         axis.plot(sizes, seconds, "o-", color=colour, lw=1.8, ms=3.5, zorder=3, label=label)
     axis.set_xscale("log", base=2)
     axis.set_yscale("log", base=2)
