@@ -29,7 +29,7 @@ def figures(scaling: Any, name: str, power: float, constant_s: float) -> Any:
 
 @pytest.mark.parametrize(("power", "least"), [(1.0, 1.0), (1.5, 1.4), (2.0, 1.8)])
 def test_a_constant_part_does_not_flatter_an_exponent(scaling: Any, power: float, least: float) -> None:
-    """Exactly for linear growth; a faster one shows a little less, as the size is less that of the small one."""
+    """Exact for linear growth. A faster one shows a little less: the small size is subtracted, too."""
     alone, beside = (figures(scaling, "search, media", power, constant_s) for constant_s in (0.0, 1e6))
     assert beside["time_exponent"] == pytest.approx(alone["time_exponent"], abs=1e-2)
     assert least - 1e-9 <= alone["time_exponent"] <= power + 1e-9
