@@ -4,7 +4,7 @@ Samples are 1 mm apart in metres of the hand, and walls are 8 mm thick, so that 
 
 * frames: five bodies that tumble on a circle, for more and more frames.
 * surface: concentric sections of the Jacksboro fault (matplotlib's elevation model), one frame each.
-* box: one such section, in a workspace that grows along x, y and z in turn.
+* box: one such section, in a workspace that grows in all directions.
 * bodies: more and more tumbling bodies, 18 mm apart.
 * bodies in a box: sixteen such bodies, in a workspace that grows.
 * views: a room that a depth camera sees from more and more places on an arc.
@@ -65,7 +65,7 @@ ROOM_SCALE: Final = 0.03
 PICTURE_PX: Final = (240, 320)
 BALLS: Final = (((-0.3, 0.2, 1.6), 0.35), ((0.45, 0.3, 1.9), 0.3), ((0.1, -0.35, 1.4), 0.2))
 CORRIDOR_STEP_M: Final = 0.25
-"""Way of the camera along a corridor from one picture to the next, and distance between its balls."""
+"""Way of the camera along a corridor from one picture to the next; a ball stands at every third place."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def _profile(workspace: Sides) -> str:
 
 
 def grown(workspace: Sides, times: float) -> Sides:
-    """Return a workspace with `times` as many samples: x, y and z grow in turn, by halves of a doubling."""
+    """Return a workspace with `times` as many samples, which grows alike along x, y and z."""
     exponents = [math.log2(times) / 3] * 3
     x, y, z = (8 * round(side * 2**e / 8) for side, e in zip(workspace, exponents, strict=True))
     return x, y, z
@@ -193,7 +193,7 @@ def _section_workspace(part: float) -> Sides:
 class Room(DepthSequence):
     """A wall, a floor and balls before a depth camera at the given poses, float64 [frames, 4, 4].
 
-    Depths have the axial noise of Nguyen, Izadi and Lovell (2012), and those of a step are lost.
+    Depths have the axial noise of Nguyen, Izadi and Lovell (2012).
     """
 
     width, height, rate_hz, notes, name = PICTURE_PX[1], PICTURE_PX[0], RATE_HZ, (), "room"
