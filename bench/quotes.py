@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 from machine import stale, stored
 
 ROOT = Path(__file__).resolve().parents[1]
-README = "README.md"
+README, SCALE = "README.md", "docs/scale.md"
 
 
 class Quote(NamedTuple):
@@ -130,9 +130,19 @@ def fusion_quotes() -> list[Quote]:
     return [Quote("docs/depth-sequences.md", "fusion", "{} % of the samples change", (percent,))]
 
 
+def scaling_quotes() -> list[Quote]:
+    """Return the rows of the table of exponents; one below 0 is shown as 0."""
+    found = []
+    for name, values in stored("scaling")["rows"].items():
+        operation, what = name.split(", ")
+        exponents = [f"{max(0.0, values[f'{kind}_exponent']):.2f}" for kind in ("time", "memory")]
+        found.append(Quote(SCALE, "scaling", f"| {operation} | {what} | {{}} | {{}} |", tuple(exponents)))
+    return found
+
+
 def quotes() -> list[Quote]:
     """Return all quotes."""
-    return [*speed_quotes(), *rate_quotes(), *motion_quotes(), *fusion_quotes()]
+    return [*speed_quotes(), *rate_quotes(), *motion_quotes(), *fusion_quotes(), *scaling_quotes()]
 
 
 def text_of(page: str) -> str:

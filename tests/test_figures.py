@@ -14,7 +14,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
-PAGES = ["README.md", "docs/coding.md", "docs/depth-sequences.md"]
+PAGES = ["README.md", "docs/coding.md", "docs/depth-sequences.md", "docs/scale.md"]
 BENCH = str(ROOT / "bench")
 
 

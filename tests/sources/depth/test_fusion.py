@@ -12,13 +12,16 @@ import pytest
 
 import depth_makers as make
 import fusion_makers as rooms
+from touchfield.arrays import Int32s, Int64s
 from touchfield.errors import InvalidArgument
 from touchfield.medium import ForceField, Grid
 from touchfield.pipeline.encoding import encode
 from touchfield.pipeline.preparation import prepare
 from touchfield.pipeline.spec import EncodeSpec
+from touchfield.sources.depth import fused_scene
 from touchfield.sources.depth.depth_scene import DepthScene
 from touchfield.sources.depth.fused_scene import FusedScene, FusedVolume, is_static
+from touchfield.sources.depth.kernels.field import Query, bricks_in_view
 from touchfield.sources.depth.layouts import depth_scene
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
@@ -175,6 +178,37 @@ def test_bricks_follow_the_surface(standing: rooms.Room) -> None:
         counts.append(len(volume.bricks))
     assert counts[2] / counts[1] < 6.5  # a box would take eight times as many
     assert counts[2] < 0.3 * (256 // 8) ** 3
+
+
+def test_bricks_that_a_view_does_not_see_are_left_out_without_any_change(
+    standing: rooms.Room, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = DepthScene(standing)
+    low, high = scene.bounds_m()
+    grid = Grid.over_box(low - 1.5, high + 1.5, (96, 96, 96))
+    every = np.argwhere(np.ones(grid.brick_shape)).astype(np.int32)
+
+    def fused() -> FusedVolume:
+        volume = FusedVolume(grid, WALL, 0.007)
+        volume.add(every)
+        for i in (0, 9, 5, 0):
+            volume.integrate(scene.planes(i), scene.pose(i))
+        return volume
+
+    counts: list[int] = []
+
+    def counted(bricks: Int32s, query: Query) -> Int64s:
+        rows = bricks_in_view(bricks, query)
+        counts.append(len(rows))
+        return rows
+
+    monkeypatch.setattr(fused_scene, "bricks_in_view", counted)
+    ours = fused()
+    monkeypatch.setattr(fused_scene, "bricks_in_view", lambda bricks, query: np.arange(len(bricks)))
+    reference = fused()
+    assert 0 < max(counts) < 0.5 * len(every)
+    assert all(np.array_equal(a, b) for a, b in zip(ours.samples, reference.samples, strict=True))
+    assert ours.samples.has_surface.any() and ours.residuals_m == reference.residuals_m
 
 
 def test_the_requested_mode_is_used(standing: rooms.Room) -> None:

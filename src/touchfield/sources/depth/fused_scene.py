@@ -42,10 +42,12 @@ from touchfield.medium.budget import require_memory
 from touchfield.sources.camera import noise_step_per_m, require_frame
 from touchfield.sources.depth.depth_scene import RAY_LIMIT, DepthScene, force_bricks, query_of
 from touchfield.sources.depth.kernels import fusion as kernels
+from touchfield.sources.depth.kernels.field import bricks_in_view
 from touchfield.sources.depth.kernels.fusion import Rules, Samples, View
 
 if TYPE_CHECKING:
     from touchfield.sources.camera import DepthSequence
+    from touchfield.sources.depth.kernels.field import Query
     from touchfield.sources.depth.kernels.planes import SurfacePlanes
     from touchfield.sources.laws import ForceProfile
 
@@ -127,21 +129,23 @@ class FusedVolume:
     def integrate(self, surface: SurfacePlanes, pose: Float64s) -> None:
         """Update the samples with a view; `pose` is scene from camera, float64 [4, 4].
 
-        A view whose residual is far above that of the views before it, which indicates a pose error, marks no
-        changes.
+        The cost follows the bricks in view, not those of the volume. A view whose residual is far above that
+        of the views before it, which indicates a pose error, marks no changes.
         """
         samples, changes = self.samples, None
-        view, residual_m = self._view(
-            surface, pose, (samples.has_surface == 0) & (samples.free == kernels.CLEAR)
-        )
+        query = query_of(surface, pose, self.grid, self.profile)
+        rows = bricks_in_view(self.bricks, query)
+        is_free = np.zeros(samples.free.shape, np.bool_)
+        is_free[rows] = (samples.has_surface[rows] == 0) & (samples.free[rows] == kernels.CLEAR)
+        view, residual_m = self._view(query, is_free)
         if residual_m is not None:
             self.residuals_m.append(residual_m)
             if residual_m > OUTLIER_FACTOR * float(np.median(self.residuals_m)):
-                changes = samples.changes.copy()
+                changes = samples.changes[rows]
         min_near_m = max(self._rules.min_near_m, np.float32(RESIDUAL_FACTOR * (residual_m or 0.0)))
-        kernels.integrate(self.bricks, view, self._rules._replace(min_near_m=min_near_m), samples)
+        kernels.integrate(rows, self.bricks, view, self._rules._replace(min_near_m=min_near_m), samples)
         if changes is not None:
-            samples.changes[...] = changes
+            samples.changes[rows] = changes
 
     def mark_patches(self, surface: SurfacePlanes, pose: Float64s, is_changed: Bools, out: Bools) -> None:
         """Mark the samples at and behind patches of this view that see changed samples.
@@ -152,13 +156,14 @@ class FusedVolume:
         """
         from scipy.ndimage import maximum_filter, uniform_filter
 
-        view, _ = self._view(surface, pose, is_changed)
+        query = query_of(surface, pose, self.grid, self.profile)
+        view, _ = self._view(query, is_changed)
         is_marked = view.marked[:-1].reshape(surface.size_px)
         size = max(3, round(PATCH_FRACTION * surface.size_px[0]))
         is_dense = uniform_filter(is_marked.astype(np.float32), size, mode="constant") >= PATCH_DENSITY
         is_marked[...] = maximum_filter(is_dense.astype(np.uint8), size, mode="constant")
         if is_marked.any():
-            kernels.mark(self.bricks, view, self._rules, out)
+            kernels.mark(bricks_in_view(self.bricks, query), self.bricks, view, self._rules, out)
 
     def forces_n(self) -> Float32s:
         """Return the forces, newtons, float32 [n, 8, 8, 8, 3], in the order of `bricks`."""
@@ -171,11 +176,11 @@ class FusedVolume:
         order = order[np.asarray(forces_n.any(axis=(1, 2, 3, 4)))[order]]
         return ForceField(self.grid, self.bricks[order], forces_n[order])
 
-    def _view(self, surface: SurfacePlanes, pose: Float64s, is_selected: Bools) -> tuple[View, float | None]:
+    def _view(self, query: Query, is_selected: Bools) -> tuple[View, float | None]:
         """Return a view, with pixels at selected samples marked, and its residual, metres."""
         from scipy.ndimage import maximum_filter
 
-        query = query_of(surface, pose, self.grid, self.profile)
+        surface = query.surface
         nearest_per_m = np.asarray(maximum_filter(surface.tiles[..., 0], 3), np.float32)
         view = View(query, np.empty(len(surface.planes) // 4, np.uint8), nearest_per_m)
         return view, kernels.mark_surfaces(view, self._slots, self._samples, is_selected)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from touchfield.arrays import Bools, Float32s, Float64s, Int32s
+from touchfield.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from touchfield.compute.cuda import filled, for_each, on_device, on_host, uses_gpu
 from touchfield.compute.jit import inner, kernel
 from touchfield.compute.threads import for_chunks
@@ -106,6 +106,18 @@ def _may_hold(start, stop, nodes, span, corners, query, hits):
         hits[n] = z_low <= z_high and _may_reach_surface(
             z_low, z_high, pixels, query.surface.tiles, query.reach
         )
+
+
+@kernel
+def _in_view(start, stop, bricks, corners, query, hits):
+    lattice = query.lattice_m
+    for n in range(start, stop):
+        a, b, d = 8.0 * bricks[n, 0], 8.0 * bricks[n, 1], 8.0 * bricks[n, 2]
+        x = lattice[0, 0] + a * lattice[1, 0] + b * lattice[2, 0] + d * lattice[3, 0]
+        y = lattice[0, 1] + a * lattice[1, 1] + b * lattice[2, 1] + d * lattice[3, 1]
+        z = lattice[0, 2] + a * lattice[1, 2] + b * lattice[2, 2] + d * lattice[3, 2]
+        z_low, z_high, _ = _box_in_view(x, y, z, corners, query)
+        hits[n] = z_low <= z_high
 
 
 @inner(fastmath={"contract"}, error_model="numpy", forceinline=True)
@@ -305,12 +317,23 @@ def may_hold_force(nodes: Int32s, span: int, query: Query) -> Bools:
     return hits
 
 
-def _corners(span: int, lattice_m: Float64s) -> Float64s:
+def bricks_in_view(bricks: Int32s, query: Query) -> Int64s:
+    """Return which of `bricks`, int32 [n, 3], the camera may see, int64 [m]: indices, ascending.
+
+    A point that the camera sees lies within one sample of one of them if it does so of any.
+    """
+    hits, corners = np.empty(len(bricks), np.bool_), _corners(1, query.lattice_m, margin=1)
+    for_chunks(_in_view, len(bricks), bricks, corners, query._replace(first_m=0.0), hits, chunk=64)
+    return np.flatnonzero(hits)
+
+
+def _corners(span: int, lattice_m: Float64s, margin: int = 0) -> Float64s:
     """Return the corners of a cube of bricks, camera axes, relative to its first sample.
 
-    Float64 [10, 3]; the last two rows are the smallest and the largest z.
+    The cube is `margin` samples larger on each side. Float64 [10, 3]; the last two rows are the smallest and
+    the largest z.
     """
-    corners = (8 * span - 1) * (CORNERS @ lattice_m[1:])
+    corners = ((8 * span - 1 + 2 * margin) * CORNERS - margin) @ lattice_m[1:]
     return np.vstack([corners, np.full((1, 3), corners[:, 2].min()), np.full((1, 3), corners[:, 2].max())])
 
 

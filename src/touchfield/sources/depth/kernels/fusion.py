@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchfield.arrays import Bools, Float32s, Int32s
+from touchfield.arrays import Bools, Float32s, Int32s, Int64s
 from touchfield.compute.jit import inner, kernel
 from touchfield.compute.threads import for_chunks
 from touchfield.medium.budget import zero_forces
@@ -208,9 +208,9 @@ def _update_sample(samples, n, s, look, pixel, plane, z, view, rules):
 
 
 @kernel(fastmath={"contract"}, error_model="numpy")
-def _integrate(start, stop, bricks, view, rules, samples):
+def _integrate(start, stop, rows, bricks, view, rules, samples):
     index, r, measured = np.empty(B3, np.int32), np.empty(4 * B3, np.float32), np.empty(3 * B3, np.float32)
-    for n in range(start, stop):
+    for n in rows[start:stop]:
         z0 = _measure_brick(bricks[n], view.query, rules, index, r, measured)
         for s in range(B3):
             plane = r[s + _NX], r[s + _NY], r[s + _NZ], r[s + _C]
@@ -221,9 +221,9 @@ def _integrate(start, stop, bricks, view, rules, samples):
 
 
 @kernel(fastmath={"contract"}, error_model="numpy")
-def _mark(start, stop, bricks, view, rules, out):
+def _mark(start, stop, rows, bricks, view, rules, out):
     index, r, measured = np.empty(B3, np.int32), np.empty(4 * B3, np.float32), np.empty(3 * B3, np.float32)
-    for n in range(start, stop):
+    for n in rows[start:stop]:
         _measure_brick(bricks[n], view.query, rules, index, r, measured)
         for s in range(B3):
             if view.marked[index[s]] and measured[s + B3] >= _0 and measured[s] <= rules.min_near_m:
@@ -287,14 +287,20 @@ def _forces(start, stop, samples, pieces, shape, bricks, out):
         out[n, s, 0], out[n, s, 1], out[n, s, 2] = f * x, f * y, f * z
 
 
-def integrate(bricks: Int32s, view: View, rules: Rules, samples: Samples) -> None:
-    """Update every sample of `bricks` with one view."""
-    for_chunks(_integrate, len(bricks), bricks, view, rules, samples, chunk=16)
+def integrate(rows: Int64s, bricks: Int32s, view: View, rules: Rules, samples: Samples) -> None:
+    """Update the samples of the bricks `rows` with one view.
+
+    `rows` int64 [m] are indices in `bricks`, and in `samples`: those that the view may see.
+    """
+    for_chunks(_integrate, len(rows), rows, bricks, view, rules, samples, chunk=16)
 
 
-def mark(bricks: Int32s, view: View, rules: Rules, out: Bools) -> None:
-    """Set in `out`, bool [bricks, 512], the samples at and behind the surfaces of the marked pixels."""
-    for_chunks(_mark, len(bricks), bricks, view, rules, out, chunk=16)
+def mark(rows: Int64s, bricks: Int32s, view: View, rules: Rules, out: Bools) -> None:
+    """Set in `out`, bool [bricks, 512], the samples at and behind the surfaces of the marked pixels.
+
+    `rows` are as in `integrate`.
+    """
+    for_chunks(_mark, len(rows), rows, bricks, view, rules, out, chunk=16)
 
 
 def mark_surfaces(view: View, slots: Int32s, samples: Samples, is_selected: Bools) -> float | None:
