@@ -340,7 +340,7 @@ def test_a_number_beyond_float_in_a_stream_is_refused() -> None:
     assert stated_n_per_m({"spec": json.dumps({"law": "penalty", "stiffness_n_per_m": 10**400})}) is None
     for bands, row in (([10**400], {}), (list(BANDS_HZ), {"friction": 10**400})):
         table = {"bands_hz": bands, "materials": [{"name": "wood", **row}]}
-        with pytest.raises(SourceError, match="inf"):
+        with pytest.raises(CorruptFile, match="inf"):
             stored_materials({"materials.json": json.dumps(table)})
 
 

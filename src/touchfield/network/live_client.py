@@ -18,7 +18,7 @@ from typing import Any, Final, Self
 from urllib.parse import urlsplit, urlunsplit
 
 from touchfield.container.remote import without_secret
-from touchfield.errors import SourceError, TouchfieldError, reason
+from touchfield.errors import SourceError, TouchfieldError, naming_file, reason
 from touchfield.files import standard_input
 from touchfield.network.live import MAX_BYTES, Ended, LiveReceiver, LiveSegment, Opened, messages
 from touchfield.network.live_medium import PATIENCE_S, REPORT_AFTER_S, LiveFrames, LiveStream
@@ -133,7 +133,8 @@ class _Client:
             if isinstance(event, Opened):
                 if self._frames is None:
                     coarse = None if self._coarse is None else self._coarse.layer(self._report)
-                    self._frames = live_frames(event, self._report, coarse)
+                    with naming_file(self._name):
+                        self._frames = live_frames(event, self._report, coarse)
                 elif _programme(event) == _programme(self._frames.opened):
                     self._report("another programme begins")
                     self._frames.start_programme()

@@ -27,6 +27,7 @@ from touchfield.devices.drivers.simulated import STIFFNESS_N_PER_M
 from touchfield.devices.drivers.touch_down import touch_down
 from touchfield.errors import (
     InvalidArgument,
+    naming_file,
     require_between,
     require_kinds,
     require_not_negative,
@@ -185,7 +186,7 @@ def play(
     unusable, or the file or its first frame cannot be read.
     """
     spec = spec or PlaySpec()
-    with open_stream(path, on_note, spec.coarse) as stream:
+    with open_stream(path, on_note, spec.coarse) as stream, naming_file(stream.reader.name):
         count, seconds = (
             stream.reader.head.frame_count,
             stream.reader.head.frame_count / stream.reader.head.rate_hz,
