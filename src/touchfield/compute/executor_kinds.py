@@ -216,7 +216,7 @@ def _open_ray(rest: str) -> Iterator[TaskExecutor]:
     try:
         _require_listener(rest)
         ray.init(log_to_driver=False, logging_level="ERROR", **options)
-    except (OSError, ValueError, RuntimeError) as error:
+    except (OSError, OverflowError, ValueError, RuntimeError) as error:  # overflow: of a port
         found = f"that ray does not start or answer ({reason(error)})"
         expected = "the address of a cluster, or a number of workers of this machine"
         raise SourceError(f"--workers ray:{rest}", found, expected, "Start one: ray start --head.") from None

@@ -26,7 +26,7 @@ import numpy as np
 from touchfield._version import __version__
 from touchfield.atomic import atomic_path
 from touchfield.compute.threads import Progress, silent
-from touchfield.devices.drivers.registry import is_array_device, point_device
+from touchfield.devices.drivers.registry import require_device
 from touchfield.devices.drivers.touch_down import touch_down
 from touchfield.errors import InvalidArgument, SourceError, as_source_error, is_finite
 from touchfield.files import json_of
@@ -215,8 +215,8 @@ def run_session(
     observer = None
     if spec.observer is not None:  # before anything is written
         observer = SimulatedObserver.parse(spec.observer, design.chance, design.seed)
-    elif not is_array_device(spec.device or ""):
-        point_device(spec.device or "")  # InvalidArgument for an unknown one
+    else:
+        require_device(spec.device or "")
     earlier = read_trials(path) if path.exists() else ()
     _require_same_observer(path, earlier, spec, design.chance)
     design = for_participant(_session_design(design, folder, report), spec.label)
