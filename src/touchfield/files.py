@@ -43,6 +43,12 @@ def is_remote(name: object) -> bool:
     return isinstance(name, str) and _ADDRESS.match(name) is not None
 
 
+def url_path(url: str) -> str:
+    """The path of an address, without query and fragment; also of one that `urllib.parse` refuses."""
+    rest = re.split("[?#]", url.partition("://")[2])[0]
+    return "".join(rest.partition("/")[1:])
+
+
 def without_secret(url: str) -> str:
     """An address for messages, without the password and the query.
 

@@ -51,6 +51,14 @@ def test_addresses_of_live_streams_are_accepted(url: str) -> None:
     require_live(url, "stream")
 
 
+@pytest.mark.parametrize("words", ["info {}", "compare sample:shapes {}", "play {}", "view {}"])
+def test_an_address_that_is_none_is_one_clear_line(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    for url in ("https://[::1/x.touch", "https://127.0.0.1:99999/x.touch"):
+        assert _exit_code(words.format(url).split()) == 1
+        stderr = capsys.readouterr().err
+        assert stderr.startswith(f"touchfield: {url}: found ") and stderr.count("\n") == 1, stderr
+
+
 def test_origins_that_a_browser_sends_are_accepted() -> None:
     origins = ("*", "null", "https://example.org", "http://127.0.0.1:8000", "http://[::1]:80")
     assert Access(origins=origins).origins == origins

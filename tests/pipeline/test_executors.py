@@ -111,7 +111,12 @@ def test_an_object_that_is_no_executor_is_refused(source: Path, tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    "text", ["joblib:0", "joblib:two", "joblib:1025", "ray:", "ray:0", "ray:9999", "x:2"]
+    "text",
+    [
+        *("joblib:0", "joblib:two", "joblib:1025", "x:2"),
+        *("ray:", "ray:0", "ray:9999", "ray:ray://127.0.0.1:99999"),
+        *("dask:", "dask:host", "dask:tcp://127.0.0.1:99999", "dask:tcp://host"),
+    ],
 )
 def test_a_wrong_text_is_refused_with_every_form(text: str) -> None:
     with (

@@ -21,6 +21,7 @@ from typing import Any, Final, Protocol
 
 from touchfield.compute.threads import worker_count
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError, import_extra, reason
+from touchfield.options import address
 from touchfield.plugins import plugins
 
 _MAX_PROCESSES: Final = 1024
@@ -90,6 +91,18 @@ def executor_kinds() -> dict[str, ExecutorKind]:
 
 def _is_process_count(text: str) -> bool:
     return text.isascii() and text.isdigit() and 0 < int(text[:9]) <= _MAX_PROCESSES
+
+
+def _is_scheduler_address(text: str) -> bool:
+    """True for a word that a library may know, or HOST:PORT behind any scheme."""
+    scheme, separator, rest = text.rpartition("://")
+    if scheme == "inproc" or not (separator or ":" in rest):
+        return bool(rest)
+    try:
+        address(rest.partition("/")[0], "")
+    except InvalidArgument:
+        return False
+    return True
 
 
 def _threads_each(processes: int) -> int:
@@ -216,7 +229,7 @@ def _open_ray(rest: str) -> Iterator[TaskExecutor]:
     try:
         _require_listener(rest)
         ray.init(log_to_driver=False, logging_level="ERROR", **options)
-    except (OSError, OverflowError, ValueError, RuntimeError) as error:  # overflow: of a port
+    except (OSError, ValueError, RuntimeError) as error:
         found = f"that ray does not start or answer ({reason(error)})"
         expected = "the address of a cluster, or a number of workers of this machine"
         raise SourceError(f"--workers ray:{rest}", found, expected, "Start one: ray start --head.") from None
@@ -260,14 +273,19 @@ def _without_log(name: str) -> Iterator[None]:
         logger.setLevel(level)
 
 
+def _is_dask_address(text: str) -> bool:
+    """True for an address with a port: about one without, dask's client prints a traceback."""
+    return ":" in text and _is_scheduler_address(text)
+
+
 _BUILT_IN: Final = (
     ExecutorKind("processes", "processes:N", _is_process_count, _open_processes),
     ExecutorKind("joblib", "joblib:N", _is_process_count, _open_joblib),
     ExecutorKind(
         "ray",
         "ray:N or ray:ADDRESS",
-        lambda rest: bool(rest) and (not rest.isdigit() or _is_process_count(rest)),
+        lambda rest: _is_process_count(rest) if rest.isdigit() else _is_scheduler_address(rest),
         _open_ray,
     ),
-    ExecutorKind("dask", "dask:ADDRESS such as dask:tcp://host:8786", bool, _open_dask),
+    ExecutorKind("dask", "dask:ADDRESS such as dask:tcp://host:8786", _is_dask_address, _open_dask),
 )

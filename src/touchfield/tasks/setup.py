@@ -23,8 +23,8 @@ from touchfield.devices.drivers.registry import (
     array_kinds,
     library_check,
     point_device,
-    require_device,
     point_kinds,
+    require_device,
 )
 from touchfield.errors import DeviceError, InvalidArgument, MissingExtra
 from touchfield.filters.limit import limit_forces
