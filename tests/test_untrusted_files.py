@@ -142,7 +142,7 @@ def test_folders_are_accepted_where_allowed_and_inputs_not_overwritten(tmp_path:
     refuse_overwriting(tmp_path / "new", tmp_path / "own", tmp_path / "absent")
     with pytest.raises(InvalidArgument, match="the file that is read"):
         refuse_overwriting(tmp_path / "link", tmp_path / "absent", tmp_path / "own")
-    expected = r"found No such file or directory; expected a list\. Make it"
+    expected = r"found no such file; expected a list\. Make it"
     with pytest.raises(SourceError, match=expected), readable(tmp_path / "absent", "a list", "Make it."):
         (tmp_path / "absent").read_bytes()
 

@@ -38,7 +38,7 @@ from touchfield.errors import (
     UnsupportedVersion,
     reason,
 )
-from touchfield.files import require_plain
+from touchfield.files import file_error, require_plain
 from touchfield.medium.budget import memory_budget_bytes
 
 
@@ -122,10 +122,8 @@ def _open(path: Path) -> BinaryIO:
     try:
         require_plain(path, "a .touch file")
         return path.open("rb")
-    except FileNotFoundError:
-        raise SourceError(str(path), "no such file", "a .touch file", "Check the path.") from None
     except (OSError, ValueError) as error:
-        raise SourceError(str(path), reason(error), "a readable .touch file") from None
+        raise file_error(path, error, "a .touch file") from None
 
 
 FRAME: Final = struct.Struct("<4sIQ")

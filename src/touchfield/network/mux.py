@@ -31,8 +31,8 @@ from touchfield.atomic import atomic_path
 from touchfield.compute.threads import Progress, silent
 from touchfield.container import TouchReader
 from touchfield.container.records import OBJECTS_CODER
-from touchfield.errors import InvalidArgument, SourceError, import_extra, reason, warn_unbounded
-from touchfield.files import readable, refuse_overwriting
+from touchfield.errors import InvalidArgument, import_extra, warn_unbounded
+from touchfield.files import file_error, readable, refuse_overwriting
 from touchfield.network.live import MEDIA_TYPE
 from touchfield.network.touch_track import KLV, sync_record, with_sync
 from touchfield.pipeline.decoding import stream_of
@@ -252,7 +252,7 @@ def _opened(movie: str | Path) -> Iterator[Any]:
     try:
         source = av.open(str(movie))
     except (av.FFmpegError, OSError, ValueError) as error:
-        raise SourceError(str(movie), reason(error), "a movie that ffmpeg reads") from None
+        raise file_error(movie, error, "a movie that ffmpeg reads") from None
     with source:
         yield source
 

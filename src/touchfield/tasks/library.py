@@ -140,7 +140,7 @@ def library_path(folder: Path, path: Path | None = None) -> Path:
     """
     resolved = folder.resolve()
     if not resolved.is_dir():
-        raise InvalidArgument(str(folder), "no folder", "a folder of .touch files")
+        raise InvalidArgument(str(folder), "no folder", "a folder of .touch files", "Check the path.")
     return path or resolved.parent / f"{resolved.name or 'root'}.index.npz"
 
 
