@@ -338,7 +338,7 @@ def _list_files(folder: Path) -> _Listing:
         listing.unread.append(Path(error.filename).relative_to(folder).as_posix())
 
     for path, folders, names in os.walk(folder, followlinks=True, onerror=leave_out):
-        subfolders, folders[:] = sorted(folders), list[str]()
+        subfolders, folders[:] = sorted(name for name in folders if not is_temporary(name)), list[str]()
         for name in subfolders:
             subfolder = os.path.join(path, name)
             if is_listed(subfolder):
