@@ -160,7 +160,8 @@ def test_the_note_on_a_movie_without_pictures_names_commands_that_show_them(
         assert program == "touchfield" and _exit_code(words) == 0
     assert last == ["touchfield", "view", "my film.mp4"]
     at_s = re.search('data-type="video/mp4" data-at="([0-9.]+)"', view("my film.mp4").html)
-    assert at_s is not None and float(at_s[1]) == pytest.approx(0.4, abs=0.01)
+    first_s = min(time_s for time_s, _ in pictures(Path("my film.mp4")))  # ffmpeg makes room for the sound
+    assert at_s is not None and float(at_s[1]) - float(first_s) == pytest.approx(0.4, abs=0.01)
 
 
 @pytest.mark.parametrize("stem", ["film", "sight & touch"])
