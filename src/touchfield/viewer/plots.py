@@ -70,8 +70,9 @@ def draw_textures(
     labels = [f"{1e3 * c.speed_m_s:.4g} mm/s" if by_speed else c.material for c in curves]
     groups = {label: f"C{n % 10}" for n, label in enumerate(dict.fromkeys(labels))}
     subject = f"{', '.join(materials)}: vibration" if by_speed else "vibration"
-    pressed = f"{forces[0]:.4g} N" if len(forces) == 1 else f"{forces[0]:.4g} to {forces[-1]:.4g} N, wider"
-    title = f"{subject} in thirds of an octave, at {pressed}"
+    title = f"{subject} in thirds of an octave, at {forces[0]:.4g} N"
+    if len(forces) > 1:
+        title += f" (thin) to {forces[-1]:.4g} N (wide)"
     figure = titled_figure("the picture of a texture", title, 8.0, 4.5)
     axis = figure.subplots()
     named = set[str]()
