@@ -112,6 +112,15 @@ def library_faults(
         raise SourceError(os.fspath(where), f"{found} ({reason(error)})", expected, hint) from error
 
 
+_SYSTEM_ERRORS: Final[tuple[tuple[type[OSError], str, str], ...]] = (
+    (FileNotFoundError, "no such file", "Check the path."),
+    (NotADirectoryError, "no such file", "Check the path: a part of it is no folder."),
+    (IsADirectoryError, "a folder", "Name a file."),
+    (PermissionError, "no permission", "Check its permissions, and those of its folder."),
+)
+"""What the system reports, what that means, and how to fix it."""
+
+
 def file_error(
     where: str | os.PathLike[str], error: OSError | ValueError, expected: str, hint: str = ""
 ) -> SourceError:
@@ -124,15 +133,6 @@ def file_error(
         if isinstance(error, kind):
             found, usual_hint = wording, kind_hint
     return SourceError(os.fspath(where), found, expected, hint or usual_hint)
-
-
-_SYSTEM_ERRORS: Final[tuple[tuple[type[OSError], str, str], ...]] = (
-    (FileNotFoundError, "no such file", "Check the path."),
-    (NotADirectoryError, "no such file", "Check the path: a part of it is no folder."),
-    (IsADirectoryError, "a folder", "Name a file."),
-    (PermissionError, "a file that this user may not read", "Check its permissions."),
-)
-"""What the system reports, what it means for a file that is read, and how to fix it."""
 
 
 @contextmanager

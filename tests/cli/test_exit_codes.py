@@ -219,7 +219,7 @@ def test_a_missing_file_of_an_option_is_named(
 @pytest.mark.parametrize(
     ("error", "found"),
     [
-        (PermissionError(errno.EACCES, "Permission denied"), "a file that this user may not read"),
+        (PermissionError(errno.EACCES, "Permission denied"), "no permission; expected text. Check its perm"),
         (IsADirectoryError(errno.EISDIR, "Is a directory"), "a folder; expected text. Name a file"),
         (NotADirectoryError(errno.ENOTDIR, "Not a directory"), "no such file; .* part of it is no folder"),
         (OSError(errno.ENAMETOOLONG, "File name too long"), "File name too long; .* the path and the perm"),

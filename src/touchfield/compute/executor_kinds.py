@@ -94,12 +94,12 @@ def _is_process_count(text: str) -> bool:
 
 
 def _is_scheduler_address(text: str) -> bool:
-    """True for a word that a library may know, or HOST:PORT behind any scheme."""
-    scheme, separator, rest = text.rpartition("://")
-    if scheme == "inproc" or not (separator or ":" in rest):
-        return bool(rest)
+    """False if nothing is named, or the port of HOST:PORT, behind any scheme, is none."""
+    place = text.rpartition("://")[2].partition("/")[0]
+    if ":" not in place:
+        return bool(place)
     try:
-        address(rest.partition("/")[0], "")
+        address(place, "")
     except InvalidArgument:
         return False
     return True
@@ -275,7 +275,8 @@ def _without_log(name: str) -> Iterator[None]:
 
 def _is_dask_address(text: str) -> bool:
     """True for an address with a port: about one without, dask's client prints a traceback."""
-    return ":" in text and _is_scheduler_address(text)
+    has_port = ":" in text.rpartition("://")[2] or text.startswith("inproc://")
+    return has_port and _is_scheduler_address(text)
 
 
 _BUILT_IN: Final = (
