@@ -337,6 +337,8 @@ def test_a_legend_of_textures_names_colours_and_not_every_curve(drawn: Drawn) ->
         return [text.get_text() for text in axis.get_legend().get_texts()]
 
     below = "below the threshold"
+    draw_textures(Path("x.png"), bands, [], np.ones(2))
+    assert not figures[-1].axes[0].lines, "materials of friction alone have no curve"
     assert legend(("oak",)) == ["50 mm/s", "100 mm/s", "200 mm/s", below]
     assert legend(("oak", "ice")) == ["oak", "ice", below]
     assert legend(tuple("abcdefghij")) == [*"abcdefgh", below]

@@ -326,7 +326,7 @@ def _list_files(folder: Path) -> _Listing:
     root, listing = os.path.realpath(folder), _Listing()
     listed = {root}
 
-    def is_listed(path: str) -> bool:
+    def is_to_list(path: str) -> bool:
         real = os.path.realpath(path)
         if os.path.islink(path) and (_contains(root, real) or _contains(real, root)):
             return False
@@ -341,7 +341,7 @@ def _list_files(folder: Path) -> _Listing:
         subfolders, folders[:] = sorted(name for name in folders if not is_temporary(name)), list[str]()
         for name in subfolders:
             subfolder = os.path.join(path, name)
-            if is_listed(subfolder):
+            if is_to_list(subfolder):
                 folders.append(name)
             else:
                 listing.unfollowed.append(Path(subfolder).relative_to(folder).as_posix())

@@ -70,7 +70,9 @@ def draw_textures(
     labels = [f"{1e3 * c.speed_m_s:.4g} mm/s" if by_speed else c.material for c in curves]
     groups = {label: f"C{n % 10}" for n, label in enumerate(dict.fromkeys(labels))}
     subject = f"{', '.join(materials)}: vibration" if by_speed else "vibration"
-    title = f"{subject} in thirds of an octave, at {forces[0]:.4g} N"
+    title = f"{subject} in thirds of an octave"
+    if forces:  # materials may have friction alone
+        title += f", at {forces[0]:.4g} N"
     if len(forces) > 1:
         title += f" (thin) to {forces[-1]:.4g} N (wide)"
     figure = titled_figure("the picture of a texture", title, 8.0, 4.5)
@@ -93,5 +95,7 @@ def draw_textures(
     )
     axis.set(xlabel="frequency / Hz", ylabel="force / mN rms")
     more = len(groups) - len(named)
-    axis.legend(fontsize=8, title=f"and {more} more" if more else None, title_fontsize=8)
+    legend = axis.legend(fontsize=8, title=f"and {more} more" if more else None, title_fontsize=8)
+    for text in legend.get_texts():
+        text.set_parse_math(False)  # names from files
     write_png(figure, path)
