@@ -81,7 +81,8 @@ class Child:
             self.pipe, self.process = self._started()
             answer = self._answer((name,), START_SECONDS)
         if answer != "ready":
-            raise RuntimeError(answer or f"{name}: the process ended while it read valid inputs")
+            silent = f"{name}: the process ended, or read valid inputs for over {START_SECONDS:g} s"
+            raise RuntimeError(answer or silent)
 
     def run(self, name: str, seed: int, number: int) -> Outcome:
         """Run a case; its outcome if the process dies or hangs."""

@@ -27,7 +27,7 @@ import mutation as text
 import mutation_binary as binary
 import source_corpus as corpus
 from mutation import Mutator, bit_fields, columns, header_until, json_tree, one_of, raw, xml_tree
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, naming_file
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 Write = Callable[[Path], Path]
@@ -51,8 +51,7 @@ class Seed:
 class Format:
     """A format, its reader, its inputs and the endings of the files to damage (all if there are none).
 
-    `mutate` replaces the mutators by ending. `names_file` is False if an error may name a part of the only
-    file instead, such as a record.
+    `mutate` replaces the mutators by ending.
     """
 
     name: str
@@ -60,7 +59,6 @@ class Format:
     seeds: tuple[Seed, ...]
     endings: tuple[str, ...] = ()
     mutate: Mutator | None = None
-    names_file: bool = True
 
     def mutator(self, path: Path) -> Mutator:
         """Return the mutator of a file."""
@@ -114,7 +112,7 @@ def decode(path: Path, out: Path, options: dict[str, Any]) -> object:
     from touchfield.pipeline.decoding import open_file
     from touchfield.render.material import stored_materials
 
-    with open_file(path) as opened:
+    with open_file(path) as opened, naming_file(str(path)):
         medium = opened.medium
         if len(medium) > 64:
             raise InvalidArgument(path.name, f"{len(medium)} frames", "up to 64, so that all runs take part")
@@ -376,6 +374,24 @@ def profiles() -> tuple[Seed, ...]:
     return tuple(file_of(path.name, path.read_bytes()) for path in sorted(folder.glob("*.toml"))[:6])
 
 
+def write_packed_cloud(folder: Path, form: str) -> Path:
+    """Write a PCD whose points are bytes, or bytes compressed by LZF."""
+    import cloud_makers as clouds
+    import scene_makers as scenes
+
+    folder.mkdir()
+    return Path(clouds.pcd(folder / "cloud.pcd", scenes.ball_points(300), form))
+
+
+def write_packed_bag(folder: Path, kind: str) -> Path:
+    """Write an MCAP file with compressed depth."""
+    import bag_makers as bags
+
+    folder.mkdir()
+    written = bags.entries("/camera/depth/image_raw/compressedDepth", kind)
+    return Path(bags.write_mcap(folder / "room.mcap", written))
+
+
 def write_wav(folder: Path) -> Path:
     """Write a recording of a texture."""
     import wave
@@ -490,6 +506,13 @@ def formats() -> tuple[Format, ...]:
         Format("CSV of a hand", read_trace, (file_of("hand.csv", TRACE), file_of("felt.csv", FORCES))),
         Format("recording", read_recording, (Seed(write_wav), file_of("oak 100mm_s 1n.csv", TAPS))),
         Format("MCAP", encode, seeds("mcap")),
+        Format(
+            "MCAP, packed",
+            encode,
+            tuple(
+                Seed(partial(write_packed_bag, kind=kind)) for kind in ("compressed", "rvl", "quantised rvl")
+            ),
+        ),
         Format("ROS 1 bag", encode, seeds("ros 1 bag")),
         Format("ROS 2 bag", encode, seeds("ros 2 bag")),
         Format(
@@ -525,6 +548,11 @@ def formats() -> tuple[Format, ...]:
         Format("LAZ", encode, (fewer(scenes.write_laz),)),
         Format("E57", encode, (Seed(partial(scenes.write_e57, count=300), {"normals": "outward"}),)),
         Format("PCD", encode, (fewer(scenes.write_pcd),)),
+        Format(
+            "PCD, packed",
+            encode,
+            tuple(Seed(partial(write_packed_cloud, form=form)) for form in ("binary", "binary_compressed")),
+        ),
         Format("XYZ", encode, (fewer(scenes.write_xyz), fewer(scenes.write_pts))),
         Format("ASC", encode, seeds("ascii grid")),
         Format("netCDF", encode, seeds("netcdf")),
@@ -544,7 +572,6 @@ def formats() -> tuple[Format, ...]:
                 *golden("touch-mask", "touch-lossless", "objects-touch", "objects-rigid", "paper-adpcm"),
                 *golden("paper-dct", "vibration-touch"),
             ),
-            names_file=False,
         ),
         Format("profile", read_profile, profiles()),
     )

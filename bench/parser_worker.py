@@ -203,7 +203,7 @@ class Bench:
                 chosen.read(path, out, options)
                 outcome = Outcome("read")
             except TouchfieldError as error:
-                outcome = judged_error(error, path, chosen.names_file)
+                outcome = judged_error(error, path)
             except (Exception, TooLong) as error:
                 outcome = Outcome("FAULT", f"{type(error).__name__}: {error}"[:300], site_of(error))
             finally:
@@ -246,14 +246,14 @@ QUIET_WARNINGS: Final = (DeprecationWarning, PendingDeprecationWarning, Resource
 """Warnings that are not noise: of libraries to programmers, which are not shown, and to the user."""
 
 
-def judged_error(error: TouchfieldError, path: Path, names_file: bool) -> Outcome:
+def judged_error(error: TouchfieldError, path: Path) -> Outcome:
     """Return the outcome of an error of touchfield."""
     message = str(error)
     names = {part.name for part in (path, *path.parents[:2])} | {p.name for p in path.rglob("*")}
     names |= {p.name for p in path.parent.iterdir()} | {"The source: "}  # there is one, which the user named
     if "\n" in message or not message.isprintable():
         return Outcome("FAULT", f"not one printable line: {message!r}"[:300], site_of(error))
-    is_named = not names_file or any(name in message for name in names)
+    is_named = any(name in message for name in names)
     if not isinstance(error, InvalidArgument) and not is_named:
         return Outcome("FAULT", f"names no file: {message}"[:300], site_of(error))
     return Outcome("refused", message[:200], site_of(error))

@@ -263,7 +263,7 @@ def test_a_file_is_read_up_to_its_maximum_size(tmp_path: Path) -> None:
     assert read_bytes(path, 7, "a file") == b"1234567" and plain_size(path, "a file") == 7
     with pytest.raises(SourceError, match="found more than 6 bytes; expected a file up to that"):
         read_bytes(path, 6, "a file")
-    for missing, found in ((tmp_path / "none", "No such file"), (tmp_path, "a folder"), ("a\0b", "null")):
+    for missing, found in ((tmp_path / "none", "no such file"), (tmp_path, "a folder"), ("a\0b", "null")):
         with pytest.raises(SourceError, match=found):
             read_bytes(missing, 9, "a file")
     with pytest.raises(InvalidArgument, match="the file that is read"):

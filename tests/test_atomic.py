@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from touchfield.atomic import atomic_path, is_temporary
-from touchfield.tasks.library import _files
+from touchfield.atomic import atomic_path, is_temporary, temporary_folder
+from touchfield.errors import InvalidArgument
+from touchfield.tasks.library import _list_files
 
 needs_locks = pytest.mark.skipif(sys.platform == "win32", reason="no locks, so nothing is removed")
 
@@ -30,7 +31,7 @@ def test_the_next_write_removes_what_a_killed_run_left(tmp_path: Path) -> None:
     ) as writer:
         assert writer.stdout is not None and writer.stdout.readline() == b"writing\n"
         (other,) = tmp_path.iterdir()
-        assert is_temporary(other.name) and _files(tmp_path) == {}
+        assert is_temporary(other.name) and _list_files(tmp_path).files == {}
         with atomic_path(target) as path:
             path.write_bytes(b"first")
         assert {p.name for p in tmp_path.iterdir()} == {"a.touch", other.name}
@@ -39,6 +40,35 @@ def test_the_next_write_removes_what_a_killed_run_left(tmp_path: Path) -> None:
     with atomic_path(target) as path:
         path.write_bytes(b"second")
     assert [p.name for p in tmp_path.iterdir()] == ["a.touch"] and target.read_bytes() == b"second"
+
+
+@needs_locks
+def test_the_next_write_removes_the_folder_that_a_killed_run_left(tmp_path: Path) -> None:
+    target = tmp_path / "a.mpd"
+    code = (
+        "import sys; from pathlib import Path; from touchfield.atomic import temporary_folder\n"
+        "with temporary_folder(Path(sys.argv[1])) as folder:\n"
+        "    (folder / 'a.touch').write_bytes(b'part'); print('writing', flush=True); sys.stdin.read()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code, target], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as writer:
+        assert writer.stdout is not None and writer.stdout.readline() == b"writing\n"
+        (other,) = tmp_path.iterdir()
+        assert is_temporary(other.name) and _list_files(tmp_path).files == {}
+        with temporary_folder(target):
+            assert (other / "a.touch").exists(), "a living process writes to it"
+        writer.kill()
+    (tmp_path / ".a.0123abcd.mpd").write_bytes(b"no folder")
+    (tmp_path / ".b.0123abcd.mpd").mkdir()
+    with temporary_folder(target) as folder:
+        (folder / "left.mp4").write_bytes(b"")
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".a.0123abcd.mpd", ".b.0123abcd.mpd"]
+    with (
+        pytest.raises(InvalidArgument, match=r"found no folder .*nowhere.* Make it first"),
+        temporary_folder(tmp_path / "nowhere" / "a.mpd"),
+    ):
+        pass
 
 
 @needs_locks

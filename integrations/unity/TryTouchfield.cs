@@ -112,7 +112,11 @@ static class TryTouchfield
     static int Main(string[] words)
     {
         string path = ReadOptions(words);
-        if (path == null) return 64;
+        if (path == null)
+        {
+            Console.Error.WriteLine("try.exe: [-p PEAK_N] [-m FRICTION] [-l] [-r] FILE.touch < HAND.txt");
+            return 64;
+        }
         try
         {
             var device = new Recorder(ReadPositions());
@@ -131,6 +135,11 @@ static class TryTouchfield
         {
             Console.Error.WriteLine(error.Message);
             return 65;
+        }
+        catch (IOException error)
+        {
+            Console.Error.WriteLine(path + ": " + error.Message);
+            return 66;
         }
     }
 }

@@ -2,9 +2,9 @@
 
 A reader never sees a partial file, and an interrupted run leaves the older file unchanged.
 
-A run that is killed leaves its temporary file, ``.NAME.XXXXXXXX.touch``. The next write to the same target
-removes it. A file that another process writes now is kept: its writer holds a lock, which ends with the
-process. Where there are no locks (Windows, some network file systems), nothing is removed.
+A run that is killed leaves its temporary file or folder, ``.NAME.XXXXXXXX.touch``. The next write to the
+same target removes it. One that another process writes now is kept: its writer holds a lock, which ends with
+the process. Where there are no locks (Windows, some network file systems), nothing is removed.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 import re
 import secrets
+import shutil
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -19,6 +20,7 @@ from pathlib import Path
 from typing import Final
 
 from touchfield.errors import InvalidArgument, SourceError
+from touchfield.files import readable
 
 try:
     import fcntl
@@ -29,7 +31,7 @@ _TEMPORARY: Final = re.compile(r"\..+\.[0-9a-f]{8}(\.[^.]*)?", re.DOTALL)
 
 
 def is_temporary(name: str) -> bool:
-    """Return True if a file of this name is the temporary file of a run, or was left by one."""
+    """Return True if a file or folder of this name is a temporary one of a run, or was left by one."""
     return _TEMPORARY.fullmatch(name) is not None
 
 
@@ -42,10 +44,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
     (permissions, disk full, name too long).
     """
     target = Path(os.path.realpath(path))  # a link stays a link: what it points to is replaced
-    if not os.path.isdir(target.parent):
-        raise InvalidArgument(
-            str(path), f"no folder {target.parent}", "a folder that is there", "Make it first."
-        )
+    _require_folder(path, target.parent)
     if os.path.exists(target) and not os.path.isfile(target):
         raise InvalidArgument(str(path), "something that is not a plain file", "the name of a file")
     temporary, lock = _temporary_of(target), -1
@@ -81,6 +80,32 @@ def atomic_path(path: Path) -> Iterator[Path]:
             os.close(lock)
 
 
+@contextmanager
+def temporary_folder(path: Path) -> Iterator[Path]:
+    """Yield an empty folder next to `path`, for files that are moved there when all of them are complete.
+
+    It is removed when the block ends, with what is still in it. Raises `InvalidArgument` if the folder of
+    `path` does not exist, `SourceError` if the system refuses to write there.
+    """
+    target = Path(os.path.realpath(path.parent), path.name)
+    _require_folder(path, target.parent)
+    with readable(path, "a folder that can be written"):
+        _remove_leftovers(target, is_folder=True)
+        temporary, lock = _create_folder(target)
+    try:
+        yield temporary
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+        if lock >= 0:
+            os.close(lock)
+
+
+def _require_folder(path: Path, folder: Path) -> None:
+    """Raise `InvalidArgument` if the folder of a path to write does not exist."""
+    if not os.path.isdir(folder):
+        raise InvalidArgument(str(path), f"no folder {folder}", "a folder that is there", "Make it first.")
+
+
 def _temporary_of(target: Path) -> Path:
     return target.with_name(f".{target.stem[:100]}.{secrets.token_hex(4)}{target.suffix}")
 
@@ -101,8 +126,25 @@ def _create(target: Path, temporary: Path) -> tuple[Path, int]:
         temporary = _temporary_of(target)
 
 
-def _remove_leftovers(target: Path) -> None:
-    """Remove temporary files of the same target that no process writes any more."""
+def _create_folder(target: Path) -> tuple[Path, int]:
+    """Create an empty temporary folder; return its path and the handle that locks it, -1 without locks."""
+    while True:
+        temporary = _temporary_of(target)
+        temporary.mkdir()
+        if fcntl is None:
+            return temporary, -1
+        handle = -1
+        with suppress(OSError):  # also where another process took it for a leftover before it was locked
+            handle = os.open(temporary, os.O_RDONLY)
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        if os.path.exists(temporary):
+            return temporary, handle
+        if handle >= 0:
+            os.close(handle)
+
+
+def _remove_leftovers(target: Path, *, is_folder: bool = False) -> None:
+    """Remove temporary files, or folders, of the same target that no process writes any more."""
     if fcntl is None:
         return
     prefix, suffix = f".{target.stem[:100]}.", target.suffix
@@ -112,16 +154,20 @@ def _remove_leftovers(target: Path) -> None:
             middle = name[len(prefix) : len(name) - len(suffix)]
             if name.startswith(prefix) and name.endswith(suffix) and re.fullmatch("[0-9a-f]{8}", middle):
                 with suppress(OSError):
-                    _remove_unless_locked(entry.path)
+                    _remove_unless_locked(entry.path, is_folder=is_folder)
 
 
-def _remove_unless_locked(path: str) -> None:
-    """Remove a plain file that no process has locked; raises OSError if one has, or there are no locks."""
-    if not stat.S_ISREG(os.lstat(path).st_mode):
+def _remove_unless_locked(path: str, *, is_folder: bool) -> None:
+    """Remove a plain file, or a folder, that no process has locked.
+
+    Raises OSError if one has, or there are no locks.
+    """
+    is_kind = stat.S_ISDIR if is_folder else stat.S_ISREG
+    if not is_kind(os.lstat(path).st_mode):
         return
-    handle = os.open(path, os.O_RDWR | os.O_NOFOLLOW)
+    handle = os.open(path, (os.O_RDONLY if is_folder else os.O_RDWR) | os.O_NOFOLLOW)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        os.unlink(path)
+        shutil.rmtree(path) if is_folder else os.unlink(path)
     finally:
         os.close(handle)

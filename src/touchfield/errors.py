@@ -138,6 +138,21 @@ def with_notes(error: _Error, notes: Iterable[str]) -> _Error:
     return error
 
 
+@contextmanager
+def naming_file(name: str) -> Iterator[None]:
+    """Within the block, add the name of a file to a `FormatError` that names only a part of the file.
+
+    A decoder gets the bytes of a part, such as ``SEGM.body``, and does not know from which file they are.
+    """
+    try:
+        yield
+    except FormatError as error:
+        if error.where.startswith(name):
+            raise
+        named = type(error)(f"{name}: {error.where}", error.found, error.expected, error.hint)
+        raise with_notes(named, getattr(error, "__notes__", ())) from error
+
+
 class UnboundedError(UserWarning):
     """Warning that no error bound is guaranteed for a file or an array."""
 

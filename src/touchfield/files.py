@@ -43,6 +43,12 @@ def is_remote(name: object) -> bool:
     return isinstance(name, str) and _ADDRESS.match(name) is not None
 
 
+def url_path(url: str) -> str:
+    """The path of an address, without query and fragment; also of one that `urllib.parse` refuses."""
+    rest = re.split("[?#]", url.partition("://")[2])[0]
+    return "".join(rest.partition("/")[1:])
+
+
 def without_secret(url: str) -> str:
     """An address for messages, without the password and the query.
 
@@ -106,13 +112,36 @@ def library_faults(
         raise SourceError(os.fspath(where), f"{found} ({reason(error)})", expected, hint) from error
 
 
+_SYSTEM_ERRORS: Final[tuple[tuple[type[OSError], str, str], ...]] = (
+    (FileNotFoundError, "no such file", "Check the path."),
+    (NotADirectoryError, "no such file", "Check the path: a part of it is no folder."),
+    (IsADirectoryError, "a folder", "Name a file."),
+    (PermissionError, "no permission", "Check its permissions, and those of its folder."),
+)
+"""What the system reports, what that means, and how to fix it."""
+
+
+def file_error(
+    where: str | os.PathLike[str], error: OSError | ValueError, expected: str, hint: str = ""
+) -> SourceError:
+    """Return the error of a file that the system does not open or read, with what helps if `hint` is empty.
+
+    A ValueError is that of a name with a NUL in it.
+    """
+    found, usual_hint = reason(error), "Check the path and the permissions."
+    for kind, wording, kind_hint in _SYSTEM_ERRORS:
+        if isinstance(error, kind):
+            found, usual_hint = wording, kind_hint
+    return SourceError(os.fspath(where), found, expected, hint or usual_hint)
+
+
 @contextmanager
 def readable(where: Path, expected: str = "a file that can be read", hint: str = "") -> Iterator[None]:
-    """Within the block, convert an `OSError` to a `SourceError`."""
+    """Within the block, convert an `OSError` to a `SourceError`, as `file_error`."""
     try:
         yield
     except OSError as error:
-        raise SourceError(str(where), error.strerror or str(error), expected, hint) from error
+        raise file_error(where, error, expected, hint) from error
 
 
 def plain_size(path: Path, expected: str) -> int:
@@ -132,10 +161,7 @@ def read_bytes(path: str | os.PathLike[str], max_bytes: int, expected: str) -> b
             size = os.fstat(file.fileno()).st_size or max_bytes  # 0 for files of the system, such as /proc
             data = file.read(min(size, max_bytes) + 1)  # which allocates that much before it reads
     except (OSError, ValueError) as error:  # ValueError: a path with a NUL in it
-        system_message = error.strerror if isinstance(error, OSError) else None
-        raise SourceError(
-            str(path), system_message or str(error), expected, "Check path and rights."
-        ) from error
+        raise file_error(path, error, expected) from error
     if len(data) > max_bytes:
         raise SourceError(str(path), f"more than {max_bytes} bytes", f"{expected} up to that")
     return data

@@ -19,6 +19,8 @@ from test_every_option import TASKS
 from option_tables import ARGUMENTS
 from touchfield.cli.main import _exit_code
 from touchfield.codec.touch.spec import TouchSpec
+from touchfield.errors import SourceError
+from touchfield.files import readable
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.pipeline import encode
 from touchfield.pipeline.spec import EncodeSpec
@@ -177,7 +179,55 @@ def test_missing_file_or_folder_as_input_is_one_line(
     finally:
         if kind == "folder":
             (folder / at).rmdir()
-    assert "not-there" in line, line
+    assert f"touchfield: {at}: found " in line and "; expected " in line, line
+    assert kind == "folder" or line.endswith("Check the path."), line
+
+
+READ_BY_OPTIONS = (
+    "encode sphere.toml new.touch --device not-there.toml",
+    "play sphere.touch --offline --materials not-there.json",
+    "play sphere.touch --offline --deformation not-there.npz",
+    "play sphere.touch --offline --trajectory not-there.csv",
+    "play sphere.touch --offline --trace not-there.csv",
+    "play sphere.touch --offline --profile not-there.toml",
+    "export sphere.touch new.wav --trajectory not-there.csv",
+    "points 5 sphere.touch --next --measured not-there.csv",
+    "texture not-there.json --into sphere.touch --out new.touch",
+    "texture not-there.csv --out new.json --speed-m-s 0.1 --force-n 1",
+    "texture not-there.xml --out new.json",
+    "compare sphere.toml not-there.touch --no-picture",
+    "mux look.png not-there.touch new.mp4",
+    "demux not-there.m3u8 new.touch",
+    "study analyse not-there",
+    *(f"import not-there.{ending} new.touch" for ending in ("ahap", "haptic", "tact", "hmpg")),
+    *(f"encode not-there.{ending} new.touch" for ending in ("stl", "npz", "csv", "mcap", "mp4", "png")),
+)
+"""Arguments whose option, or a file that is not the first, is missing."""
+
+
+@pytest.mark.parametrize("words", READ_BY_OPTIONS)
+def test_a_missing_file_of_an_option_is_named(
+    words: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(folder)
+    line = error_line(words.split(), capsys, folder, 1)
+    assert line.startswith("touchfield: not-there") and "; expected " in line, line
+    assert any(text in line for text in (": found no such file; ", ": found nothing there; ")), line
+    assert line.endswith("Check the path."), line
+
+
+@pytest.mark.parametrize(
+    ("error", "found"),
+    [
+        (PermissionError(errno.EACCES, "Permission denied"), "no permission; expected text. Check its perm"),
+        (IsADirectoryError(errno.EISDIR, "Is a directory"), "a folder; expected text. Name a file"),
+        (NotADirectoryError(errno.ENOTDIR, "Not a directory"), "no such file; .* part of it is no folder"),
+        (OSError(errno.ENAMETOOLONG, "File name too long"), "File name too long; .* the path and the perm"),
+    ],
+)
+def test_what_the_system_reports_is_a_clear_error(error: OSError, found: str) -> None:
+    with pytest.raises(SourceError, match=f"a.txt: found {found}"), readable(Path("a.txt"), "text"):
+        raise error
 
 
 @pytest.mark.thorough

@@ -46,6 +46,19 @@ def test_package_refuses_the_file(name: str) -> None:
             if stream.medium.vibration is not None:
                 stream.medium.vibration(i)
     assert type(caught.value) is kind and "\n" not in str(caught.value)
+    assert caught.value.where.startswith(str(FOLDER / f"{name}.touch")), "every refusal names the file"
+
+
+def test_a_summary_that_is_refused_names_the_file() -> None:
+    refused: dict[str, str] = {}
+    for name in FAULTY:
+        try:
+            with open_file(FOLDER / f"{name}.touch") as stream:
+                stream.summary()
+        except errors.FormatError as error:
+            refused[name] = error.where
+    assert len(refused) > len(FAULTY) / 2
+    assert all(where.startswith(str(FOLDER / f"{name}.touch")) for name, where in refused.items()), refused
 
 
 @pytest.mark.parametrize("name", FAULTY)

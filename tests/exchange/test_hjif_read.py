@@ -379,7 +379,7 @@ def test_invalid_files_are_refused(tmp_path: Path, text: str) -> None:
 
 
 def test_missing_or_too_long_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(SourceError, match="No such file"):
+    with pytest.raises(SourceError, match="no such file"):
         read_hjif_array(tmp_path / "none.hjif")
     monkeypatch.setattr(hjif_read, "MAX_CHANNELS", 1)
     with pytest.raises(SourceError, match="found 2 channels; expected at most 1"):

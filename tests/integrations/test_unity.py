@@ -284,6 +284,16 @@ def test_damaged_file_is_refused_with_a_message(program: list[object]) -> None:
 
 
 @needs("mcs")
+def test_a_missing_file_or_none_is_one_line(program: list[object]) -> None:
+    done = run(*program, "nowhere.touch")
+    assert (
+        done.returncode == 66 and done.stderr.startswith("nowhere.touch: ") and done.stderr.count("\n") == 1
+    )
+    done = run(*program)
+    assert done.returncode == 64 and done.stderr.startswith("try.exe: ") and done.stderr.count("\n") == 1
+
+
+@needs("mcs")
 def test_the_component_compiles(tmp_path: Path) -> None:
     files = [INTEGRATIONS / "unity" / "Touchfield.cs", Path(__file__).parent / "UnityEngine.cs"]
     options = ["-warnaserror", "-target:library", "-define:UNITY_5_3_OR_NEWER", f"-out:{tmp_path / 'u.dll'}"]

@@ -350,7 +350,7 @@ def test_invalid_files_are_refused(tmp_path: Path, text: str, message: str) -> N
 
 
 def test_missing_files_are_refused(tmp_path: Path) -> None:
-    for path, message in ((tmp_path, "found a folder"), (tmp_path / "none.csv", "Check path and rights")):
+    for path, message in ((tmp_path, "found a folder"), (tmp_path / "none.csv", "found no such file")):
         with pytest.raises(SourceError, match=message):
             read_trace(path)
 

@@ -586,7 +586,7 @@ def test_a_silent_coarse_layer_delays_the_start_by_seconds_only(
 def test_an_invalid_coarse_address_is_an_error() -> None:
     with (
         OnAir() as air,
-        pytest.raises(InvalidArgument, match="address of datagrams: found 'here'"),
+        pytest.raises(InvalidArgument, match="coarse: found 'here'"),
         open_stream(f"ws://{air.server.address}/live", coarse="udp://here"),
     ):
         pass

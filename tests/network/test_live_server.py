@@ -480,7 +480,10 @@ def test_another_programme_with_another_head_must_be_reopened() -> None:
 
 
 def test_missing_live_streams_are_errors() -> None:
-    with pytest.raises(InvalidArgument, match="address of datagrams: found 'here'"), open_live("udp://here"):
+    with (
+        pytest.raises(InvalidArgument, match="address of a live stream: found 'here'"),
+        open_live("udp://here"),
+    ):
         pass
     with pytest.raises(SourceError, match="Check the address"), open_live("ws://127.0.0.1:1/live"):
         pass

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import base64
+import re
+import shlex
 import warnings
 from dataclasses import replace
 from fractions import Fraction
@@ -129,6 +132,36 @@ def test_the_movie_is_decoded_as_before(folder: Path, tmp_path: Path) -> None:
         with av.open(str(path)) as movie:
             decoded.append([f.to_ndarray(format="rgb24").tobytes() for f in movie.decode(video=0)])
     assert decoded[0] == decoded[1] and len(decoded[0]) == 50
+
+
+@pytest.mark.parametrize("form", [".mkv", ".ts"])
+def test_the_touch_of_a_movie_that_browsers_do_not_play_is_viewed(
+    folder: Path, tmp_path: Path, form: str, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    mux(folder / "movie.mp4", folder / "noise.touch", f"my film{form}", 0.4)
+    page, stream = view(f"my film{form}"), (folder / "noise.touch").read_bytes()
+    assert 'data-type=""' in page.html and base64.b64encode(stream).decode() in page.html
+    (note,) = page.figures["movie_notes"]
+    assert note.startswith(f"only the touch of the movie is shown, as not every browser plays {form}: ")
+    assert _exit_code(["info", f"my film{form}"]) == 1
+    assert "touchfield demux MOVIE OUT.touch" in capsys.readouterr().err
+
+
+def test_the_note_on_a_movie_without_pictures_names_commands_that_show_them(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    mux(folder / "movie.mp4", folder / "noise.touch", "my film.mkv", 0.4)
+    (note,) = view("my film.mkv").figures["movie_notes"]
+    *commands, last = [shlex.split(command) for command in note.partition(": ")[2].split("; ")]
+    for program, *words in commands:
+        assert program == "touchfield" and _exit_code(words) == 0
+    assert last == ["touchfield", "view", "my film.mp4"]
+    at_s = re.search('data-type="video/mp4" data-at="([0-9.]+)"', view("my film.mp4").html)
+    first_s = min(time_s for time_s, _ in pictures(Path("my film.mp4")))  # ffmpeg makes room for the sound
+    assert at_s is not None and float(at_s[1]) - float(first_s) == pytest.approx(0.4, abs=0.01)
 
 
 @pytest.mark.parametrize("stem", ["film", "sight & touch"])

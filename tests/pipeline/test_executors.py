@@ -27,20 +27,13 @@ from touchfield.compute.executors import executor_of, in_order
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import HapticMedium
 from touchfield.medium.stores.npz import write_npz
-from touchfield.pipeline import segments
 from touchfield.pipeline.tiles import encode_tiles
 
 GRID = Grid((16, 16, 16), (0.005,) * 3, (0.0,) * 3)
 SPEC = EncodeSpec(nw=4, touch=TouchSpec(segment_frames=2, effort="fast"), representation="voxel")
 FRAMES = 40
 
-
-@pytest.fixture(scope="module", autouse=True)
-def short_ranges() -> Iterator[None]:
-    """Ranges of one segment, so that there are many."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(segments, "SEGMENTS_PER_RANGE", 1)
-        yield
+pytestmark = pytest.mark.usefixtures("short_ranges")
 
 
 @pytest.fixture(scope="module")
@@ -52,14 +45,6 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("source") / "rising.npz"
     write_npz(path, HapticMedium.from_array(forces_n.astype(np.float32), GRID))
     return path
-
-
-@pytest.fixture(scope="module")
-def alone(source: Path) -> bytes:
-    """The bytes of one process."""
-    out = source.with_name("alone.touch")
-    encode(source, out, SPEC)
-    return out.read_bytes()
 
 
 class Mapping:
@@ -111,7 +96,12 @@ def test_an_object_that_is_no_executor_is_refused(source: Path, tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    "text", ["joblib:0", "joblib:two", "joblib:1025", "ray:", "ray:0", "ray:9999", "x:2"]
+    "text",
+    [
+        *("joblib:0", "joblib:two", "joblib:1025", "x:2"),
+        *("ray:", "ray:0", "ray:9999", "ray:ray://127.0.0.1:99999"),
+        *("dask:", "dask:host", "dask:tcp://127.0.0.1:99999", "dask:tcp://host"),
+    ],
 )
 def test_a_wrong_text_is_refused_with_every_form(text: str) -> None:
     with (

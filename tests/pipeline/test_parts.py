@@ -35,6 +35,8 @@ GRID = Grid((16, 16, 16), (0.005,) * 3, (0.0,) * 3)
 SPEC = EncodeSpec(nw=4, touch=TouchSpec(segment_frames=3, effort="fast"), representation="voxel")
 FRAMES = 20
 
+pytestmark = pytest.mark.usefixtures("short_ranges")
+
 
 def field(height: float, noise: float = 0.0) -> ForceField:
     """A solid below a height, in samples, with upward forces."""
@@ -50,27 +52,11 @@ def moving(count: int = FRAMES) -> np.ndarray:
     return np.stack([field(h + 2e-4 * i).to_dense() for i, h in enumerate(heights)])
 
 
-@pytest.fixture(scope="module", autouse=True)
-def short_stretches() -> Iterator[None]:
-    """Ranges of one segment, so that there are many."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(segments, "SEGMENTS_PER_RANGE", 1)
-        yield
-
-
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("source") / "moving.npz"
     write_npz(path, HapticMedium.from_array(moving(), GRID))
     return path
-
-
-@pytest.fixture(scope="module")
-def alone(source: Path) -> bytes:
-    """The bytes of one process."""
-    out = source.with_name("alone.touch")
-    encode(source, out, SPEC)
-    return out.read_bytes()
 
 
 class Shuffled(Executor):

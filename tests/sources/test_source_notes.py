@@ -204,11 +204,12 @@ def test_note_states_degrees_in_metres_east_and_north(tmp_path: Path) -> None:
 
 def test_size_note_states_sides_in_order_and_the_unit() -> None:
     assert size_note(np.array([1.0, 2.5, 30.0]), None) == (
-        "Coordinates taken as metres: 1 x 2.5 x 30 m; give --unit-m if they are not."
+        "Coordinates taken as metres: 1 x 2.5 x 30 m; give --unit-m if they are not "
+        "(millimetres: 0.001, inches: 0.0254)."
     )
     assert size_note(np.array([1.0, 2.5, 40.0]), None) == (
-        "Coordinates taken as metres: 1 x 2.5 x 40 m; give --unit-m if they are not: "
-        "--unit-m 0.001, for millimetres, makes them 0.001 x 0.0025 x 0.04 m."
+        "Coordinates taken as metres: 1 x 2.5 x 40 m; give --unit-m if they are not. As millimetres, "
+        "--unit-m 0.001, they are 0.001 x 0.0025 x 0.04 m; as inches, 0.0254 x 0.0635 x 1.016 m."
     )
     assert size_note(np.array([1.0, 2.5, 30.0]), 0.01, " in the first frame") == (
         "One unit is 0.01 m: 1 x 2.5 x 30 m in the first frame."

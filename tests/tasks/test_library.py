@@ -259,6 +259,41 @@ def test_the_counts_of_an_index_add_up(folder: Path) -> None:
         tf.encode(body("lens"), folder / "plate.touch") if not described else None
 
 
+def test_linked_folders_are_indexed_once_and_cycles_end(folder: Path, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    (elsewhere / "more").mkdir(parents=True)
+    shutil.copy(folder / "torus.touch", elsewhere / "more" / "far.touch")
+    (elsewhere / "again").symlink_to(elsewhere)
+    (folder / "far").symlink_to(elsewhere)
+    (folder / "deeper" / "far").symlink_to(elsewhere / "more")  # of which "far" is walked, too
+    (folder / "own").symlink_to(folder / "deeper")
+    (folder / "up").symlink_to(tmp_path)
+    (folder / "self").symlink_to(folder)
+    done = index_folder(folder)
+    assert [name for name in done.library.rows if "far" in name] == ["deeper/far/far.touch"]
+    assert not any(name.startswith(("own/", "up/", "self/")) for name in done.library.entries)
+    links = "links to folders that are indexed already or contain this one, left out"
+    assert done.notes == (f"5 {links}, such as far/again",)
+    again = index_folder(folder)
+    assert again.figures["described"] == 0 and again.figures["gone"] == 0
+    matches = search(folder, folder / "torus.touch").figures["matches"]
+    assert matches[0]["name"] == "deeper/far/far.touch"
+
+
+def test_a_folder_that_may_not_be_read_is_noted(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scandir = os.scandir
+
+    def refuse(path: str) -> Any:
+        if Path(path).name == "deeper":
+            raise PermissionError(13, "Permission denied", str(path))
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", refuse)
+    done = index_folder(folder)
+    assert done.notes == ("1 folder that this user may not read, left out, such as deeper",)
+    assert "plate.touch" in done.library.rows and "deeper/plate-large.touch" not in done.library.rows
+
+
 def test_a_link_to_a_file_that_is_gone_is_noted(folder: Path) -> None:
     (folder / "deeper" / "lost.touch").symlink_to(folder / "nowhere.touch")
     (folder / "linked.touch").symlink_to(folder / "torus.touch")

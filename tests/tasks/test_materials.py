@@ -19,7 +19,7 @@ from touchfield.cli.main import _exit_code
 from touchfield.devices import device
 from touchfield.devices.drivers.registry import point_device
 from touchfield.devices.drivers.simulated import SimHand
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.errors import CorruptFile, InvalidArgument, SourceError
 from touchfield.medium.trace import Trace
 from touchfield.perception.vibrotactile import (
     BANDS_HZ,
@@ -373,7 +373,7 @@ def test_error_of_an_invalid_table_states_file_and_field(tmp_path: Path, table: 
         read_materials(path)
     assert str(caught.value).startswith(str(path)) and "\n" not in str(caught.value)
     assert "expected" in str(caught.value)
-    with pytest.raises(SourceError, match=r"provenance, materials\.json"):
+    with pytest.raises(CorruptFile, match=r"PROV materials\.json"):
         stored_materials({"materials.json": path.read_text()})
 
 

@@ -24,7 +24,7 @@ from touchfield.viewer.information import Bar, draw_information
 from touchfield.viewer.interaction import InteractionView, draw_interaction
 from touchfield.viewer.page import is_our_picture
 from touchfield.viewer.picture import draw_comparison, shadow_n
-from touchfield.viewer.plots import draw_masked_signal, draw_textures
+from touchfield.viewer.plots import TextureCurve, draw_masked_signal, draw_textures
 
 pytest.importorskip("matplotlib", reason="pictures need the extra report")
 
@@ -305,7 +305,8 @@ def test_textures_are_millinewtons_over_the_threshold(drawn: Drawn) -> None:
     figures = drawn(plots)
     bands, threshold = (40.0, 80.0, 160.0), np.array([0.004, 0.002, 0.003])
     rows_n = {"oak": np.array([0.001, 0.0, 0.005]), "felt": np.array([0.1, 0.2, 0.3])}
-    draw_textures(Path("x.png"), bands, rows_n, threshold)
+    curves = [TextureCurve(name, 0.1, 1.0, levels_n) for name, levels_n in rows_n.items()]
+    draw_textures(Path("x.png"), bands, curves, threshold)
     (axis,) = figures[0].axes
     for line, (name, levels_n) in zip(axis.lines, rows_n.items(), strict=True):
         assert line.get_label() == name and tuple(line.get_xdata()) == bands
@@ -315,6 +316,33 @@ def test_textures_are_millinewtons_over_the_threshold(drawn: Drawn) -> None:
     for hertz, level in zip(bands, threshold, strict=True):
         assert corners[corners[:, 0] == hertz][:, 1].max() == pytest.approx(1e3 * level)
     assert corners[:, 1].min() == pytest.approx(0.2)
+
+
+def test_a_legend_of_textures_names_colours_and_not_every_curve(drawn: Drawn) -> None:
+    figures = drawn(plots)
+    speeds_m_s, forces_n, bands = (0.05, 0.1, 0.2), (0.5, 1.0, 2.0), (40.0, 80.0)
+
+    def legend(names: tuple[str, ...]) -> list[str]:
+        curves = [
+            TextureCurve(name, speed, force, np.full(2, speed))
+            for name in names
+            for speed in speeds_m_s
+            for force in forces_n
+        ]
+        draw_textures(Path("x.png"), bands, curves, np.ones(2))
+        (axis,) = figures[-1].axes
+        assert len(axis.lines) == len(curves)
+        widths = [line.get_linewidth() for line in axis.lines[:3]]
+        assert widths == sorted(set(widths)), "greater forces are wider"
+        return [text.get_text() for text in axis.get_legend().get_texts()]
+
+    below = "below the threshold"
+    draw_textures(Path("x.png"), bands, [], np.ones(2))
+    assert not figures[-1].axes[0].lines, "materials of friction alone have no curve"
+    assert legend(("oak",)) == ["50 mm/s", "100 mm/s", "200 mm/s", below]
+    assert legend(("oak", "ice")) == ["oak", "ice", below]
+    assert legend(tuple("abcdefghij")) == [*"abcdefgh", below]
+    assert figures[-1].axes[0].get_legend().get_title().get_text() == "and 2 more"
 
 
 def test_a_masked_signal_shows_readings_errors_and_violations(drawn: Drawn) -> None:

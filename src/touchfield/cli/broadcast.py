@@ -77,6 +77,7 @@ def live(
     from touchfield.network.access import Pages, require_free
     from touchfield.network.live import END, write_message
     from touchfield.network.live_server import LiveServer
+    from touchfield.network.udp import require_receiver
     from touchfield.tasks.live import LiveSpec, broadcast, coarse_layer, open_sender
     from touchfield.viewer.browser import empty_page, served_page
 
@@ -87,6 +88,10 @@ def live(
         raise InvalidArgument("OUT", repr(out), "- or nothing", "Receivers come by ws://, http:// or --udp.")
     if coarse and out == "-":
         raise InvalidArgument("--coarse", "a pipe, which loses nothing", "a server, or --udp")
+    if udp is not None:
+        if out == "-":
+            raise InvalidArgument("--udp", "a pipe beside it", "a server, whose stream is also sent so")
+        require_receiver(udp, "--udp", is_layered=coarse)
     spec = LiveSpec(segment_s, loop, on_air_s)
     access = None if out == "-" else _access(options)
     if access is not None:

@@ -227,15 +227,15 @@ def texture(
 def _draw(path: Path, materials: tuple[Material, ...]) -> None:
     from touchfield.perception.human import vibration_threshold
     from touchfield.perception.vibrotactile import BANDS_HZ
-    from touchfield.viewer.plots import draw_textures
+    from touchfield.viewer.plots import TextureCurve, draw_textures
 
-    rows = {
-        f"{material.name}, {1e3 * speed:.4g} mm/s, {force:.4g} N": material.levels_n[i, j]
+    curves = [
+        TextureCurve(material.name, speed, force, material.levels_n[i, j])
         for material in materials
         for i, speed in enumerate(material.speeds_m_s)
         for j, force in enumerate(material.forces_n)
-    }
-    draw_textures(path, BANDS_HZ, rows, 1e-3 * vibration_threshold().force_rms_mn(BANDS_HZ))
+    ]
+    draw_textures(path, BANDS_HZ, curves, 1e-3 * vibration_threshold().force_rms_mn(BANDS_HZ))
 
 
 @command(

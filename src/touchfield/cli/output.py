@@ -43,7 +43,9 @@ def check_results(
         if out.absolute() in (other.absolute() for other in named[:n]):
             raise InvalidArgument(str(out), "the name of two results", "a name for each")
         if not out.parent.is_dir():
-            raise InvalidArgument(str(out), f"no folder {out.parent}", "a folder that is there")
+            raise InvalidArgument(
+                str(out), f"no folder {out.parent}", "a folder that is there", "Make it first."
+            )
         refuse_overwriting(out, *(read for read in reads if read is not None))
     if plot is not None:
         require_ending(plot, "PICTURE.png")

@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
-from urllib.parse import urlsplit
 
 import typer
 
@@ -24,7 +23,7 @@ from touchfield.cli.output import (
 )
 from touchfield.container.remote import is_remote
 from touchfield.errors import InvalidArgument, MissingExtra
-from touchfield.files import is_same_file
+from touchfield.files import is_same_file, url_path
 from touchfield.tasks.measure import Measurement, MeasureSpec
 from touchfield.viewer.page import is_our_picture
 
@@ -102,7 +101,7 @@ def _free_name(source: str, stream: str) -> Path:
 
     For an address the name is in the current folder.
     """
-    name = Path(urlsplit(stream).path).name if is_remote(stream) else stream
+    name = Path(url_path(stream)).name if is_remote(stream) else stream
     usual = Path(name).with_suffix(".png")
     is_free = not usual.exists() or (is_our_picture(usual) and not is_same_file(source, usual))
     return usual if is_free else usual.with_suffix(".compare.png")

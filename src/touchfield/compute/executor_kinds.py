@@ -21,6 +21,7 @@ from typing import Any, Final, Protocol
 
 from touchfield.compute.threads import worker_count
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError, import_extra, reason
+from touchfield.options import address
 from touchfield.plugins import plugins
 
 _MAX_PROCESSES: Final = 1024
@@ -90,6 +91,18 @@ def executor_kinds() -> dict[str, ExecutorKind]:
 
 def _is_process_count(text: str) -> bool:
     return text.isascii() and text.isdigit() and 0 < int(text[:9]) <= _MAX_PROCESSES
+
+
+def _is_scheduler_address(text: str) -> bool:
+    """False if nothing is named, or the port of HOST:PORT, behind any scheme, is none."""
+    place = text.rpartition("://")[2].partition("/")[0]
+    if ":" not in place:
+        return bool(place)
+    try:
+        address(place, "")
+    except InvalidArgument:
+        return False
+    return True
 
 
 def _threads_each(processes: int) -> int:
@@ -260,14 +273,20 @@ def _without_log(name: str) -> Iterator[None]:
         logger.setLevel(level)
 
 
+def _is_dask_address(text: str) -> bool:
+    """True for an address with a port: about one without, dask's client prints a traceback."""
+    has_port = ":" in text.rpartition("://")[2] or text.startswith("inproc://")
+    return has_port and _is_scheduler_address(text)
+
+
 _BUILT_IN: Final = (
     ExecutorKind("processes", "processes:N", _is_process_count, _open_processes),
     ExecutorKind("joblib", "joblib:N", _is_process_count, _open_joblib),
     ExecutorKind(
         "ray",
         "ray:N or ray:ADDRESS",
-        lambda rest: bool(rest) and (not rest.isdigit() or _is_process_count(rest)),
+        lambda rest: _is_process_count(rest) if rest.isdigit() else _is_scheduler_address(rest),
         _open_ray,
     ),
-    ExecutorKind("dask", "dask:ADDRESS such as dask:tcp://host:8786", bool, _open_dask),
+    ExecutorKind("dask", "dask:ADDRESS such as dask:tcp://host:8786", _is_dask_address, _open_dask),
 )

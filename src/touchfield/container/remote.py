@@ -22,7 +22,7 @@ from typing import Any, Final, NamedTuple
 from urllib.parse import urljoin, urlsplit
 
 from touchfield.errors import InvalidArgument, SourceError, import_extra
-from touchfield.files import is_remote as is_remote, without_secret as without_secret
+from touchfield.files import is_remote as is_remote, url_path, without_secret as without_secret
 
 _HEAD: Final = 1 << 12
 _TAIL: Final = 1 << 14
@@ -58,7 +58,7 @@ def is_live(name: object) -> bool:
     return isinstance(name, str) and (
         name == "-"
         or name.lower().startswith(("ws://", "wss://", "udp://"))
-        or (name.lower().startswith(("http://", "https://")) and urlsplit(name).path.endswith("/live.json"))
+        or (name.lower().startswith(("http://", "https://")) and url_path(name).endswith("/live.json"))
     )
 
 

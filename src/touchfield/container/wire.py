@@ -38,7 +38,7 @@ from touchfield.errors import (
     UnsupportedVersion,
     reason,
 )
-from touchfield.files import require_plain
+from touchfield.files import file_error, require_plain
 from touchfield.medium.budget import memory_budget_bytes
 
 
@@ -122,11 +122,11 @@ def _open(path: Path) -> BinaryIO:
     try:
         require_plain(path, "a .touch file")
         return path.open("rb")
-    except FileNotFoundError:
-        raise SourceError(str(path), "no such file", "a .touch file", "Check the path.") from None
     except (OSError, ValueError) as error:
-        raise SourceError(str(path), reason(error), "a readable .touch file") from None
+        raise file_error(path, error, "a .touch file") from None
 
+
+_MOVIES: Final = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".ts", ".mts", ".m2ts", ".m3u8")
 
 FRAME: Final = struct.Struct("<4sIQ")
 """Tag, flags and length of the payload."""
@@ -200,7 +200,11 @@ def read_opening(source: ByteSource) -> bytes:
         if any(magic[i : i + 5] == b"TOUCH" for i in (1, 2, 3)):
             found = f"{magic!r}, as a .touch file begins that was transferred as text"
             raise CorruptFile(source.name, found, f"{MAGIC!r}", "Transfer it again in binary mode.")
-        raise ForeignFile(source.name, f"a file that begins with {magic!r}", f"a .touch file: {MAGIC!r}")
+        hint = ""
+        if Path(source.name).suffix.lower() in _MOVIES:
+            hint = "The touch of a movie becomes a .touch file by: touchfield demux MOVIE OUT.touch."
+        found = f"a file that begins with {magic!r}"
+        raise ForeignFile(source.name, found, f"a .touch file: {MAGIC!r}", hint)
     if len(start) < OPENING_SIZE:
         raise TruncatedFile(source.name, f"{len(start)} bytes", f"at least {OPENING_SIZE}", FETCH_AGAIN)
     major, minor = VERSION.unpack(start[len(MAGIC) :])

@@ -177,7 +177,7 @@ def _table(where: Path, forces: tuple[str, ...]) -> tuple[Float64s, Int64s, _Col
     """Return the required columns, the line number of each row, and their description."""
     require_plain(where, "a trace file")
     with (
-        readable(where, "a trace file", "Check path and rights."),
+        readable(where, "a trace file"),
         where.open(encoding="utf-8-sig", errors="replace", newline=None) as file,
     ):
         lines = _lines(file, str(where))

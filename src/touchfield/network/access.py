@@ -83,6 +83,9 @@ class Access:
             hint = "Add --token WORD, or --open if anyone may read."
             raise InvalidArgument("--host", f"{self.host}, which others reach", "a token", hint)
 
+        for origin in self.origins:
+            _require_origin(origin)
+
     def is_authorised(self, request: web.Request) -> bool:
         """Return True if no token is required, or the request has it."""
         if self.token is None:
@@ -114,6 +117,20 @@ class Access:
         except ValueError:  # no address of a page
             return True
         return bool(origin) and netloc != request.host and not self.cors(request)
+
+
+def _require_origin(text: str) -> None:
+    """Raise InvalidArgument unless a browser may send this text as an origin, or it is "*".
+
+    An origin has no path, and a browser writes it in small letters: others would never be matched.
+    """
+    try:
+        parts = urlsplit(text)
+        is_origin = bool(parts.hostname) and parts.port != 0 and text == f"{parts.scheme}://{parts.netloc}"
+    except ValueError:
+        is_origin = False
+    if text not in ("*", "null") and not (is_origin and text == text.lower()):
+        raise InvalidArgument("--cors", repr(text[:80]), "an origin such as https://example.org, or *")
 
 
 def guarded(access: Access) -> web.Application:

@@ -21,8 +21,15 @@ from urllib.parse import unquote
 from touchfield.atomic import atomic_path
 from touchfield.container import TouchReader
 from touchfield.container.wire import ByteSource
-from touchfield.errors import InvalidArgument, SourceError, reason, require_ending
-from touchfield.files import read_bytes, readable, refuse_overwriting, require_in_folder, require_plain
+from touchfield.errors import InvalidArgument, SourceError, require_ending
+from touchfield.files import (
+    file_error,
+    read_bytes,
+    readable,
+    refuse_overwriting,
+    require_in_folder,
+    require_plain,
+)
 from touchfield.network import mkv_attachments, mp4_tracks, ts_streams
 from touchfield.network.mux import Muxed
 from touchfield.network.touch_track import (
@@ -137,7 +144,7 @@ def _opened(movie: Path) -> Iterator[ByteSource]:
         try:
             file: BinaryIO = stack.enter_context(movie.open("rb"))
         except (OSError, ValueError) as error:
-            raise SourceError(str(movie), reason(error), _EXPECTED) from None
+            raise file_error(movie, error, _EXPECTED) from None
         if file.read(len(_PLAYLIST)) == _PLAYLIST:
             parts = _parts_of(movie)
             file = stack.enter_context(TemporaryFile())

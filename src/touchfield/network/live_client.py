@@ -17,8 +17,8 @@ from threading import Event as Flag, Thread
 from typing import Any, Final, Self
 from urllib.parse import urlsplit, urlunsplit
 
-from touchfield.container.remote import without_secret
-from touchfield.errors import SourceError, TouchfieldError, reason
+from touchfield.container.remote import is_live, is_remote, without_secret
+from touchfield.errors import InvalidArgument, SourceError, TouchfieldError, naming_file, reason
 from touchfield.files import standard_input
 from touchfield.network.live import MAX_BYTES, Ended, LiveReceiver, LiveSegment, Opened, messages
 from touchfield.network.live_medium import PATIENCE_S, REPORT_AFTER_S, LiveFrames, LiveStream
@@ -28,8 +28,31 @@ _SHORTEST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 2.0  # between two tries to connect
 _POLL_S: Final = 0.05
 _ANSWER_S: Final = 10.0
 _HINT: Final = "Check the address, and that it is on."
+_LIVE_FORMS: Final = "ws://HOST:PORT/live, http://HOST:PORT/live.json, udp://HOST:PORT, or - for a pipe"
 _MAX_MANIFEST_BYTES: Final = 1 << 16
 _COARSE_WAIT_S: Final = 5.0  # time to wait for a coarse layer once the stream has opened
+
+
+def require_live(url: str, where: str) -> None:
+    """Raise InvalidArgument that names `where` unless a text is an address of a live stream.
+
+    Nothing is connected. These are the addresses of `touchfield.container.remote.is_live`.
+    """
+    if not is_live(url):
+        raise InvalidArgument(where, repr((without_secret(url) if is_remote(url) else url)[:80]), _LIVE_FORMS)
+    if url.lower().startswith("udp:"):
+        from touchfield.network.udp import require_listener
+
+        require_listener(url, where)
+    elif url != "-":
+        try:
+            parts = urlsplit(url)
+            has_host = bool(parts.hostname) and parts.port != 0  # `port` raises for one above 65535
+        except ValueError:
+            has_host = False
+        if not has_host:
+            expected = f"a host, and a port from 1 to 65535 if there is one: {_LIVE_FORMS}"
+            raise InvalidArgument(where, repr(without_secret(url)[:80]), expected)
 
 
 @contextmanager
@@ -41,8 +64,12 @@ def open_live(
     `coarse` is the address of its coarse layer, which replaces frames of the stream that are lost or late. If
     that layer has not started some seconds after the stream, this is reported and the stream is played alone.
 
-    Raises SourceError if there is no stream, or its first segment has not come within a minute.
+    Raises InvalidArgument if an address is none; SourceError if there is no stream, or its first segment has
+    not come within a minute.
     """
+    require_live(url, "address of a live stream")
+    if coarse is not None:
+        require_live(coarse, "coarse")
     with ExitStack() as stack:
         coarse_client: _Client | None = None
         if coarse is not None:
@@ -133,7 +160,8 @@ class _Client:
             if isinstance(event, Opened):
                 if self._frames is None:
                     coarse = None if self._coarse is None else self._coarse.layer(self._report)
-                    self._frames = live_frames(event, self._report, coarse)
+                    with naming_file(self._name):
+                        self._frames = live_frames(event, self._report, coarse)
                 elif _programme(event) == _programme(self._frames.opened):
                     self._report("another programme begins")
                     self._frames.start_programme()

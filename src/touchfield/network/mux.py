@@ -23,16 +23,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Final
 from xml.sax.saxutils import escape
 
-from touchfield.atomic import atomic_path
+from touchfield.atomic import atomic_path, temporary_folder
 from touchfield.compute.threads import Progress, silent
 from touchfield.container import TouchReader
 from touchfield.container.records import OBJECTS_CODER
-from touchfield.errors import InvalidArgument, SourceError, import_extra, reason, warn_unbounded
-from touchfield.files import readable, refuse_overwriting
+from touchfield.errors import InvalidArgument, import_extra, warn_unbounded
+from touchfield.files import file_error, readable, refuse_overwriting
 from touchfield.network.live import MEDIA_TYPE
 from touchfield.network.touch_track import KLV, sync_record, with_sync
 from touchfield.pipeline.decoding import stream_of
@@ -252,7 +251,7 @@ def _opened(movie: str | Path) -> Iterator[Any]:
     try:
         source = av.open(str(movie))
     except (av.FFmpegError, OSError, ValueError) as error:
-        raise SourceError(str(movie), reason(error), "a movie that ffmpeg reads") from None
+        raise file_error(movie, error, "a movie that ffmpeg reads") from None
     with source:
         yield source
 
@@ -267,20 +266,20 @@ def _write_dash(source: Any, stream: Path, out: Path, at_s: float, rate_bits: fl
     }
     if not {track.codec_context.name for track in tracks} & _WEBM_ONLY:  # else the choice is ffmpeg's
         names["dash_segment_type"] = "mp4"
-    with TemporaryDirectory(prefix=".touchfield-", dir=out.parent) as folder:
-        manifest = Path(folder) / out.name
+    with temporary_folder(out) as folder:
+        manifest = folder / out.name
         _copy(source, tracks, out, manifest, "dash", names)
-        text = _with_segment_bases(manifest.read_text("utf-8"), Path(folder))
+        text = _with_segment_bases(manifest.read_text("utf-8"), folder)
         manifest.write_text(_with_touch(text, out.stem, at_s, rate_bits), "utf-8")
         with readable(out, "a folder that can be written"):
-            shutil.copyfile(stream, Path(folder) / f"{out.stem}.touch")
-            for path in Path(folder).iterdir():
+            shutil.copyfile(stream, folder / f"{out.stem}.touch")
+            for path in folder.iterdir():
                 if (out.parent / path.name).exists() and (out.parent / path.name).samefile(source.name):
                     raise InvalidArgument(
                         str(out.parent / path.name), "the movie that is read", "another name"
                     )
             for path in sorted(
-                Path(folder).iterdir(), key=lambda path: path.suffix == ".mpd"
+                folder.iterdir(), key=lambda path: path.suffix == ".mpd"
             ):  # the manifest last, after the files that it names
                 os.replace(path, out.parent / path.name)
     return tuple(track.type for track in tracks)

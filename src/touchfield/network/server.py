@@ -36,7 +36,7 @@ def application(folder: Path, access: Access, pages: Pages | None = None) -> web
     Raises InvalidArgument if there is no such folder.
     """
     if not folder.is_dir():
-        raise InvalidArgument(str(folder), "no folder", "a folder with .touch files")
+        raise InvalidArgument(str(folder), "no folder", "a folder with .touch files", "Check the path.")
     root = folder.resolve()
 
     async def file(request: web.Request) -> web.StreamResponse:

@@ -25,6 +25,8 @@ _LAST_S: Final = 2.0
 _OPENED_EVERY: Final = 4
 """The opening is repeated before every fourth segment, for late receivers."""
 
+_MAX_PORT: Final = 65535
+
 _LAYERED_OPEN: Final = 11
 """Maximum number of incomplete messages if there is another layer.
 
@@ -40,22 +42,62 @@ stream.
 """
 
 
-def _parse_address(text: str) -> Address:
-    return address(text.lower().removeprefix("udp://").rstrip("/"), "address of datagrams")
+_WHERE: Final = "address of datagrams"
+
+_Resolved = tuple[socket.AddressFamily, Any]
+"""Family of the sockets for an address, and the address as they take it."""
 
 
-def token_of(url: str) -> str | None:
+def _parse_address(text: str, where: str = _WHERE) -> Address:
+    return address(text.lower().removeprefix("udp://").rstrip("/"), where)
+
+
+def require_receiver(text: str, where: str, *, is_layered: bool = False) -> None:
+    """Raise InvalidArgument that names `where` unless datagrams can be sent to HOST:PORT.
+
+    With `is_layered` they must also have a next port, for a coarse layer.
+    """
+    _resolve(text, where, "alone")
+    if is_layered:
+        _resolve(text, where, "coarse")
+
+
+def _resolve(text: str, where: str, layer: Layer) -> _Resolved:
+    """Return where to send the datagrams of a layer."""
+    host, port = _parse_address(text, where)
+    if layer == "coarse":
+        port += 1
+        if port > _MAX_PORT:
+            found, expected = f"port {port - 1}, with --coarse", f"a port up to {_MAX_PORT - 1}"
+            raise InvalidArgument(where, found, expected, "The coarse layer is sent to the next port.")
+    try:
+        family, _, _, _, to = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+    except OSError as error:
+        hint = "Check the name of the host."
+        raise InvalidArgument(
+            where, f"{text[:80]!r}: {reason(error)}", "a host that is there", hint
+        ) from None
+    return family, to
+
+
+def token_of(url: str, where: str = _WHERE) -> str | None:
     """Return the token of an address such as udp://HOST:PORT?token=WORD; None if it has no query.
 
-    Raises InvalidArgument for any other query.
+    Raises InvalidArgument for any other query; the error names `where`.
     """
     _, mark, query = url.partition("?")
     if not mark:
         return None
     name, _, word = query.partition("=")
     if name != "token" or not word or "&" in word:
-        raise InvalidArgument("address of datagrams", "another query", "none, or ?token=WORD")
+        raise InvalidArgument(where, "another query", "none, or ?token=WORD")
     return unquote_plus(word, errors="surrogateescape")
+
+
+def require_listener(url: str, where: str) -> None:
+    """Raise InvalidArgument that names `where` unless a text is udp://HOST:PORT, with or without a token."""
+    _parse_address(url.partition("?")[0], where)
+    token_of(url, where)
 
 
 class UdpSender:
@@ -68,15 +110,8 @@ class UdpSender:
     def __init__(
         self, sender: LiveSender, text: str, layer: Layer = "alone", token: str | None = None
     ) -> None:
-        host, port = _parse_address(text)
-        if layer == "coarse":
-            host, port = _parse_address(f"{host}:{port + 1}")
-        self._to: Any
-        try:
-            family, kind, _, _, self._to = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
-        except OSError as error:
-            raise InvalidArgument("address", f"{text}: {reason(error)}", "a host that is there") from None
-        self._socket = socket.socket(family, kind)
+        family, self._to = _resolve(text, _WHERE, layer)
+        self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         stream = secrets.randbits(32) if token is None else stream_of_time(time.time_ns(), layer == "coarse")
         self._sender, self._datagrams, self._count = sender, Datagrams(stream, REPAIR[layer], token), 0

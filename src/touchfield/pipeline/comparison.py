@@ -19,7 +19,7 @@ from touchfield.codec.objects.error_bound import BoundCheck, compare_scenes
 from touchfield.codec.paper.field_quantiser import FieldQuantiserSpec
 from touchfield.codec.segment import BitAccount
 from touchfield.compute.threads import Progress, silent
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, naming_file
 from touchfield.filters.limit import limit_forces
 from touchfield.filters.registry import FieldFilter
 from touchfield.measure.counts import SymbolCounter
@@ -204,7 +204,8 @@ def source_medium(source: Source | ArrayLike, opened: OpenStream, allow_outside:
         hint = "Compare it with its field, FIELD.npz."
         raise InvalidArgument("stream", "no provenance to filter the source by", hint=hint)
     form = "voxel" if opened.scene is None else "object"
-    spec = replace(EncodeSpec.from_json(provenance["spec"]), representation=form)
+    with naming_file(opened.reader.name):
+        spec = replace(EncodeSpec.from_json(provenance["spec"]), representation=form)
     spec = replace(spec, source=replace(spec.source, allow_outside=allow_outside))
     original = _written_field(source, opened, spec) or _filtered_again(source, opened, spec)
     if len(original.medium) != head.frame_count:

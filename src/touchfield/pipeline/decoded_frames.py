@@ -16,6 +16,7 @@ from typing import Any, Final
 
 from touchfield.compute.threads import worker_count
 from touchfield.container import TouchReader
+from touchfield.errors import naming_file
 from touchfield.medium import ForceField, Grid, Segments
 from touchfield.medium.medium import VibrationFrame
 
@@ -45,7 +46,7 @@ class SegmentFrames:
 
     def __call__(self, frame: int) -> ForceField:
         """One frame; decodes its segment up to it, or one frame in sequential access."""
-        with self._lock:
+        with self._lock, naming_file(self._reader.name):
             if self._latest is not None and self._latest[0] == frame:
                 return self._latest[1]
             segment = self._reader.segment_of(frame)
@@ -191,4 +192,5 @@ def _vibrations(reader: TouchReader, grid: Grid, segment: int) -> list[Vibration
         return [VibrationFrame.empty(grid)] * count
     from touchfield.codec.vibration import decode_vibration
 
-    return decode_vibration(body, grid, count)
+    with naming_file(reader.name):
+        return decode_vibration(body, grid, count)

@@ -16,7 +16,7 @@ from touchfield.codec.objects.layout import CodedObject, Parameters, composed_ru
 from touchfield.codec.registry import coder, field_decoder
 from touchfield.codec.segment import BitAccount, BoundRule, mask_text, max_error_keys
 from touchfield.container import ObjectRecord, TouchReader
-from touchfield.errors import CorruptFile
+from touchfield.errors import CorruptFile, naming_file
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticObject, HapticScene, PoseTrack
 from touchfield.medium.budget import require_memory
 from touchfield.medium.pose_track import MAX_POSES
@@ -51,7 +51,8 @@ class SceneStream(OpenStream):
         if poses > MAX_POSES:
             count = f"{head.frame_count} frames of {reader.object_count} objects"
             raise CorruptFile("HEAD.frame_count", count, f"at most {MAX_POSES} poses")
-        require_memory("HEAD.frame_count", "poses", poses * _BYTES_PER_POSE, "Set TOUCHFIELD_MEMORY_GIB.")
+        where, size = f"{reader.name}: HEAD.frame_count", poses * _BYTES_PER_POSE
+        require_memory(where, "poses", size, "Set TOUCHFIELD_MEMORY_GIB.")
         objects = [coded_object(reader.read_object(i)) for i in range(reader.object_count)]
         self.decoder = ObjectsDecoder(head.coder_parameters, objects)
         self._body = lru_cache(1)(reader.read_segment)  # every deforming object reads it
@@ -62,7 +63,8 @@ class SceneStream(OpenStream):
         frame_count = sum(entry.frame_count for entry in self.reader.segments)
         poses, start = list[Float64s](), 0
         for i, entry in enumerate(self.reader.segments):
-            segment = self.decoder.tracks(self.reader.read_segment(i), entry.frame_count)
+            with naming_file(self.reader.name):
+                segment = self.decoder.tracks(self.reader.read_segment(i), entry.frame_count)
             if not poses:  # not before a segment has proved to be sound
                 poses = [np.empty((frame_count, 7)) for _ in segment]
             stop = start + entry.frame_count
@@ -97,9 +99,10 @@ class SceneStream(OpenStream):
     @cached_property
     def bits(self) -> BitAccount:
         """See `OpenStream`: of the objects and of all segments; decodes nothing."""
-        costs = [self.decoder.object_cost(i) for i in range(self.reader.object_count)]
-        for i, entry in enumerate(self.reader.segments):
-            costs.append(self.decoder.cost(self.reader.read_segment(i), entry.frame_count))
+        with naming_file(self.reader.name):
+            costs = [self.decoder.object_cost(i) for i in range(self.reader.object_count)]
+            for i, entry in enumerate(self.reader.segments):
+                costs.append(self.decoder.cost(self.reader.read_segment(i), entry.frame_count))
         return sum(costs, BitAccount())
 
     def _coder(self) -> dict[str, Any]:
@@ -135,20 +138,27 @@ class SceneStream(OpenStream):
         if not self._modes:
             return {}
         segments = enumerate(self.reader.segments)
-        return max_error_keys(
-            (entry.first_frame, self.decoder.parts(self._body(i), entry.frame_count).max_error)
-            for i, entry in segments
-        )
+        with naming_file(self.reader.name):
+            return max_error_keys(
+                (entry.first_frame, self.decoder.parts(self._body(i), entry.frame_count).max_error)
+                for i, entry in segments
+            )
 
     def _medium(self, index: int, coded: CodedObject) -> HapticMedium:
         """The fields of one object."""
         head = self.reader.head
+
+        def rigid_field(_: int) -> ForceField:
+            with naming_file(self.reader.name):
+                return self.decoder.rigid_field(index)
+
         if not coded.is_deforming:
-            return HapticMedium(coded.grid, head.rate_hz, 1, cache(lambda _: self.decoder.rigid_field(index)))
+            return HapticMedium(coded.grid, head.rate_hz, 1, cache(rigid_field))
 
         def decode(segment: int) -> Iterator[ForceField]:
             return self.decoder.fields(self._body(segment), index, self.reader.segments[segment].frame_count)
 
-        coder: Any = field_decoder(coded.field_coder, coded.grid, coded.field_parameters, f"OBJT {index}")
+        with naming_file(self.reader.name):
+            coder: Any = field_decoder(coded.field_coder, coded.grid, coded.field_parameters, f"OBJT {index}")
         frames, segments = SegmentFrames(self.reader, decode), segment_layout(self.reader, coder.describe())
         return HapticMedium(coded.grid, head.rate_hz, head.frame_count, frames, segments=segments)

@@ -10,7 +10,7 @@ from pathlib import Path
 from touchfield.codec.registry import coder
 from touchfield.compute.threads import Progress, silent
 from touchfield.container import TouchReader
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, naming_file
 from touchfield.medium import HapticMedium
 from touchfield.medium.budget import require_memory
 from touchfield.medium.grid import Placement
@@ -29,11 +29,12 @@ def stream_of(reader: TouchReader) -> OpenStream:
 
     Raises UnsupportedVersion if there is no such coder.
     """
-    if coder(reader.head.coder).spec is not None:
-        return VoxelStream(reader)
-    from touchfield.pipeline.decoded_objects import SceneStream
+    with naming_file(reader.name):
+        if coder(reader.head.coder).spec is not None:
+            return VoxelStream(reader)
+        from touchfield.pipeline.decoded_objects import SceneStream
 
-    return SceneStream(reader)
+        return SceneStream(reader)
 
 
 def write_field(

@@ -16,7 +16,7 @@ from touchfield.codec.registry import coder
 from touchfield.codec.segment import BitAccount, BoundRule, bound_keys, compression_ratio, max_error_keys
 from touchfield.compute.threads import Progress, silent
 from touchfield.container import TouchReader
-from touchfield.errors import CorruptFile, InvalidArgument
+from touchfield.errors import CorruptFile, InvalidArgument, naming_file
 from touchfield.files import json_of
 from touchfield.medium import ForceField, Grid, HapticMedium, HapticScene
 from touchfield.medium.grid import Placement
@@ -118,7 +118,8 @@ class OpenStream(ABC):
         try:
             return WeberCurve.of(stored).points
         except InvalidArgument as error:
-            raise CorruptFile("PROV spec touch.k_by_force", error.found, error.expected) from None
+            where = f"{self.reader.name}: PROV spec touch.k_by_force"
+            raise CorruptFile(where, error.found, error.expected) from None
 
     @property
     @abstractmethod
@@ -241,8 +242,9 @@ class VoxelStream(OpenStream):
     def costs(self) -> tuple[FrameCost, ...]:
         """Costs of all frames; reads every segment once, and decodes none."""
         costs: list[FrameCost] = []
-        for i, segment in enumerate(self.reader.segments):
-            costs.extend(self.decoder.costs(self.reader.read_segment(i), segment.frame_count))
+        with naming_file(self.reader.name):
+            for i, segment in enumerate(self.reader.segments):
+                costs.extend(self.decoder.costs(self.reader.read_segment(i), segment.frame_count))
         return tuple(costs)
 
     @property
@@ -275,10 +277,11 @@ class VoxelStream(OpenStream):
     def max_error_summary(self) -> dict[str, Any]:
         if not coder(self.reader.head.coder).has_error_bound:
             return {}
-        return max_error_keys(
-            (segment.first_frame, self.decoder.max_error(self.reader.read_segment(i)))
-            for i, segment in enumerate(self.reader.segments)
-        )
+        with naming_file(self.reader.name):
+            return max_error_keys(
+                (segment.first_frame, self.decoder.max_error(self.reader.read_segment(i)))
+                for i, segment in enumerate(self.reader.segments)
+            )
 
 
 def stream_device(stream: OpenStream) -> Device:

@@ -27,7 +27,7 @@ import numpy as np
 
 from touchfield.arrays import Float64s
 from touchfield.atomic import atomic_path
-from touchfield.errors import InvalidArgument, SourceError, as_source_error, require_ending
+from touchfield.errors import CorruptFile, InvalidArgument, SourceError, as_source_error, require_ending
 from touchfield.files import json_of, read_bytes
 from touchfield.medium.field import numbers_of
 from touchfield.perception.vibrotactile import BANDS_HZ
@@ -205,9 +205,14 @@ def write_table(path: str | Path, materials: Iterable[Material]) -> None:
 def stored_materials(provenance: Mapping[str, str]) -> tuple[Material, ...]:
     """Return the materials stored with a medium; none if there is no such entry.
 
-    Raises `SourceError` if the entry is damaged.
+    Raises `CorruptFile` if the entry is damaged.
     """
-    return _parse_materials(provenance[KEY], f"provenance, {KEY}") if KEY in provenance else ()
+    if KEY not in provenance:
+        return ()
+    try:
+        return _parse_materials(provenance[KEY], f"PROV {KEY}")
+    except SourceError as error:  # the file at fault is the stream
+        raise CorruptFile(error.where, error.found, error.expected, error.hint) from None
 
 
 def stored_json(materials: Iterable[Material]) -> str:

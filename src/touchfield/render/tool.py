@@ -55,7 +55,8 @@ class Tool:
                 "points_m", f"shape {points.shape}", f"[n, 3] with n from 1 to {MAX_POINTS}"
             )
         if not np.abs(points).max() <= _MAX_DISTANCE_M:
-            raise InvalidArgument("points_m", f"{np.abs(points).max():g} m", f"at most {_MAX_DISTANCE_M:g} m")
+            found, hint = f"{np.abs(points).max():g} m", "Scale a mesh in millimetres by 0.001."
+            raise InvalidArgument("points_m", found, f"at most {_MAX_DISTANCE_M:g} m", hint)
         lengths = lengths_of(normals)
         if normals.shape != points.shape or not (np.abs(lengths - 1) < 1e-6).all():
             raise InvalidArgument("normals", f"shape {normals.shape}", f"{points.shape}, each of length 1")

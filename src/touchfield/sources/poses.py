@@ -71,7 +71,7 @@ def read_text(path: Path, max_bytes: int = _MAX_TEXT_BYTES) -> str:
     Raises `SourceError` if it cannot be read, exceeds `max_bytes` or is not text.
     """
     try:
-        with readable(path, "a text file", "Check path and rights."):
+        with readable(path, "a text file"):
             size = plain_size(path, "a text file")
             if size > max_bytes:
                 raise SourceError(str(path), f"{size} bytes", f"a text file up to {max_bytes} bytes")

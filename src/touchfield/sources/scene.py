@@ -218,15 +218,22 @@ class MovingScene(Scene):
         return self._box[1]
 
 
-_LARGE_M: Final = 40.0  # a mesh of this size or larger may be in millimetres, as from CAD
+_LARGE_M: Final = 40.0  # a mesh of this size or larger may be in millimetres or inches, as from CAD
+_MILLIMETRE_M: Final = 1e-3
+_INCH_M: Final = 0.0254
 
 
 def size_note(
-    extent_m: NDArray[np.floating[Any]], unit_m: float | None, when: str = "", stated_m: float | None = None
+    extent_m: NDArray[np.floating[Any]],
+    unit_m: float | None,
+    when: str = "",
+    stated_m: float | None = None,
+    option: str = "--unit-m",
 ) -> str:
     """Describe the sides of a mesh, metres [3], and its unit.
 
-    `unit_m` is the requested unit, `stated_m` that of the file; None stands for metres.
+    `unit_m` is the requested unit, `stated_m` that of the file; None stands for metres. `option` sets the
+    unit.
     """
     extent = " x ".join(f"{side:.4g}" for side in extent_m)
     if unit_m is not None:
@@ -234,11 +241,15 @@ def size_note(
         return f"One unit is {unit_m:g} m{other}: {extent} m{when}."
     if stated_m is not None:
         return f"One unit is {stated_m:g} m, as the file states: {extent} m{when}."
-    note = f"Coordinates taken as metres: {extent} m{when}; give --unit-m if they are not"
+    note = f"Coordinates taken as metres: {extent} m{when}; give {option} if they are not"
     if extent_m.max() < _LARGE_M:
-        return f"{note}."
-    in_mm = " x ".join(f"{1e-3 * side:.4g}" for side in extent_m)
-    return f"{note}: --unit-m 0.001, for millimetres, makes them {in_mm} m."
+        return f"{note} (millimetres: {_MILLIMETRE_M:g}, inches: {_INCH_M:g})."
+    in_mm, in_inches = (
+        " x ".join(f"{unit * side:.4g}" for side in extent_m) for unit in (_MILLIMETRE_M, _INCH_M)
+    )
+    return (
+        f"{note}. As millimetres, {option} {_MILLIMETRE_M:g}, they are {in_mm} m; as inches, {in_inches} m."
+    )
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,7 @@ from typing import Any, Final
 import numpy as np
 
 from touchfield.errors import InvalidArgument, SourceError, require_between, require_one_of, require_positive
+from touchfield.files import read_bytes
 
 TASKS: Final = {"2ifc": 1 / 2, "3ifc": 1 / 3, "abx": 1 / 2}
 """Chance level of each task."""
@@ -144,11 +145,6 @@ def with_levels(design: StudyDesign, levels: tuple[float, ...], unit: str) -> St
     return replace(design, comparisons=compared, unit=unit)
 
 
-def open_fault(error: OSError) -> str:
-    """What is wrong with a file that cannot be opened, for an error."""
-    return "no such file" if isinstance(error, FileNotFoundError) else error.strerror or "no file"
-
-
 def read_design(path: str | Path) -> StudyDesign:
     """Read a design from TOML; paths of streams are relative to its folder.
 
@@ -156,12 +152,8 @@ def read_design(path: str | Path) -> StudyDesign:
     """
     path = Path(path)
     try:
-        data = path.open("rb").read(_MAX_BYTES + 1)
-        if len(data) > _MAX_BYTES:
-            raise SourceError(str(path), f"more than {_MAX_BYTES} bytes", "the design of a study")
+        data = read_bytes(path, _MAX_BYTES, "the design of a study, TOML")
         values = tomllib.loads(data.decode())
-    except OSError as error:
-        raise SourceError(str(path), open_fault(error), "the design of a study, TOML") from None
     except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise SourceError(str(path), f"no TOML ({error})", "the design of a study") from None
     try:

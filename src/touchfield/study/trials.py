@@ -17,6 +17,7 @@ from typing import Any, Final
 
 from touchfield.atomic import atomic_path
 from touchfield.errors import InvalidArgument, SourceError
+from touchfield.files import read_bytes
 
 _MAX_BYTES: Final = 16 << 20
 _LABEL: Final = re.compile(r"[A-Za-z0-9]{1,32}")
@@ -93,13 +94,12 @@ def read_complete_trials(path: str | Path) -> tuple[tuple[Trial, ...], bool]:
     names any other line that is wrong.
     """
     path = Path(path)
+    data = read_bytes(path, _MAX_BYTES, "trials of one participant, comma-separated text")
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise SourceError(str(path), f"more than {_MAX_BYTES} bytes", "trials of one participant")
-        complete, line_feed, rest = path.read_bytes().rpartition(b"\n")
+        complete, line_feed, rest = data.rpartition(b"\n")
         lines = io.StringIO((complete + line_feed).decode(), newline="")
         return tuple(_rows(path, lines)), bool(rest)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except (UnicodeDecodeError, csv.Error) as error:
         raise SourceError(str(path), f"no trials ({error})", "comma-separated text") from None
 
 

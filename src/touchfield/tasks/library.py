@@ -10,7 +10,9 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import os
 import shlex
+import stat
 import time
 import warnings
 import zipfile
@@ -138,7 +140,7 @@ def library_path(folder: Path, path: Path | None = None) -> Path:
     """
     resolved = folder.resolve()
     if not resolved.is_dir():
-        raise InvalidArgument(str(folder), "no folder", "a folder of .touch files")
+        raise InvalidArgument(str(folder), "no folder", "a folder of .touch files", "Check the path.")
     return path or resolved.parent / f"{resolved.name or 'root'}.index.npz"
 
 
@@ -177,7 +179,8 @@ def index_folder(
     start_s, folder = time.perf_counter(), Path(folder)
     target = library_path(folder, path)
     before, notes = _library_before(target)
-    files, link_notes = _files(folder), _dangling_notes(folder)
+    listing = _list_files(folder)
+    files = listing.files
     changed = sorted(
         name
         for name, size_and_time in files.items()
@@ -229,7 +232,7 @@ def index_folder(
         "gone": len(deleted),
         "seconds": time.perf_counter() - start_s,
     }
-    notes += link_notes + (() if files else (f"no .touch file in {folder} or the folders in it",))
+    notes += listing.notes() + (() if files else (f"no .touch file in {folder} or the folders in it",))
     return Indexed(figures, notes, path=target, library=library)
 
 
@@ -287,24 +290,82 @@ def describe_file(path: Path) -> tuple[Float64s | None, str]:
         return None, str(error) or type(error).__name__
 
 
-def _files(folder: Path) -> dict[str, tuple[int, int]]:
-    """Return size and time of every .touch file, by name; not of temporary files of other runs."""
-    paths = (path for path in folder.rglob("*.touch") if path.is_file() and not is_temporary(path.name))
-    return {
-        path.relative_to(folder).as_posix(): (path.stat().st_size, path.stat().st_mtime_ns) for path in paths
-    }
+@dataclass
+class _Listing:
+    """What a folder contains: size and time of each .touch file by its name, and names that are left out.
+
+    `dangling` are links named .touch whose file is not there, `unfollowed` links to folders that are listed
+    by another name or contain the library, `unread` folders that may not be read.
+    """
+
+    files: dict[str, tuple[int, int]] = field(default_factory=dict)
+    dangling: list[str] = field(default_factory=list)
+    unfollowed: list[str] = field(default_factory=list)
+    unread: list[str] = field(default_factory=list)
+
+    def notes(self) -> tuple[str, ...]:
+        """Notes on what is left out."""
+        texts = (
+            ("link", self.dangling, "to files that are not there, left out"),
+            ("link", self.unfollowed, "to folders that are indexed already or contain this one, left out"),
+            ("folder", self.unread, "that this user may not read, left out"),
+        )
+        return tuple(
+            f"{_count_of(len(names), noun)} {text}, such as {min(names)}"
+            for noun, names, text in texts
+            if names
+        )
 
 
-def _dangling_notes(folder: Path) -> tuple[str, ...]:
-    """A note on the links named .touch whose file is gone or cannot be reached."""
-    links = sorted(
-        path.relative_to(folder).as_posix()
-        for path in folder.rglob("*.touch")
-        if path.is_symlink() and not path.exists()
-    )
-    if not links:
-        return ()
-    return (f"{_count_of(len(links), 'link')} to files that are not there, left out, such as {links[0]}",)
+def _list_files(folder: Path) -> _Listing:
+    """List the .touch files of a folder and its subfolders, without the temporary files of other runs.
+
+    Links are followed, to files and to folders. Each folder is listed once, by its own name if it has one
+    here, so that a cycle of links ends and no link multiplies the files.
+    """
+    root, listing = os.path.realpath(folder), _Listing()
+    listed = {root}
+
+    def is_to_list(path: str) -> bool:
+        real = os.path.realpath(path)
+        if os.path.islink(path) and (_contains(root, real) or _contains(real, root)):
+            return False
+        is_new = real not in listed
+        listed.add(real)
+        return is_new
+
+    def leave_out(error: OSError) -> None:
+        listing.unread.append(Path(error.filename).relative_to(folder).as_posix())
+
+    for path, folders, names in os.walk(folder, followlinks=True, onerror=leave_out):
+        subfolders, folders[:] = sorted(name for name in folders if not is_temporary(name)), list[str]()
+        for name in subfolders:
+            subfolder = os.path.join(path, name)
+            if is_to_list(subfolder):
+                folders.append(name)
+            else:
+                listing.unfollowed.append(Path(subfolder).relative_to(folder).as_posix())
+        for name in names:
+            if name.endswith(".touch") and not is_temporary(name):
+                _add_file(listing, folder, Path(path, name))
+    return listing
+
+
+def _contains(folder: str, path: str) -> bool:
+    """Return True if a folder is `path` or contains it; both are real paths."""
+    return Path(path).is_relative_to(folder)
+
+
+def _add_file(listing: _Listing, folder: Path, path: Path) -> None:
+    """Add a file, or a link whose file is not there; pipes and devices are no media."""
+    name = path.relative_to(folder).as_posix()
+    try:
+        status = path.stat()
+    except OSError:
+        listing.dangling.append(name)
+        return
+    if stat.S_ISREG(status.st_mode):
+        listing.files[name] = status.st_size, status.st_mtime_ns
 
 
 def _is_unchanged(entry: Entry | None, size_and_time: tuple[int, int]) -> bool:
@@ -345,7 +406,7 @@ def search(
     if not target.exists():
         raise SourceError(str(target), "no such file", "the folder's index", f"Make it: {command}")
     library = _library_to_search(target, command)
-    files = _files(folder)
+    files = _list_files(folder).files
     stale = sum(
         not _is_unchanged(library.entries.get(name), size_and_time) for name, size_and_time in files.items()
     )

@@ -22,11 +22,17 @@ from numpy.typing import NDArray
 from touchfield.atomic import atomic_path
 from touchfield.compute.threads import Progress, silent
 from touchfield.devices import Device, device
-from touchfield.devices.drivers.registry import array_device, is_array_device, point_device
+from touchfield.devices.drivers.registry import (
+    array_device,
+    is_array_device,
+    point_device,
+    require_device,
+)
 from touchfield.devices.drivers.simulated import STIFFNESS_N_PER_M
 from touchfield.devices.drivers.touch_down import touch_down
 from touchfield.errors import (
     InvalidArgument,
+    naming_file,
     require_between,
     require_kinds,
     require_not_negative,
@@ -185,7 +191,8 @@ def play(
     unusable, or the file or its first frame cannot be read.
     """
     spec = spec or PlaySpec()
-    with open_stream(path, on_note, spec.coarse) as stream:
+    require_device(spec.device, spec.settings)
+    with open_stream(path, on_note, spec.coarse) as stream, naming_file(stream.reader.name):
         count, seconds = (
             stream.reader.head.frame_count,
             stream.reader.head.frame_count / stream.reader.head.rate_hz,

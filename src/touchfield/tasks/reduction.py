@@ -25,6 +25,7 @@ from touchfield.codec.segment import BOUND_KEYS
 from touchfield.compute.threads import Progress, silent
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument, require_between
+from touchfield.files import readable
 from touchfield.filters.registry import add_note
 from touchfield.measure.fidelity import FidelityMeter
 from touchfield.measure.interaction import visits
@@ -434,7 +435,10 @@ def next_points(source: str | Path, count: int, measured: str | Path | None = No
     TouchfieldError.
     """
     require_between(1, MAX_POINTS, points=count)
-    recording = recorded_contacts(Path(measured or source))
+    recorded = Path(measured or source)
+    with readable(recorded, "a recording of contacts"):
+        recorded.stat()
+    recording = recorded_contacts(recorded)
     if recording is None:
         hint = "Name what was measured: --measured FELT.csv."
         raise InvalidArgument(

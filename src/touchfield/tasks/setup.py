@@ -24,6 +24,7 @@ from touchfield.devices.drivers.registry import (
     library_check,
     point_device,
     point_kinds,
+    require_device,
 )
 from touchfield.errors import DeviceError, InvalidArgument, MissingExtra
 from touchfield.filters.limit import limit_forces
@@ -82,6 +83,8 @@ def examine(name: str | None = None, measures_delay: bool = False) -> dict[str, 
     kind = kinds.get(kind_name.lower())
     if kind is None:
         raise InvalidArgument("device", repr(name[:80]), f"one of {', '.join(kinds)}")
+    if rest:
+        require_device(name)
     checks = device_checks(kind, rest)
     if measures_delay:
         checks.append(delay_check(name.strip(), kind))

@@ -26,10 +26,14 @@ import numpy as np
 from touchfield._version import __version__
 from touchfield.atomic import atomic_path
 from touchfield.compute.threads import Progress, silent
+<<<<<<< HEAD
 from touchfield.devices.drivers.registry import array_device, is_array_device, point_device
+=======
+from touchfield.devices.drivers.registry import require_device
+>>>>>>> fixes
 from touchfield.devices.drivers.touch_down import touch_down
 from touchfield.errors import InvalidArgument, SourceError, as_source_error, is_finite
-from touchfield.files import json_of
+from touchfield.files import json_of, read_bytes, readable, require_plain
 from touchfield.network.opening import open_stream
 from touchfield.pipeline.result import Result
 from touchfield.render.readiness import DEFAULT_WAIT_S, Unit, open_when_ready
@@ -39,7 +43,6 @@ from touchfield.study.design import (
     TASKS,
     StudyDesign,
     for_participant,
-    open_fault,
     read_design,
     with_levels,
 )
@@ -219,7 +222,11 @@ def run_session(
     if spec.observer is not None:  # before anything is written
         observer = SimulatedObserver.parse(spec.observer, design.chance, design.seed)
     else:
+<<<<<<< HEAD
         unit = _unit_of(spec.device or "")
+=======
+        require_device(spec.device or "")
+>>>>>>> fixes
     earlier = read_trials(path) if path.exists() else ()
     _require_same_observer(path, earlier, spec, design.chance)
     if observer is None and len(earlier) < design.trials:
@@ -343,25 +350,20 @@ def _digests(design: StudyDesign) -> list[str]:
     """SHA-256 of the reference and of each comparison; `SourceError` if one is no file."""
     digests = []
     for stream in (design.reference, *(compared.stream for compared in design.comparisons)):
-        try:
-            with Path(stream).open("rb") as file:
-                digests.append(hashlib.file_digest(file, "sha256").hexdigest())
-        except OSError as error:
-            raise SourceError(stream, open_fault(error), "a stream of the design") from None
+        require_plain(stream, "a stream of the design")
+        with readable(Path(stream), "a stream of the design"), Path(stream).open("rb") as file:
+            digests.append(hashlib.file_digest(file, "sha256").hexdigest())
     return digests
 
 
 def _read_session(path: Path) -> dict[str, Any]:
     """The session of a folder; `SourceError` if it is not what `run_session` writes."""
     try:
-        with path.open("rb") as file:
-            data = file.read(_MAX_SESSION_BYTES)
+        data = read_bytes(path, _MAX_SESSION_BYTES, "a folder of a study")
         values: dict[str, Any] = json_of(data.decode())
         levels = tuple(float(level) for level in values["levels"])
         known: dict[str, Any] = {name: str(values[name]) for name in ("design", "unit", "task", "title")}
         known["trials"] = int(values["trials"])
-    except OSError as error:
-        raise SourceError(str(path), open_fault(error), "a folder of a study") from None
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
         raise SourceError(str(path), "no session", "what `touchfield study run` writes") from None
     return {**values, **known, "levels": levels}

@@ -19,6 +19,7 @@ from touchfield.codec.touch.spec import TouchSpec
 from touchfield.compute.threads import Progress, silent
 from touchfield.devices import device_names
 from touchfield.errors import InvalidArgument
+from touchfield.files import is_remote
 from touchfield.medium import HapticMedium
 from touchfield.network.demux import demux
 from touchfield.network.opening import open_stream
@@ -37,6 +38,8 @@ from touchfield.viewer.picture import shadows
 _MAX_FRAMES: Final = 30  # frames of a medium in memory that are coded for the page
 _HEIGHT_PX: Final = 640
 _MOVIES: Final = {".mp4": "video/mp4", ".m4v": "video/mp4", ".mov": "video/mp4"}
+_UNPLAYED: Final = (".mkv", ".webm", ".ts", ".mts", ".m2ts", ".m3u8", ".mpd")
+"""Movies whose touch is shown alone: not every browser plays them."""
 _DRAWN_FRAMES: Final = 3  # the first, the middle one and the last
 MAX_SOURCE_BYTES: Final = 1 << 25  # maximum size of the source within a page
 _ERROR_FRACTIONS: Final = (0.1, 0.3)
@@ -94,7 +97,8 @@ def view(
 ) -> Page:
     """Return the page of a ``.touch`` file, of a movie with touch, or of a medium.
 
-    Of a medium, the first 30 frames are shown. `against` is the source that was encoded: a path, scene,
+    Of a medium, the first 30 frames are shown. Of a movie in Matroska, MPEG-TS or HLS only the touch is
+    shown, and a note says how to see its pictures. `against` is the source that was encoded: a path, scene,
     medium or field. The page then contains it, shows it and the difference, and states the NMSE and the
     vibration of the coding. `devices` are profiles whose capacity, WMR and HIL are shown with the entropy of
     the medium; with a source and no profile, that of the stream. Raises TouchfieldError if the file cannot be
@@ -109,13 +113,23 @@ def view(
             return replace(page, figures={**page.figures, **extra_figures})
         movie = Path(str(medium))
         kind = _MOVIES.get(movie.suffix.lower())
-        if kind is None:
+        if is_remote(medium) or (kind is None and movie.suffix.lower() not in _UNPLAYED):
             return _page(medium, against, report, devices)
         path = Path(folder) / f"{movie.stem}.touch"
         done = demux(movie, path)
-        page = _page(path, against, report, devices, (movie.read_bytes(), kind, done.at_s))
-        notes = {"movie_notes": list(done.notes)} if done.notes else {}
-        return replace(page, figures={**page.figures, **notes})
+        film = None if kind is None else (movie.read_bytes(), kind, done.at_s)
+        page = _page(path, against, report, devices, film)
+        notes = [*done.notes, *((_without_pictures(movie, done.at_s),) if kind is None else ())]
+        return replace(page, figures={**page.figures, **({"movie_notes": notes} if notes else {})})
+
+
+def _without_pictures(movie: Path, at_s: float) -> str:
+    """Say why the pictures of a movie, whose touch begins at `at_s`, are not shown, and how to see them."""
+    touch, film = f"{movie.stem}.touch", f"{movie.stem}.mp4"
+    muxed = ("mux", str(movie), touch, film, "--at-s", f"{at_s:.6g}")
+    commands = (("demux", str(movie), touch), muxed, ("view", film))
+    how = "; ".join(shlex.join(["touchfield", *words]) for words in commands)
+    return f"only the touch of the movie is shown, as not every browser plays {movie.suffix}: {how}"
 
 
 def _page(

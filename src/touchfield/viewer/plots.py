@@ -5,8 +5,8 @@ Each picture is written as PNG. The functions raise `MissingExtra` if matplotlib
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _QUANTISED, _BEYOND = "#0072b2", "#d55e00"
+_MAX_NAMED: Final = 8  # colours that a legend names
 
 
 def draw_masked_signal(
@@ -47,18 +48,43 @@ def draw_masked_signal(
     write_png(figure, path)
 
 
-def draw_textures(
-    path: Path, bands_hz: tuple[float, ...], rows: dict[str, Float64s], threshold_n: Float64s
-) -> None:
-    """Draw vibrations in bands, and the perception threshold.
+class TextureCurve(NamedTuple):
+    """Vibration of a material at a speed and a force: newtons rms, float64 [bands]."""
 
-    `rows` are newtons rms [bands] by label, `threshold_n` newtons [bands].
+    material: str
+    speed_m_s: float
+    force_n: float
+    levels_n: Float64s
+
+
+def draw_textures(
+    path: Path, bands_hz: tuple[float, ...], curves: Sequence[TextureCurve], threshold_n: Float64s
+) -> None:
+    """Draw vibrations in bands, and the perception threshold, `threshold_n` newtons [bands].
+
+    A model has 24 curves. The legend therefore names colours: those of the materials or, of a single one, of
+    its speeds. Curves of greater forces are wider.
     """
-    figure = titled_figure("the picture of a texture", "vibration in thirds of an octave", 8.0, 4.5)
+    materials = dict.fromkeys(curve.material for curve in curves)
+    by_speed, forces = len(materials) == 1, sorted({curve.force_n for curve in curves})
+    labels = [f"{1e3 * c.speed_m_s:.4g} mm/s" if by_speed else c.material for c in curves]
+    groups = {label: f"C{n % 10}" for n, label in enumerate(dict.fromkeys(labels))}
+    subject = f"{', '.join(materials)}: vibration" if by_speed else "vibration"
+    title = f"{subject} in thirds of an octave"
+    if forces:  # materials may have friction alone
+        title += f", at {forces[0]:.4g} N"
+    if len(forces) > 1:
+        title += f" (thin) to {forces[-1]:.4g} N (wide)"
+    figure = titled_figure("the picture of a texture", title, 8.0, 4.5)
     axis = figure.subplots()
-    for n, (label, levels_n) in enumerate(rows.items()):
-        levels_mn = np.where(levels_n > 0, 1e3 * levels_n, np.nan)
-        axis.loglog(bands_hz, levels_mn, "o-", ms=3, lw=1.2, color=f"C{n % 10}", label=label)
+    named = set[str]()
+    for curve, label in zip(curves, labels, strict=True):
+        levels_mn = np.where(curve.levels_n > 0, 1e3 * curve.levels_n, np.nan)
+        width = 1.2 if len(forces) == 1 else 0.6 + 1.8 * forces.index(curve.force_n) / (len(forces) - 1)
+        (line,) = axis.loglog(bands_hz, levels_mn, "o-", ms=3, lw=width, color=groups[label])
+        if label not in named and len(named) < _MAX_NAMED:
+            line.set_label(label)
+            named.add(label)
     axis.fill_between(
         bands_hz,
         1e3 * threshold_n,
@@ -68,5 +94,8 @@ def draw_textures(
         label="below the threshold",
     )
     axis.set(xlabel="frequency / Hz", ylabel="force / mN rms")
-    axis.legend(fontsize=8)
+    more = len(groups) - len(named)
+    legend = axis.legend(fontsize=8, title=f"and {more} more" if more else None, title_fontsize=8)
+    for text in legend.get_texts():
+        text.set_parse_math(False)  # names from files
     write_png(figure, path)

@@ -217,6 +217,18 @@ def test_every_kind_lands_on_its_surface(tmp_path: Path) -> None:
         assert lowest == pytest.approx(0.3, abs=1e-3), body.name
 
 
+def test_the_unit_of_a_mesh_of_a_body_is_noted_unless_it_is_given(tmp_path: Path) -> None:
+    (tmp_path / "wedge.obj").write_text(
+        "v 0 0 0\nv 50 0 0\nv 0 30 0\nv 0 0 30\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    )
+    path = tmp_path / "scene.toml"
+    for line in ("", "unit_m = 0.001"):
+        body = f'kind = "mesh"\nfile = "wedge.obj"\n{line}\nposition_m = [0, 0, 0]\nfixed = true\n'
+        path.write_text(f"[[body]]\n{body}")
+        notes = open_physics(path, SourceOptions()).notes
+        assert any("metres: 50 x 30 x 30 m; give unit_m" in note for note in notes) == (not line), notes
+
+
 @needs_mujoco
 def test_a_posed_body_pushes_and_a_fixed_one_resists(fall: Make, tmp_path: Path) -> None:
     (tmp_path / "push.csv").write_text(

@@ -256,6 +256,17 @@ def array_device(
     return array
 
 
+def require_device(text: str, settings: str = "") -> None:
+    """Raise InvalidArgument unless `text` names a device, with an address and settings that it takes.
+
+    Nothing is opened; a stream for the device may take a minute to open, and is not needed for this check.
+    """
+    if is_array_device(text):
+        array_device(text)
+    else:
+        point_device(text, settings=settings)
+
+
 def drives_of(profile: Device, drives: Float32s) -> Float64s:
     """Return drives clipped to 0..1, float64 [panels, rows, columns]; NaN becomes 0.
 

@@ -33,7 +33,7 @@ from touchfield.arrays import Float32s
 from touchfield.atomic import atomic_path
 from touchfield.compute.threads import Progress, silent
 from touchfield.errors import SourceError, TouchfieldError, as_source_error
-from touchfield.files import readable, require_plain
+from touchfield.files import file_error, readable, require_plain
 from touchfield.medium.field import ForceField
 from touchfield.medium.grid import BRICK, Grid
 from touchfield.medium.medium import HapticMedium
@@ -331,7 +331,7 @@ class NpzArchive:
         except TouchfieldError:
             raise
         except FileNotFoundError as error:
-            raise SourceError(str(self.path), "no such file", "a .npz of NumPy", "Check the path.") from error
+            raise file_error(self.path, error, "a .npz of NumPy") from error
         except _FAULTS as error:
             found = f"bytes at fault ({error or type(error).__name__})"
             raise SourceError(f"{self.path}, {part}", found, "a whole .npz of NumPy") from error

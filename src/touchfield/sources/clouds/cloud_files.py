@@ -79,13 +79,14 @@ def open_cloud(path: Path, options: SourceOptions) -> CloudScene:
     from touchfield.sources.clouds.surfels import surface_of
 
     cloud = cleaned(read_cloud(path), str(path))
-    stated_m = cloud.unit_m if options.unit_m is None else options.unit_m
+    stated_m = cloud.unit_m
     if np.abs(cloud.points).max() > _OVERFLOW:
         raise SourceError(str(path), "coordinates above 1e150", "coordinates of a scene", "Check the file.")
     cloud = in_metres(cloud, options.unit_m)
     surface = surface_of(cloud, options.normals, str(path))
     scene = CloudScene(surface, options.shell, str(path), cloud.axes, cloud.notes)
-    scene.notes = (size_note(np.ptp(scene.bounds_m(), axis=0), stated_m), *scene.notes)
+    size = size_note(np.ptp(scene.bounds_m(), axis=0), options.unit_m, stated_m=stated_m)
+    scene.notes = (size, *scene.notes)
     return scene
 
 

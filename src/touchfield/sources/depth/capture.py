@@ -82,7 +82,8 @@ class GrowingFolder(Pictures):
 
     def __init__(self, folder: Path) -> None:
         if not folder.is_dir():
-            raise SourceError(str(folder), "no folder", "a folder into which depth pictures are put")
+            expected = "a folder into which depth pictures are put"
+            raise SourceError(str(folder), "no folder", expected, "Check the path.")
         self.name, self._folder = str(folder), folder
         self._last: Path | None = None
 

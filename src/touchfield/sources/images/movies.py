@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from touchfield.arrays import Float64s
 from touchfield.errors import SourceError, TouchfieldError, import_extra
+from touchfield.files import file_error
 from touchfield.sources.camera import MAX_FRAMES
 from touchfield.sources.images.pictures import (
     PHOTO_FORMATS,
@@ -260,7 +261,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any, VideoHeader]]:
         found = f"a video that cannot be read ({getattr(error, 'strerror', None) or error})"
         raise SourceError(str(path), found, "a whole video", "Copy the file again.") from error
     except OSError as error:
-        raise SourceError(str(path), error.strerror or str(error), "a video that can be read") from error
+        raise file_error(path, error, "a video that can be read") from error
 
 
 # -- colour ------------------------------------------------------------------------------------------------

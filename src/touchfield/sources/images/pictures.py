@@ -200,7 +200,7 @@ def opened(
 def picture_header(path: Path) -> PictureHeader:
     """Read size and sample type of a PNG, TIFF, PGM, NPY or EXR picture from its header."""
     require_plain(path, "a picture")
-    with readable(path, hint="Check path and rights."), path.open("rb") as stream:
+    with readable(path), path.open("rb") as stream:
         start = stream.read(33)
         stream.seek(0)
         if start.startswith(_PNG_SIGNATURE):
@@ -248,7 +248,7 @@ def read_picture(path: Path) -> NDArray[Any]:
     if header.channels != 1 or not header.sample:
         raise SourceError(str(path), header.wording, "one number a pixel, of 8 or 16 bits or float")
     size = (header.height, header.width)
-    with readable(path, hint="Check path and rights."), path.open("rb") as stream:
+    with readable(path), path.open("rb") as stream:
         start = stream.read(6)
         if start == _NPY_MAGIC:
             return _native(map_npy(path)).reshape(size)

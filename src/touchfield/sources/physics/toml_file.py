@@ -68,7 +68,7 @@ from touchfield.sources.physics.simulation import (
 )
 from touchfield.sources.poses import quaternion_of_euler, track_at_rate
 from touchfield.sources.registry import SourceKind
-from touchfield.sources.scene import UP_Z_AXES, Body
+from touchfield.sources.scene import UP_Z_AXES, Body, size_note
 from touchfield.sources.shapes.analytic_scene import AnalyticScene, read_toml, shape_of_table, tables
 from touchfield.sources.shapes.shapes import SHAPES, Plane, Triple
 
@@ -250,8 +250,11 @@ def _mesh(path: Path, entry: JsonValue, anywhere: bool) -> MeshScene:
         if not os.path.exists(file):
             raise entry.at("file").wrong(f"nothing at {file}", "a mesh file", "Check the path.")
         mesh = read_mesh(file)
-        unit_m = values.get("unit_m") or mesh.unit_m or 1.0
-        return MeshScene(mesh.vertices * unit_m, mesh.triangles, name=str(file), notes=mesh.notes)
+        unit_m = values.get("unit_m") or mesh.unit_m
+        vertices_m, notes = mesh.vertices * (unit_m or 1.0), mesh.notes
+        if unit_m is None:
+            notes = (size_note(np.ptp(vertices_m, axis=0), None, option="unit_m"), *notes)
+        return MeshScene(vertices_m, mesh.triangles, name=str(file), notes=notes)
     for name in ("vertices_m", "triangles"):
         if name not in values:
             raise entry.wrong(f"no {name!r}", "a mesh: file, or vertices_m and triangles")

@@ -341,7 +341,7 @@ def read_mcap(path: Path) -> ContactTrace:
     names: dict[str, None] = {}
     count = 0
     with (
-        readable(path, _EXPECTED, "Check path and rights."),
+        readable(path, _EXPECTED),
         path.open("rb") as file,
         library_faults(path, "no sound MCAP", _EXPECTED, "Copy it again."),
     ):
