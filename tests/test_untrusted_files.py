@@ -130,6 +130,18 @@ def test_only_regular_files_are_opened(tmp_path: Path, monkeypatch: pytest.Monke
             read()
 
 
+def test_an_empty_file_takes_no_memory(tmp_path: Path) -> None:
+    """The system states a length of 0 for it, as for files of its own, which are not empty."""
+    path = tmp_path / "empty"
+    path.touch()
+    assert read_bytes(path, 1 << 62, "a file") == b""
+    own = Path("/proc/self/maps")
+    if own.exists():
+        assert len(read_bytes(own, 1 << 30, "a map of memory")) > 1000
+        with pytest.raises(SourceError, match="more than 100 bytes"):
+            read_bytes(own, 100, "a map of memory")
+
+
 def test_folders_are_accepted_where_allowed_and_inputs_not_overwritten(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "own").write_text("mine")

@@ -19,6 +19,9 @@ from typing import IO, Any, Final
 
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError, reason
 
+_MORE_BYTES: Final = 1 << 20
+"""Read at once of a file that is longer than the system states."""
+
 
 def require_plain(path: str | os.PathLike[str], expected: str, *, or_folder: bool = False) -> None:
     """Raise `SourceError` if `path` exists and is a pipe, a socket, a device, or a folder (see `or_folder`).
@@ -158,8 +161,10 @@ def read_bytes(path: str | os.PathLike[str], max_bytes: int, expected: str) -> b
     require_plain(path, expected)
     try:
         with open(path, "rb") as file:
-            size = os.fstat(file.fileno()).st_size or max_bytes  # 0 for files of the system, such as /proc
-            data = file.read(min(size, max_bytes) + 1)  # which allocates that much before it reads
+            size = min(os.fstat(file.fileno()).st_size, max_bytes)  # 0 for files of the system, such as /proc
+            data = file.read(size + 1)  # which allocates that much before it reads
+            while size < len(data) <= max_bytes and (part := file.read(_MORE_BYTES)):
+                data += part
     except (OSError, ValueError) as error:  # ValueError: a path with a NUL in it
         raise file_error(path, error, expected) from error
     if len(data) > max_bytes:

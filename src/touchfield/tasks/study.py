@@ -26,11 +26,7 @@ import numpy as np
 from touchfield._version import __version__
 from touchfield.atomic import atomic_path
 from touchfield.compute.threads import Progress, silent
-<<<<<<< HEAD
 from touchfield.devices.drivers.registry import array_device, is_array_device, point_device
-=======
-from touchfield.devices.drivers.registry import require_device
->>>>>>> fixes
 from touchfield.devices.drivers.touch_down import touch_down
 from touchfield.errors import InvalidArgument, SourceError, as_source_error, is_finite
 from touchfield.files import json_of, read_bytes, readable, require_plain
@@ -222,11 +218,7 @@ def run_session(
     if spec.observer is not None:  # before anything is written
         observer = SimulatedObserver.parse(spec.observer, design.chance, design.seed)
     else:
-<<<<<<< HEAD
         unit = _unit_of(spec.device or "")
-=======
-        require_device(spec.device or "")
->>>>>>> fixes
     earlier = read_trials(path) if path.exists() else ()
     _require_same_observer(path, earlier, spec, design.chance)
     if observer is None and len(earlier) < design.trials:

@@ -62,7 +62,7 @@ def range_note(depth_m: list[Float32s], units_per_m: float | None = None) -> tup
     if not known:
         return ()
     low, high = min(float(values.min()) for values in known), max(float(values.max()) for values in known)
-    median = float(np.median(np.concatenate([sampled(values) for values in known])))
+    median = _median_m(known)
     unit = "" if units_per_m is None else f", at {units_per_m:g} stored units in a metre"
     where = f" in {len(depth_m)} frames" if len(depth_m) > 1 else ""
     return (f"Depth is {low:.3g} to {high:.3g} m{where}, median {median:.3g} m{unit}.",)
@@ -73,10 +73,15 @@ def sampled(values: NDArray[Any]) -> NDArray[Any]:
     return values[:: max(1, len(values) // _SAMPLED_VALUES)]
 
 
+def _median_m(known: list[Float32s]) -> float:
+    """Return the median of sampled depths; as float64, since two of them can have a sum beyond float32."""
+    return float(np.median(np.concatenate([sampled(values) for values in known]).astype(np.float64)))
+
+
 def unit_note(depth_m: list[Float32s], units_per_m: float, is_assumed: bool) -> tuple[str, ...]:
     """Return a note if the median depth is implausible, with the units that make it usual."""
-    known = np.concatenate([sampled(depth[depth > 0]) for depth in depth_m])
-    median = float(np.median(known)) if len(known) else 1.0
+    known = [values for depth in depth_m if len(values := depth[depth > 0])]
+    median = _median_m(known) if known else 1.0
     if NEAR_M <= median <= (FAR_ASSUMED_M if is_assumed else FAR_M):
         return ()
     side = "far" if median > NEAR_M else "near"
