@@ -145,7 +145,9 @@ class TimedSequence(CapturedSequence):
 def live(seconds: float) -> Figures:
     """Send the camera live for some seconds; return processor time, delays, and what was left out."""
     sequence = TimedSequence(SimulatedCamera(FOLDERS[TUM] / "depth"))
-    prepared, sender = open_sender(DepthScene(sequence, frame="camera"), EncodeSpec(nw=LIVE_NW, source=CAMERA))
+    prepared, sender = open_sender(
+        DepthScene(sequence, frame="camera"), EncodeSpec(nw=LIVE_NW, source=CAMERA)
+    )
     delays_s, start = list[float](), [0.0, 0.0]
 
     def send(segment: LiveSegment) -> bytes | None:
