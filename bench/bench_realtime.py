@@ -171,8 +171,8 @@ def live(seconds: float) -> Figures:
         "segment_s": SEGMENT_S,
         "frame_ms": 1e3 * cpu_s / max(1, sent.frames),
         "cores": cpu_s / elapsed_s,
-        "delay_s": float(np.median(delays_s)),
-        "longest_delay_s": max(delays_s),
+        "delay_s": float(np.median(delays_s)) if delays_s else None,
+        "longest_delay_s": max(delays_s, default=None),
         "sent_kb_per_s": sent.sent_bytes / elapsed_s / 1e3,
         "worst_error": sent.worst_mask_ratio,
     }
@@ -210,5 +210,5 @@ def bars(figures: Figures) -> list[Bar]:
 
 if __name__ == "__main__":
     bench(
-        "realtime", __doc__, measure, bars, without=("live/*",), nw=(8, 5), loops=(4, 1), seconds=(20.0, 1.0)
+        "realtime", __doc__, measure, bars, without=("live/*",), nw=(8, 5), loops=(4, 1), seconds=(20.0, 3.0)
     )
