@@ -958,7 +958,8 @@ static void touch_predict_adaptive(touch_pass *p, touch_voxel *v) {
         low[n] = (int16_t)(v->weight[n] & ((1 << TOUCH_WEIGHT_PART) - 1));
     }
     for (int k = 0; k < 3; k++) {
-        int64_t sum = (int64_t)touch_sum_products(high, v->feature[k]) * (1 << TOUCH_WEIGHT_PART) + touch_sum_products(low, v->feature[k]);
+        int64_t sum = (int64_t)touch_sum_products(high, v->feature[k]) * (1 << TOUCH_WEIGHT_PART);
+        sum += touch_sum_products(low, v->feature[k]);
         v->adaptive[k] = touch_clip_component(mean[k] + (((sum >> 16) * step) >> 8));
     }
 }
