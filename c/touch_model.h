@@ -747,7 +747,7 @@ typedef struct { /* a pass over a frame */
     int64_t slope[3]; /* loss of force along each axis from sample to sample, for `next_length` */
     const touch_units *reference;
     uint64_t *has_reference; /* bits of its voxels with a force, 8 words a brick: its vectors lie far from each other */
-    touch_units *out;
+    touch_units *out;              /* what is decoded, in the order of the grid */
     touch_decoded *decoded;        /* 512 of each brick; of length 0: not supported */
     int32_t decoded_at[TOUCH_WINDOW], reference_at[TOUCH_WINDOW]; /* indices into `decoded` and `reference`; -1: none */
     int32_t last_vector[3];
