@@ -10,7 +10,8 @@ is repeated.
   world is built; `world_s` is the time of that. `decode_frames_s` reads the same file in order. `..._cores`
   are processor seconds over seconds. Processor milliseconds per frame, each in one thread: `source_ms` makes
   the field on the fine lattice, `filter_ms` filters and limits it, `code_ms` codes it and compares each voxel
-  with the bound, `check_ms` decodes the result and compares again, `decode_ms` decodes it.
+  with the bound, `check_ms` decodes the result and compares again (effort "default" less "fast": about 0 for
+  segments with outliers, which both decode), `decode_ms` decodes it.
 * live: a simulated camera shows the frames of TUM at 30 Hz, and `live` sends them at n_w 7. `delay_s` is the
   time from the arrival of the first picture of a segment to the moment when the segment is sent, less the
   length of the segment. `frame_ms` is the processor time of the whole process per frame that is sent, and
