@@ -591,7 +591,7 @@ static int touch_read_frame(touch_cursor c, const touch_grid *grid, const touch_
     if (!touch_code_list(&coder, &models->list, grid->shape, reference->list, &out->list, arena, error)) return 0;
     touch_check(&coder, error);
     if (error->code) return 0;
-    out->v = (touch_int_vector *)touch_take_zero(arena, 512 * out->list.count, sizeof *out->v);
+    out->v = (touch_int_vector *)touch_take(arena, 512 * out->list.count, sizeof *out->v);
     if (!out->v) return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
     uint64_t mark = arena->used;
     if (!touch_code_bricks(p, grid, out, arena, error)) return 0;
@@ -716,7 +716,7 @@ static touch_field *touch_field_make(const touch_grid *grid, uint64_t bricks, ui
     uint64_t size = 4;
     while (size < 2 * bricks + 2) size *= 2;
     *table = (uint32_t *)touch_take_zero(arena, 2 * size, 4);
-    *forces = (float *)touch_take_zero(arena, 1536 * bricks, 4);
+    *forces = (float *)touch_take(arena, 1536 * bricks, 4);
     if (!f || !*table || !*forces) return 0;
     f->grid = *grid, f->bricks = (uint32_t)bricks, f->mask = (uint32_t)(size - 1), f->table = *table;
     f->forces_n = *forces;
@@ -1074,6 +1074,7 @@ static const touch_field *touch_make_field(const touch_fields *f, touch_cursor o
     }
     for (uint64_t i = 0; i <= map.mask; i++)
         if (map.key[i]) touch_field_put(field, table, map.key[i] - 1, map.index[i]);
+    memset(forces + 1536 * list->count, 0, (size_t)(6144 * (count - list->count))); /* bricks of outliers alone */
     for (uint64_t i = 0; i < 512 * list->count; i++)
         for (int n = 0; n < 3; n++)
             forces[3 * i + (uint64_t)n] = f->is_exact ? f->exact.force[3 * i + (uint64_t)n]
@@ -1377,6 +1378,7 @@ static const touch_field *touch_vibration_field(touch_decoder *d, const touch_vi
     float *both;
     touch_field *f = touch_field_make(&d->file->grid, v->set.list.count, &table, &both, out);
     if (!key || !tag || !f) return 0;
+    memset(both, 0, (size_t)(6144 * v->set.list.count));
     for (uint64_t i = 0; i < v->set.list.count; i++) touch_field_put(f, table, v->set.list.key[i], (uint32_t)i);
     touch_raster(&v->set, key, tag);
     for (uint64_t i = 0; i < v->samples; i++) {

@@ -295,6 +295,16 @@ static double touch_error_ratio2(const double f[3], const double d[3], double hi
     return allowed > 0.0 ? error2 / (allowed * allowed) : HUGE_VAL;
 }
 
+/* Whether |error| / allowed of a decoded force is surely at most a ratio, whose square is `ratio2`: a test that spares most
+   voxels a root and a division, and leaves the doubtful ones to touch_error_ratio2. */
+static int touch_is_surely_within(const double f[3], const double d[3], const touch_bound *bound, double ratio2) {
+    const double rounding = 1e-12; /* far more than what the products lose */
+    double x = d[0] - f[0], y = d[1] - f[1], z = d[2] - f[2], error2 = x * x + y * y + z * z;
+    double allowed2 = bound->k * bound->k * (f[0] * f[0] + f[1] * f[1] + f[2] * f[2]), floor2 = bound->f0 * bound->f0;
+    if (!(allowed2 > floor2)) allowed2 = floor2;
+    return !bound->is_exact && !(bound->sine > 0.0) && error2 <= (1 - rounding) * ratio2 * allowed2;
+}
+
 /* Whether a vector in units may stand for a force; (0, 0, 0) is none. `f` is followed by what forces around hide. */
 static int touch_is_within(const int32_t v[3], const double f[4], const touch_bound *bound) {
     double d[3];
@@ -328,16 +338,21 @@ static uint64_t *touch_source_keys(const touch_source *s, touch_arena *arena) {
 /* One brick of both, either of them may be missing; counts, and writes outliers from `c->outlier` on where given. */
 static void touch_compare_brick(const float *original, const float *hidden, const float *decoded, const touch_bound *bound,
                                 const touch_grid *grid, uint64_t key, touch_comparison *c) {
+    static const float none[1536];
     int32_t at[3];
     touch_position(key, at);
     uint64_t number = 512 * (uint64_t)touch_brick_number(grid, at[0], at[1], at[2]);
+    if (!original) original = none;
+    if (!decoded) decoded = none;
     for (int n = 0; n < 512; n++) {
-        double f[3] = {0, 0, 0}, d[3] = {0, 0, 0};
-        for (int i = 0; i < 3; i++) {
-            if (original) f[i] = original[3 * n + i];
-            if (decoded) d[i] = decoded[3 * n + i];
-        }
+        double f[3], d[3];
+        for (int i = 0; i < 3; i++) f[i] = original[3 * n + i], d[i] = decoded[3 * n + i];
         int is_supported = f[0] != 0.0 || f[1] != 0.0 || f[2] != 0.0, is_sent = d[0] != 0.0 || d[1] != 0.0 || d[2] != 0.0;
+        if (!is_supported && !is_sent) continue;
+        if (!hidden && touch_is_surely_within(f, d, bound, c->max_ratio < 1.0 ? c->max_ratio : 1.0)) {
+            c->decoded += (uint64_t)is_sent, c->within += (uint64_t)is_supported;
+            continue;
+        }
         double ratio2 = touch_error_ratio2(f, d, hidden ? hidden[n] : 0.0, bound);
         if (bound->is_exact && is_supported != is_sent) ratio2 = HUGE_VAL;
         c->decoded += (uint64_t)is_sent, c->within += (uint64_t)(is_supported && ratio2 <= 1.0);
@@ -413,11 +428,21 @@ static const double *touch_target_at(const touch_pass *p, int here) {
 }
 
 /* COPY if the reference is within the bound everywhere, else FOLLOW. */
-static int touch_choose_state(const touch_pass *p) {
+static int touch_choose_state(const touch_pass *p, uint64_t brick, uint64_t reference) {
+    const struct touch_target *t = p->target;
+    const float *forces = t->source->forces_n + 1536 * brick, *hidden = t->source->hidden_n;
+    const touch_int_vector *v = p->reference->v + 512 * reference;
     for (int n = 0; n < 512; n++) {
-        int32_t v[3] = {0, 0, 0}, at = p->reference_at[touch_window_index(n >> 6, n >> 3 & 7, n & 7)];
-        if (at >= 0) touch_reference_at(p, at, v);
-        if (!touch_is_within(v, p->target->force[n], &p->target->bound)) return TOUCH_FOLLOW;
+        double f[4], d[3];
+        int32_t permuted[3];
+        for (int k = 0; k < 3; k++) f[k] = forces[3 * n + k] * t->units_per_n, d[k] = v[n].v[k];
+        if (touch_is_surely_within(f, d, &t->bound, 1.0)) continue;
+        for (int k = 0; k < 3; k++) { /* in the order of the scan, as the voxels are compared */
+            permuted[k] = p->scan.sign[k] * v[n].v[p->scan.axis[k]];
+            f[k] = p->scan.sign[k] * (forces[3 * n + p->scan.axis[k]] * t->units_per_n);
+        }
+        f[3] = hidden ? fabs(hidden[512 * brick + (uint64_t)n] * t->units_per_n) : 0.0;
+        if (!touch_is_within(permuted, f, &t->bound)) return TOUCH_FOLLOW;
     }
     return TOUCH_COPY;
 }
@@ -537,7 +562,7 @@ static int touch_code_frame(const touch_grid *grid, const touch_steps *steps, co
     touch_coder coder;
     memset(out, 0, sizeof *out);
     out->models = (touch_models *)touch_take(arena, 1, sizeof *out->models);
-    out->units.v = (touch_int_vector *)touch_take_zero(arena, 512 * frame->bricks, sizeof *out->units.v);
+    out->units.v = (touch_int_vector *)touch_take(arena, 512 * frame->bricks, sizeof *out->units.v);
     out->units.list.key = touch_source_keys(frame, arena), out->units.list.count = frame->bricks;
     if (!target || !p || !out->models || !out->units.v || !out->units.list.key ||
         !touch_sink_open(&out->payload, (frame->bricks + 1) * TOUCH_BRICK_BYTES, arena))

@@ -98,6 +98,15 @@ static int touch_bit_length(uint64_t n) {
     return bits;
 }
 
+/* A sum over 1 to 3 neighbours / their number: divisions by constants are fast. */
+static int64_t touch_mean_of(int64_t sum, int count) { return count == 1 ? sum : count == 2 ? sum / 2 : sum / 3; }
+
+/* The same, rounded down. */
+static int64_t touch_floor_mean(int64_t sum, int count) {
+    int64_t mean = touch_mean_of(sum, count);
+    return mean - (sum < mean * count);
+}
+
 /* The largest number whose square is at most n, below 2^52: the root in floating point is put right. */
 static int64_t touch_isqrt(int64_t n) {
     int64_t r = (int64_t)sqrt((double)n);
@@ -215,15 +224,16 @@ static void touch_shift(touch_coder *b) {
 static int touch_narrow(touch_coder *b, uint32_t p, int bit) {
     uint64_t bound = (b->range >> 16) * p;
     if (!TOUCH_IS_WRITING(b)) bit = b->low < bound;
-    if (bit) b->range = bound;
-    else b->range -= bound, b->low = TOUCH_IS_WRITING(b) ? b->low + bound : b->low - bound;
+    uint64_t rest = bit ? 0 : ~(uint64_t)0; /* masks: a branch on a bit that is coded would be foreseen badly */
+    b->range = bound + (rest & (b->range - 2 * bound));
+    b->low = TOUCH_IS_WRITING(b) ? b->low + (rest & bound) : b->low - (rest & bound);
     if (b->range < (uint64_t)1 << 32) touch_shift(b);
     return bit;
 }
 
 /* A context moves towards the bit: fast while it is new, then slowly. */
 static void touch_learn(touch_context *c, int bit, const touch_tables *t) {
-    int64_t distance = bit ? TOUCH_ONE_PROBABILITY - 1 - c->probability : -c->probability;
+    int64_t distance = (bit ? TOUCH_ONE_PROBABILITY - 1 : 0) - c->probability;
     c->probability += (int32_t)((distance * t->rate[c->count]) >> 19);
     c->count += c->count < TOUCH_MAX_COUNT;
 }
@@ -531,8 +541,9 @@ static int touch_code_list(touch_coder *b, touch_list_models *m, const uint32_t 
 
 /* -- the voxel pass (docs/format/touch.md) ---------------------------------------------------------------------------
 
-   A brick: touch_code_brick. A voxel: touch_code_voxel, which calls in this order touch_look_around, touch_code_support,
-   touch_predict, touch_classify, touch_code_skip, touch_set_centre, touch_code_component (three times). */
+   A brick: touch_code_state, then touch_copy_reference or touch_code_brick. A voxel: touch_code_voxel, which calls in this
+   order touch_look_around, touch_code_support, touch_predict, touch_classify, touch_code_skip, touch_set_centre,
+   touch_code_component (three times). */
 
 typedef struct {
     int32_t v[3];
@@ -565,6 +576,7 @@ enum {
     TOUCH_FIRST_LENGTH_CLASS = 3,      /* from this one on; below it are predictions below 0 */
     TOUCH_AMPLITUDE_BITS = 12,         /* classes of the prediction's length for a skip are 2^12 units wide, */
     TOUCH_MAX_AMPLITUDE_CLASS = 15,
+    TOUCH_NOT_LOADED = -1,     /* length of the first voxel of a brick that is only in `out` yet */
     TOUCH_NO_ALTERNATIVE = 15, /* class of an alternative prediction that is not there; */
     TOUCH_AT_CENTRE = 7,       /* 0 to 14: along an axis of the residual; this one is at the centre */
     TOUCH_MAX_CLASS = 7,       /* of sizes and distances in steps */
@@ -575,9 +587,12 @@ enum {
     TOUCH_MAX_ACROSS_SIZE = 31
 };
 
-/* The adaptive prediction (LMS). Features are in 1/256 of the step, weights in 1/2^16. */
+/* The adaptive prediction (LMS). Features are in 1/256 of the step, weights in 1/2^16. Products take two parts of weights
+   and gains of 16 bits each, which a processor multiplies eight at a time. */
 enum {
     TOUCH_FEATURES = 13,
+    TOUCH_LANES = 16, /* whole vectors: zeros follow the features */
+    TOUCH_WEIGHT_PART = 10, TOUCH_GAIN_PART = 11, /* bits of the lower part */
     TOUCH_FEATURE_SLOPE = 6,      /* the first of five */
     TOUCH_FEATURE_REFERENCE = 11, /* the reference minus the mean */
     TOUCH_FEATURE_CHANGE = 12,    /* what the neighbours have changed by since the reference */
@@ -617,7 +632,7 @@ typedef struct { /* what a frame teaches the next one */
         int64_t zero[3][8][3], sign[3][3], size[3][16][2];
     } weight;
     touch_list_models list;
-    int64_t adaptive[16][TOUCH_FEATURES]; /* weights of the adaptive prediction, 1/65536; they start from 0 */
+    int32_t adaptive[16][TOUCH_LANES]; /* weights of the adaptive prediction, 1/65536; they start from 0 */
 } touch_models;
 
 static void touch_models_fresh(touch_models *m) {
@@ -661,11 +676,10 @@ static int64_t touch_step(const touch_steps *s, int64_t length) { return touch_m
 /* The position of a length on the scale of steps, 1/256 steps: sixteenths by the table, linear between them. Steps grow
    with the length, so this is the compander of a non-uniform quantiser, and touch_length_at the expander. */
 static int64_t touch_step_position(const touch_steps *s, int64_t length) {
-    int64_t scaled = touch_min(length, TOUCH_MAX_SCALED_LENGTH) << 8, low = 0, high = s->borders - 1;
-    while (high - low > 1) {
-        int64_t middle = (low + high) / 2;
-        if (s->border[middle] <= scaled) low = middle;
-        else high = middle;
+    int64_t scaled = touch_min(length, TOUCH_MAX_SCALED_LENGTH) << 8, low = 0, count = s->borders - 1;
+    while (count > 1) { /* the border is one of `count` from `low` on */
+        int64_t half = count / 2;
+        low += s->border[low + half] <= scaled ? half : 0, count -= half;
     }
     return 16 * low + ((scaled - s->border[low]) << 4) / (s->border[low + 1] - s->border[low]);
 }
@@ -733,6 +747,7 @@ typedef struct { /* a pass over a frame */
     int64_t slope[3]; /* loss of force along each axis from sample to sample, for `next_length` */
     const touch_units *reference;
     uint64_t *has_reference; /* bits of its voxels with a force, 8 words a brick: its vectors lie far from each other */
+    touch_units *out;              /* what is decoded, in the order of the grid */
     touch_decoded *decoded;        /* 512 of each brick; of length 0: not supported */
     int32_t decoded_at[TOUCH_WINDOW], reference_at[TOUCH_WINDOW]; /* indices into `decoded` and `reference`; -1: none */
     int32_t last_vector[3];
@@ -758,7 +773,9 @@ typedef struct { /* a voxel: what is known of it before its force, its predictio
     int32_t adaptive[3];         /* mean of the neighbours with a learnt correction */
     int32_t prediction[3];       /* the force if the residual is skipped */
     int predictor;               /* where the prediction is from */
-    int64_t feature[TOUCH_FEATURES][3], *weight, inverse_step; /* of the adaptive prediction; [3] is a component */
+    int16_t feature[3][TOUCH_LANES]; /* of the adaptive prediction, for each component */
+    int32_t *weight;
+    int64_t inverse_step;
     /* touch_classify */
     int32_t disagreement[3]; /* prediction minus adaptive prediction */
     int disagreement_class, reference_distance; /* classes: of its length; of the reference minus the prediction */
@@ -790,18 +807,18 @@ static void touch_reference_at(const touch_pass *p, int32_t index, int32_t out[3
 }
 
 /* Store a decoded voxel. Along the force a penalty field loses `slope` of its length from sample to sample. */
-static void touch_store_decoded(touch_pass *p, int here, int32_t index, const int32_t v[3], int64_t along_size,
+static void touch_store_decoded(const touch_pass *p, touch_decoded *decoded, const int32_t v[3], int64_t along_size,
                                 int64_t across_size) {
-    touch_decoded *decoded = p->decoded + index;
-    int64_t length = touch_length(v), inverse = ((int64_t)1 << 2 * TOUCH_ONE_BITS) / length;
-    for (int n = 0; n < 3; n++) {
-        int64_t direction = (v[n] * inverse) >> TOUCH_ONE_BITS;
-        decoded->vector[n] = v[n];
-        decoded->next_length[n] = (int32_t)(length - ((direction * p->slope[n]) >> TOUCH_ONE_BITS));
-    }
+    int64_t length = touch_length(v);
+    for (int n = 0; n < 3; n++) decoded->vector[n] = v[n], decoded->next_length[n] = (int32_t)length;
     decoded->length = (int32_t)length;
     decoded->along_size = (uint8_t)along_size, decoded->across_size = (uint8_t)across_size;
-    p->decoded_at[here] = index;
+    if (!(p->slope[0] | p->slope[1] | p->slope[2])) return; /* spares a division */
+    int64_t inverse = ((int64_t)1 << 2 * TOUCH_ONE_BITS) / length;
+    for (int n = 0; n < 3; n++) {
+        int64_t direction = (v[n] * inverse) >> TOUCH_ONE_BITS;
+        decoded->next_length[n] = (int32_t)(length - ((direction * p->slope[n]) >> TOUCH_ONE_BITS));
+    }
 }
 
 /* What lies around a voxel: neighbours, the shapes of the support and of the reference's, and the predicted length. */
@@ -827,7 +844,7 @@ static void touch_look_around(const touch_pass *p, touch_voxel *v, int here) {
     }
     v->neighbour_mask = neighbours, v->wide_mask = wide, v->reference_mask = reference, v->length_class = wide;
     if (v->neighbour_count) {
-        int64_t length_class = (touch_div(next_sum, v->neighbour_count) * TOUCH_CLASSES_BELOW_2_16) >> 16;
+        int64_t length_class = (touch_floor_mean(next_sum, v->neighbour_count) * TOUCH_CLASSES_BELOW_2_16) >> 16;
         v->length_class = touch_clip(length_class + TOUCH_FIRST_LENGTH_CLASS, 0, TOUCH_LENGTH_CLASSES - 1);
     }
 }
@@ -851,6 +868,10 @@ static int64_t touch_next_length(const touch_decoded *neighbour, int axis) {
    error is inherited, so that a relative error stays within a relative bound for long. */
 static void touch_extrapolate(const touch_pass *p, const touch_decoded *neighbour, int axis, int32_t out[3]) {
     int64_t length = touch_max(touch_next_length(neighbour, axis), touch_max(p->steps->floor >> 1, 1));
+    if (length == neighbour->length) { /* a ratio of 1 */
+        for (int n = 0; n < 3; n++) out[n] = touch_clip_component(neighbour->vector[n]);
+        return;
+    }
     int64_t ratio = touch_min((length << TOUCH_ONE_BITS) / neighbour->length, TOUCH_MAX_EXTRAPOLATION);
     for (int n = 0; n < 3; n++) out[n] = touch_clip_component(touch_round_one(neighbour->vector[n] * ratio));
 }
@@ -865,9 +886,11 @@ static int64_t touch_mean(const touch_pass *p, const touch_voxel *v, int64_t mea
         length_sum += neighbour->length, next_sum += touch_next_length(neighbour, n);
         for (int k = 0; k < 3; k++) mean[k] += neighbour->vector[k];
     }
-    int64_t scale = touch_min((next_sum << 16) / (length_sum * v->neighbour_count), TOUCH_MAX_MEAN_SCALE);
+    int64_t scale = touch_mean_of(1 << 16, v->neighbour_count); /* where nothing is lost */
+    if (next_sum != length_sum)
+        scale = touch_min((next_sum << 16) / (length_sum * v->neighbour_count), TOUCH_MAX_MEAN_SCALE);
     for (int k = 0; k < 3; k++) mean[k] = (mean[k] * scale + (1 << 15)) >> 16;
-    return touch_step(p->steps, next_sum / v->neighbour_count);
+    return touch_step(p->steps, touch_mean_of(next_sum, v->neighbour_count));
 }
 
 /* Features: what the mean may have to be corrected by, in 1/256 steps. 0 to 5: neighbours minus the mean, so that a
@@ -879,19 +902,20 @@ static void touch_features(const touch_pass *p, touch_voxel *v, const int64_t me
                                    {-TOUCH_LEFT, -TOUCH_DEEP - TOUCH_LEFT},
                                    {-TOUCH_LEFT, -TOUCH_UP - TOUCH_LEFT},
                                    {-TOUCH_UP, -TOUCH_UP - TOUCH_LEFT}};
-    int64_t(*f)[3] = v->feature, change[3] = {0, 0, 0};
+    int32_t f[TOUCH_FEATURES][3]; /* units */
+    int64_t change[3] = {0, 0, 0};
     int shared = 0;
-    memset(f, 0, sizeof v->feature);
+    memset(f, 0, sizeof f), memset(v->feature, 0, sizeof v->feature);
     for (int n = 0; n < 6; n++) {
         int32_t at = p->decoded_at[v->here + (n < 3 ? touch_before[n] : touch_diagonal[n - 3])];
         if (at >= 0)
-            for (int k = 0; k < 3; k++) f[n][k] = p->decoded[at].vector[k] - mean[k];
+            for (int k = 0; k < 3; k++) f[n][k] = p->decoded[at].vector[k] - (int32_t)mean[k];
     }
     for (int n = 0; n < 5; n++) {
         int32_t to = p->decoded_at[v->here + pair[n][0]], from = p->decoded_at[v->here + pair[n][1]];
-        int64_t *slope = f[TOUCH_FEATURE_SLOPE + n];
+        int32_t *slope = f[TOUCH_FEATURE_SLOPE + n];
         if (to >= 0 && from >= 0)
-            for (int k = 0; k < 3; k++) slope[k] = (int64_t)p->decoded[to].vector[k] - p->decoded[from].vector[k];
+            for (int k = 0; k < 3; k++) slope[k] = p->decoded[to].vector[k] - p->decoded[from].vector[k];
     }
     if (v->has_reference) {
         for (int n = 0; n < 3; n++) {
@@ -901,18 +925,26 @@ static void touch_features(const touch_pass *p, touch_voxel *v, const int64_t me
             for (int k = 0; k < 3; k++) change[k] += v->neighbour[n]->vector[k] - own[k];
         }
         for (int k = 0; k < 3; k++) {
-            f[TOUCH_FEATURE_REFERENCE][k] = v->reference[k] - mean[k];
-            f[TOUCH_FEATURE_CHANGE][k] = touch_div(change[k], shared ? shared : 1);
+            f[TOUCH_FEATURE_REFERENCE][k] = v->reference[k] - (int32_t)mean[k];
+            f[TOUCH_FEATURE_CHANGE][k] = (int32_t)touch_floor_mean(change[k], shared ? shared : 1);
         }
     }
     for (int n = 0; n < TOUCH_FEATURES; n++)
-        for (int k = 0; k < 3; k++) f[n][k] = touch_clip_to((f[n][k] * v->inverse_step) >> 24, TOUCH_MAX_FEATURE);
+        for (int k = 0; k < 3; k++)
+            v->feature[k][n] = (int16_t)touch_clip_to((f[n][k] * v->inverse_step) >> 24, TOUCH_MAX_FEATURE);
+}
+
+static int32_t touch_sum_products(const int16_t a[TOUCH_LANES], const int16_t b[TOUCH_LANES]) {
+    int32_t sum = 0;
+    for (int n = 0; n < TOUCH_LANES; n++) sum += a[n] * b[n];
+    return sum;
 }
 
 /* Adaptive prediction: the mean of the neighbours and a sum of features, with weights that learn (LMS) and differ by
    which neighbours there are. It averages noise away; where nothing is near it is the reference, or the last vector. */
 static void touch_predict_adaptive(touch_pass *p, touch_voxel *v) {
-    int64_t mean[3], sum[3] = {0, 0, 0}, step = 1;
+    int64_t mean[3], step = 1;
+    int16_t high[TOUCH_LANES], low[TOUCH_LANES];
     if (!v->neighbour_count) {
         const int32_t *nearest = v->has_reference ? v->reference : p->last_vector;
         for (int k = 0; k < 3; k++) v->adaptive[k] = touch_clip_component(nearest[k]);
@@ -921,9 +953,15 @@ static void touch_predict_adaptive(touch_pass *p, touch_voxel *v) {
     step = touch_mean(p, v, mean), v->inverse_step = ((int64_t)1 << 32) / step;
     v->weight = p->models->adaptive[(v->neighbour_mask & 7) | (v->has_reference ? 8u : 0u)];
     touch_features(p, v, mean);
-    for (int n = 0; n < TOUCH_FEATURES; n++)
-        for (int k = 0; k < 3; k++) sum[k] += v->weight[n] * v->feature[n][k];
-    for (int k = 0; k < 3; k++) v->adaptive[k] = touch_clip_component(mean[k] + (((sum[k] >> 16) * step) >> 8));
+    for (int n = 0; n < TOUCH_LANES; n++) {
+        high[n] = (int16_t)(v->weight[n] >> TOUCH_WEIGHT_PART);
+        low[n] = (int16_t)(v->weight[n] & ((1 << TOUCH_WEIGHT_PART) - 1));
+    }
+    for (int k = 0; k < 3; k++) {
+        int64_t sum = (int64_t)touch_sum_products(high, v->feature[k]) * (1 << TOUCH_WEIGHT_PART);
+        sum += touch_sum_products(low, v->feature[k]);
+        v->adaptive[k] = touch_clip_component(mean[k] + (((sum >> 16) * step) >> 8));
+    }
 }
 
 /* Whether the reference is more than a step off at the deep neighbour: then it is off here, too. One neighbour is enough:
@@ -961,30 +999,35 @@ static void touch_predict(touch_pass *p, touch_voxel *v, int state) {
 
 /* The weights of the adaptive prediction move towards what would have predicted the vector (normalised LMS). */
 static void touch_learn_weights(touch_voxel *v) {
-    int64_t energy = TOUCH_LMS_REGULARISATION, gain[3];
+    int64_t energy = TOUCH_LMS_REGULARISATION;
     if (!v->neighbour_count) return;
-    for (int n = 0; n < TOUCH_FEATURES; n++)
-        for (int k = 0; k < 3; k++) energy += v->feature[n][k] * v->feature[n][k];
+    for (int k = 0; k < 3; k++) energy += touch_sum_products(v->feature[k], v->feature[k]);
     for (int k = 0; k < 3; k++) {
+        const int16_t *f = v->feature[k];
         int64_t error = ((v->vector[k] - v->adaptive[k]) * v->inverse_step) >> 24;
-        gain[k] = touch_div(touch_clip_to(error, TOUCH_MAX_LMS_ERROR) * TOUCH_LMS_RATE, energy);
+        int64_t gain = touch_div(touch_clip_to(error, TOUCH_MAX_LMS_ERROR) * TOUCH_LMS_RATE, energy); /* below 2^22 */
+        int16_t high = (int16_t)(gain >> TOUCH_GAIN_PART), low = (int16_t)(gain & ((1 << TOUCH_GAIN_PART) - 1));
+        for (int n = 0; n < TOUCH_LANES; n++) { /* plus the feature times the gain / 2^14, rounded down */
+            int32_t w = v->weight[n] + ((f[n] * high + ((f[n] * low) >> TOUCH_GAIN_PART)) >> (14 - TOUCH_GAIN_PART));
+            w = w < TOUCH_MAX_WEIGHT ? w : TOUCH_MAX_WEIGHT;
+            v->weight[n] = w > -TOUCH_MAX_WEIGHT ? w : -TOUCH_MAX_WEIGHT;
+        }
     }
-    for (int k = 0; k < 3; k++)
-        for (int n = 0; n < TOUCH_FEATURES; n++)
-            v->weight[n] = touch_clip_to(v->weight[n] + ((v->feature[n][k] * gain[k]) >> 14), TOUCH_MAX_WEIGHT);
 }
 
-/* The number of thresholds, of seven, that a number reaches. */
+/* The number of ascending thresholds, of seven, that a number reaches: counted without branches, as the classes of noise
+   cannot be foreseen. */
 static int touch_class(int64_t n, const int thresholds[TOUCH_MAX_CLASS]) {
-    int c = 0;
-    while (c < TOUCH_MAX_CLASS && thresholds[c] <= n) c++;
+    int32_t size = (int32_t)touch_min(n, thresholds[TOUCH_MAX_CLASS - 1]), c = 0;
+    for (int i = 0; i < TOUCH_MAX_CLASS; i++) c += thresholds[i] <= size;
     return c;
 }
 
 /* Class of a distance in steps: 0 below an eighth, then twice as far each, 7 from 8 steps on. */
 static int touch_distance_class(int64_t distance, int64_t step) {
-    int bits = touch_bit_length((uint64_t)((distance << 3) / step));
-    return bits < TOUCH_MAX_CLASS ? bits : TOUCH_MAX_CLASS;
+    int c = 0;
+    for (int i = 0; i < TOUCH_MAX_CLASS; i++) c += distance << 3 >= step << i;
+    return c;
 }
 
 /* Classes for the contexts of the skip and of the residual: how large the residuals around are, whether both predictions
@@ -1004,9 +1047,12 @@ static void touch_classify(const touch_pass *p, touch_voxel *v) {
         v->activity = v->activity << 2 | (own < 3 ? own : 3);
         v->disagreement[n] = v->prediction[n] - v->adaptive[n];
     }
-    v->residual_class[0] = count ? touch_class(4 * along / count, thresholds) : TOUCH_MAX_CLASS;
-    v->residual_class[1] = v->residual_class[2] = count ? touch_class(2 * across / count, thresholds) : TOUCH_MAX_CLASS;
-    v->total_residual_class = count ? touch_class(3 * (along + across) / count, thresholds) : TOUCH_MAX_CLASS;
+    v->residual_class[0] = v->residual_class[1] = v->residual_class[2] = v->total_residual_class = TOUCH_MAX_CLASS;
+    if (count) {
+        v->residual_class[0] = touch_class(touch_mean_of(4 * along, count), thresholds);
+        v->residual_class[1] = v->residual_class[2] = touch_class(touch_mean_of(2 * across, count), thresholds);
+        v->total_residual_class = touch_class(touch_mean_of(3 * (along + across), count), thresholds);
+    }
     v->disagreement_class = touch_distance_class(touch_length(v->disagreement), step);
     if (v->has_reference && v->predictor != TOUCH_REFERENCE) {
         int32_t difference[3];
@@ -1042,31 +1088,36 @@ static void touch_basis(const int32_t centre[3], int64_t length, int64_t basis[3
     }
 }
 
-/* Class of where an alternative prediction lies along an axis of the residual: 0 to 14, 7 at the centre. */
-static uint32_t touch_alternative_class(const touch_voxel *v, const int32_t alternative[3], const int64_t axis[3]) {
-    static const int thresholds[TOUCH_MAX_CLASS] = {1, 2, 3, 5, 8, 12, 20}; /* quarters of a step */
+/* Class of where an alternative prediction lies along an axis of the residual: 0 to 14, 7 at the centre. `thresholds` are
+   in quarters of a unit: a distance of n quarters of a step, rounded down, is one of at least n steps in quarters of a
+   unit, or behind the centre of more than n - 1. */
+static uint32_t touch_alternative_class(const touch_voxel *v, const int32_t alternative[3], const int64_t axis[3],
+                                        const int thresholds[TOUCH_MAX_CLASS]) {
     int64_t quarters = 0;
     for (int n = 0; n < 3; n++) quarters += (int64_t)(alternative[n] - v->centre[n]) * axis[n];
-    quarters = touch_div(quarters >> (TOUCH_ONE_BITS - 2), v->centre_step);
-    int size = touch_class(touch_abs(quarters), thresholds);
-    return (uint32_t)(quarters < 0 ? TOUCH_AT_CENTRE - size : TOUCH_AT_CENTRE + size);
+    quarters >>= TOUCH_ONE_BITS - 2;
+    int is_behind = quarters < 0, size = touch_class(is_behind ? v->centre_step - 1 - quarters : quarters, thresholds);
+    return (uint32_t)(is_behind ? TOUCH_AT_CENTRE - size : TOUCH_AT_CENTRE + size);
 }
 
 /* Centre and axes of the residual. It is relative to the adaptive prediction, in steps along and across it: errors of
    both kinds have different bounds. Where other predictions lie indicates where the force may be. */
 static void touch_set_centre(const touch_pass *p, touch_voxel *v) {
+    static const int quarters[TOUCH_MAX_CLASS] = {1, 2, 3, 5, 8, 12, 20}; /* of a step */
+    int thresholds[TOUCH_MAX_CLASS];
     memcpy(v->centre, v->adaptive, sizeof v->centre);
     if (!v->centre[0] && !v->centre[1] && !v->centre[2]) v->centre[2] = 1;
     int64_t length = touch_length(v->centre);
     v->centre_step = touch_step(p->steps, length), v->centre_position = touch_step_position(p->steps, length);
     touch_basis(v->centre, length, v->basis);
+    for (int n = 0; n < TOUCH_MAX_CLASS; n++) thresholds[n] = quarters[n] * (int)v->centre_step; /* a step is below 2^19 */
     for (int k = 0; k < 3; k++) {
         uint32_t class_of[4];
         for (int n = 0; n < 4; n++) {
             int has_alternative = n < 3 ? v->neighbour[n] != 0 : v->has_reference;
             const int32_t *alternative = n < 3 ? v->extrapolation[n] : v->reference;
             uint32_t none = TOUCH_NO_ALTERNATIVE;
-            class_of[n] = has_alternative ? touch_alternative_class(v, alternative, v->basis[k]) : none;
+            class_of[n] = has_alternative ? touch_alternative_class(v, alternative, v->basis[k], thresholds) : none;
         }
         v->alternatives_01[k] = class_of[0] << 4 | class_of[1], v->alternatives_23[k] = class_of[2] << 4 | class_of[3];
     }
@@ -1115,7 +1166,7 @@ static void touch_residual_vector(const touch_voxel *v, int64_t length, int64_t 
 
 #ifdef TOUCH_WRITES /* the choices of a writer, and its input (touch_encode.h) */
 static void touch_load_target(touch_pass *p, uint64_t brick);
-static int touch_choose_state(const touch_pass *p);
+static int touch_choose_state(const touch_pass *p, uint64_t brick, uint64_t reference);
 static int touch_choose_blocks(const touch_pass *p);
 static int touch_choose_support(const touch_pass *p, int here);
 static int touch_choose_skip(const touch_pass *p, const touch_voxel *v);
@@ -1152,13 +1203,28 @@ static void touch_code_voxel(touch_pass *p, int here, int32_t index, int state) 
         memcpy(v.vector, v.prediction, sizeof v.vector);
         TOUCH_ACCOUNT(b, TOUCH_BITS_AMPLITUDE);
     } else touch_code_residual(p, &v);
-    touch_store_decoded(p, here, index, v.vector, touch_min(touch_abs(v.residual[0]), TOUCH_MAX_ALONG_SIZE),
+    touch_store_decoded(p, p->decoded + index, v.vector, touch_min(touch_abs(v.residual[0]), TOUCH_MAX_ALONG_SIZE),
                         touch_min(touch_abs(v.residual[1]) + touch_abs(v.residual[2]), TOUCH_MAX_ACROSS_SIZE));
+    p->decoded_at[here] = index;
     memcpy(p->last_vector, v.vector, sizeof p->last_vector);
     touch_learn_weights(&v);
 }
 
 static int touch_window_index(int x, int y, int z) { return (x + 2) * TOUCH_DEEP + (y + 2) * TOUCH_UP + z + 2; }
+
+/* Decode a brick that was copied from the reference: only once a brick beside it needs it, which is rare in a world that
+   stands still. */
+static void touch_load_copy(const touch_pass *p, uint64_t slot) {
+    touch_decoded *decoded = p->decoded + 512 * slot;
+    memset(decoded, 0, 512 * sizeof *decoded);
+    for (int n = 0; n < 512; n++) {
+        const int32_t *from = p->out->v[512 * slot + (uint64_t)touch_grid_sample(&p->scan, n >> 6, n >> 3 & 7, n & 7)].v;
+        int32_t v[3];
+        if (!(from[0] | from[1] | from[2])) continue;
+        for (int k = 0; k < 3; k++) v[k] = p->scan.sign[k] * from[p->scan.axis[k]];
+        touch_store_decoded(p, decoded + n, v, 0, 0);
+    }
+}
 
 /* Fill the window of a brick of the scan. */
 static void touch_fill_pass_window(touch_pass *p, const int32_t brick[3], const touch_map *slots,
@@ -1172,6 +1238,8 @@ static void touch_fill_pass_window(touch_pass *p, const int32_t brick[3], const 
                 int64_t decoded = is_past ? touch_map_get(slots, key) : -1, reference = touch_map_get(references, key);
                 int low[3], high[3], d[3];
                 if (decoded < 0 && reference < 0) continue;
+                if (decoded >= 0 && p->decoded[512 * decoded].length == TOUCH_NOT_LOADED)
+                    touch_load_copy(p, (uint64_t)decoded);
                 d[0] = dx, d[1] = dy, d[2] = dz;
                 for (int n = 0; n < 3; n++) low[n] = d[n] < 0 ? 6 : 0, high[n] = d[n] > 0 ? 2 : 8;
                 for (int x = low[0]; x < high[0]; x++)
@@ -1222,35 +1290,37 @@ static int touch_code_blocks(touch_pass *p, int target) {
     return blocks;
 }
 
-/* A brick of state COPY: every voxel with a reference is stored with its vector. The bricks after it predict from them. */
-static void touch_copy_reference(touch_pass *p, int32_t first, const int low[3], const int high[3]) {
-    for (int x = low[0]; x < high[0]; x++)
+/* A brick of state COPY: every voxel within the grid has the vector of the reference. The bricks after it predict from
+   them (touch_load_copy). */
+static void touch_copy_reference(touch_pass *p, uint64_t slot, uint64_t reference, const int low[3], const int high[3]) {
+    touch_int_vector *to = p->out->v + 512 * slot;
+    const touch_int_vector *from = p->reference->v + 512 * reference;
+    int is_whole = 1;
+    for (int n = 0; n < 3; n++) is_whole &= !low[n] && high[n] == 8;
+    p->decoded[512 * slot].length = TOUCH_NOT_LOADED;
+    if (is_whole) memcpy(to, from, 512 * sizeof *to);
+    else memset(to, 0, 512 * sizeof *to);
+    for (int x = low[0]; x < high[0] && !is_whole; x++)
         for (int y = low[1]; y < high[1]; y++)
             for (int z = low[2]; z < high[2]; z++) {
-                int here = touch_window_index(x, y, z);
-                int32_t v[3];
-                if (p->reference_at[here] < 0) continue;
-                touch_reference_at(p, p->reference_at[here], v);
-                touch_store_decoded(p, here, first + 64 * x + 8 * y + z, v, 0, 0);
+                int sample = touch_grid_sample(&p->scan, x, y, z);
+                to[sample] = from[sample];
             }
 }
 
-/* A brick: its state, if the reference lists it; its blocks; its voxels. */
-static void touch_code_brick(touch_pass *p, int64_t slot, const int low[3], const int high[3]) {
-    touch_coder *b = p->coder;
-    int state = TOUCH_CODE, blocks;
+/* The state of a brick that the reference lists. */
+static int touch_code_state(touch_pass *p, int target) {
+    int state = TOUCH_COPY;
+    if (!touch_code(p->coder, p->models->context.copy + p->last_state, target == TOUCH_COPY))
+        state = touch_code(p->coder, p->models->context.follow + p->last_state, target);
+    return p->last_state = state;
+}
+
+/* A brick that is not COPY: its blocks; its voxels. */
+static void touch_code_brick(touch_pass *p, uint64_t slot, int state, const int low[3], const int high[3]) {
     int32_t first = (int32_t)(512 * slot);
-    if (p->is_listed) {
-        int target = TOUCH_CHOOSE(b, touch_choose_state(p));
-        if (touch_code(b, p->models->context.copy + p->last_state, target == TOUCH_COPY)) state = TOUCH_COPY;
-        else state = touch_code(b, p->models->context.follow + p->last_state, target);
-        p->last_state = state;
-    }
-    if (state == TOUCH_COPY) {
-        touch_copy_reference(p, first, low, high);
-        return;
-    }
-    blocks = touch_code_blocks(p, TOUCH_CHOOSE(b, touch_choose_blocks(p)));
+    memset(p->decoded + first, 0, 512 * sizeof *p->decoded);
+    int blocks = touch_code_blocks(p, TOUCH_CHOOSE(p->coder, touch_choose_blocks(p)));
     for (int x = low[0]; x < high[0]; x++)
         for (int y = low[1]; y < high[1]; y++)
             for (int z = low[2]; z < high[2]; z++)
@@ -1260,6 +1330,7 @@ static void touch_code_brick(touch_pass *p, int64_t slot, const int low[3], cons
 
 /* Cells of a brick as vectors of the grid. */
 static void touch_unscan(const touch_scan *s, const touch_decoded *decoded, touch_int_vector *out) {
+    memset(out, 0, 512 * sizeof *out);
     for (int n = 0; n < 512; n++) {
         if (!decoded[n].length) continue;
         touch_int_vector *v = out + touch_grid_sample(s, n >> 6, n >> 3 & 7, n & 7);
@@ -1267,14 +1338,14 @@ static void touch_unscan(const touch_scan *s, const touch_decoded *decoded, touc
     }
 }
 
-/* The bricks of `out->list`, in the order of the scan; their vectors go to `out->v`. */
+/* The bricks of `out->list`, in the order of the scan; their vectors go to `out->v`, all of which is written. */
 static int touch_code_bricks(touch_pass *p, const touch_grid *grid, touch_units *out, touch_arena *arena,
                              touch_cursor *error) {
     const touch_list *before = &p->reference->list;
     uint64_t count = out->list.count, *key = (uint64_t *)touch_take(arena, count, 8);
     uint32_t *slot = (uint32_t *)touch_take(arena, count, 4);
     touch_map slots, references;
-    p->decoded = (touch_decoded *)touch_take_zero(arena, 512 * count, sizeof *p->decoded);
+    p->decoded = (touch_decoded *)touch_take(arena, 512 * count, sizeof *p->decoded), p->out = out;
     p->has_reference = (uint64_t *)touch_take_zero(arena, 8 * before->count, 8);
     if (!key || !slot || !p->decoded || !p->has_reference || !touch_map_make(&slots, count, arena) ||
         !touch_map_make(&references, before->count, arena))
@@ -1291,16 +1362,22 @@ static int touch_code_bricks(touch_pass *p, const touch_grid *grid, touch_units 
     p->last_state = TOUCH_CODE, p->last_vector[0] = p->last_vector[1] = p->last_vector[2] = 0;
     for (uint64_t i = 0; i < count; i++) {
         int32_t at[3];
-        int low[3], high[3];
+        int low[3], high[3], state = TOUCH_CODE, target = TOUCH_CODE;
+        int64_t reference = touch_map_get(&references, key[i]);
         touch_position(key[i], at);
         touch_scan_inside(&p->scan, grid, at, low, high);
-        p->is_listed = touch_map_get(&references, key[i]) >= 0;
-        touch_fill_pass_window(p, at, &slots, &references);
+        p->is_listed = reference >= 0;
+        if (p->is_listed) target = TOUCH_CHOOSE(p->coder, touch_choose_state(p, slot[i], (uint64_t)reference));
+        if (p->is_listed) state = touch_code_state(p, target);
+        if (state == TOUCH_COPY) touch_copy_reference(p, slot[i], (uint64_t)reference, low, high);
+        else {
+            touch_fill_pass_window(p, at, &slots, &references);
 #ifdef TOUCH_WRITES
-        if (TOUCH_IS_WRITING(p->coder)) touch_load_target(p, slot[i]);
+            if (TOUCH_IS_WRITING(p->coder)) touch_load_target(p, slot[i]);
 #endif
-        touch_code_brick(p, slot[i], low, high);
-        touch_unscan(&p->scan, p->decoded + 512 * (uint64_t)slot[i], out->v + 512 * (uint64_t)slot[i]);
+            touch_code_brick(p, slot[i], state, low, high);
+            touch_unscan(&p->scan, p->decoded + 512 * (uint64_t)slot[i], out->v + 512 * (uint64_t)slot[i]);
+        }
         touch_check(p->coder, error);
         if (error->code) return 0;
     }

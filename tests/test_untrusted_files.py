@@ -17,7 +17,7 @@ from depth_makers import write_plain, write_redwood, write_sun3d, write_threedma
 from touchfield.container import TouchReader
 from touchfield.devices.profile import device
 from touchfield.errors import CorruptFile, InvalidArgument, SourceError, TouchfieldError
-from touchfield.files import readable, refuse_overwriting, require_in_folder, require_plain
+from touchfield.files import read_bytes, readable, refuse_overwriting, require_in_folder, require_plain
 from touchfield.json_values import JsonValue, read_json
 from touchfield.medium.trace import read_trace
 from touchfield.pipeline.spec import EncodeSpec

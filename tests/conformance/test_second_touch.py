@@ -48,6 +48,13 @@ def solid(t: int) -> ForceField:
     return field(np.stack([0.3 * depth, 0.1 * depth, -depth], axis=-1), depth > 0)
 
 
+def partly_still(t: int) -> ForceField:
+    """The solid, of which one brick changes: those around it, also at the border, are copied."""
+    forces_n = solid(0).to_dense()
+    forces_n[:8, :8, 8:16] *= 1 + t / 2
+    return ForceField.from_dense(GRID, forces_n)
+
+
 def wide(t: int) -> ForceField:
     """Forces over forty decades, some of them subnormal in float32."""
     rng = np.random.default_rng(t)
@@ -68,6 +75,7 @@ CASES: dict[str, tuple[Callable[[int], ForceField], TouchSpec]] = {
     "noise": (noise, TouchSpec(f0_n=0.0, interframe="on")),
     "noise, coarse": (noise, TouchSpec(k=0.9, f0_n=1.0)),
     "solid": (solid, TouchSpec()),
+    "partly still": (partly_still, TouchSpec(guess="off", interframe="on")),
     "wide": (wide, TouchSpec(k=0.3, f0_n=0.0, support="exact")),
     "nothing": (nothing, TouchSpec()),
     "lossless": (solid, TouchSpec(mode="lossless")),

@@ -9,6 +9,7 @@ import pytest
 
 import depth_makers as make
 from touchfield.errors import InvalidArgument, SourceError
+from touchfield.sources.depth.depth_check import range_note
 from touchfield.sources.images.pictures import list_files
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
@@ -61,6 +62,11 @@ def test_the_range_is_stated_in_metres(tmp_path: Path) -> None:
     notes = notes_of(tmp_path / "depth.npy")
     assert "Depth is 0.8 to 1.98 m, median 1.39 m, at 1 stored units in a metre." in notes
     assert has(notes, "No file states the unit of depth: metres, as floats usually are (--depth-scale)")
+
+
+def test_depths_at_the_end_of_float32_have_a_median() -> None:
+    depth = np.full((1, 2), 3e38, np.float32)
+    assert range_note([depth]) == ("Depth is 3e+38 to 3e+38 m, median 3e+38 m.",)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,215 @@
+"""Measures whether real rooms are encoded, decoded and sent live in real time at the resolution of a device.
+
+    python bench/bench_realtime.py [--quick] [--nw N] [--loops N] [--seconds S]
+
+The inputs are TUM fr1_rpy (a moving Kinect) and the ICL living room, as far as the optional folder of inputs
+has them, as walls, fused ("fused") and with each frame on its own ("frames"). A sequence has 24 frames, and
+is repeated.
+
+* files: `encode_frames_s` counts frames that are made, coded, checked and written by all cores, after the
+  world is built; `world_s` is the time of that. `decode_frames_s` reads the same file in order. `..._cores`
+  are processor seconds over seconds. Processor milliseconds per frame, each in one thread: `source_ms` makes
+  the field on the fine lattice, `filter_ms` filters and limits it, `code_ms` codes it and compares each voxel
+  with the bound, `check_ms` decodes the result and compares again (effort "default" less "fast": about 0 for
+  segments with outliers, which both decode), `decode_ms` decodes it.
+* live: a simulated camera shows the frames of TUM at 30 Hz, and `live` sends them at n_w 7. `delay_s` is the
+  time from the arrival of the first picture of a segment to the moment when the segment is sent, less the
+  length of the segment. `frame_ms` is the processor time of the whole process per frame that is sent, and
+  `stages` are those of `files`, without a load; `live` checks the bound by the encoder's reconstruction.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench_fusion import FOLDERS, TUM, requested_lattice, spec_of
+from machine import Bar, Figures, at_least, at_most, bench, leave_out
+from touchfield.codec.registry import field_encoder
+from touchfield.codec.touch.decoder import TouchDecoder
+from touchfield.medium import ForceField
+from touchfield.network.live import LiveSegment
+from touchfield.pipeline import prepare
+from touchfield.pipeline.decoding import open_file
+from touchfield.pipeline.encoding import encode_prepared
+from touchfield.pipeline.preparation import Prepared
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.sources.depth.capture import CapturedSequence, Pictures
+from touchfield.sources.depth.depth_scene import DepthScene
+from touchfield.sources.images.pictures import read_picture
+from touchfield.sources.options import SourceOptions
+from touchfield.sources.registry import open_source
+from touchfield.tasks.live import LiveSpec, broadcast, open_sender
+
+LIVE_NW, LIVE_HZ, SEGMENT_S = 7, 30.0, 0.25
+CAMERA = SourceOptions(intrinsics="517.3,516.5,318.6,255.3", depth_scale=5000.0, rate_hz=LIVE_HZ)
+CODED = 8
+"""Frames of a segment whose stages are measured."""
+
+
+def processor_ms(call: Callable[[], Any]) -> float:
+    """Return the processor time of a call, milliseconds, of all threads."""
+    start = time.process_time()
+    call()
+    return 1e3 * (time.process_time() - start)
+
+
+def frames_per_s(call: Callable[[], Any], count: int) -> tuple[float, float]:
+    """Return the frames per second of a call that handles `count` frames, and the cores that it uses."""
+    start, start_cpu = time.perf_counter(), time.process_time()
+    call()
+    seconds = time.perf_counter() - start
+    return count / seconds, (time.process_time() - start_cpu) / seconds
+
+
+def stages(prepared: Prepared, name: str, spec: EncodeSpec) -> Figures:
+    """Return the processor milliseconds per frame of each stage."""
+    medium, scene = prepared.medium, open_source(str(FOLDERS[name]), spec.source)
+    fine, law = requested_lattice(scene, spec)  # type: ignore[arg-type]
+    scene.field(0, fine, law), medium[0]
+    indices = range(1, CODED)
+    source_ms = processor_ms(lambda: [scene.field(i, fine, law) for i in indices]) / len(indices)
+    make_ms = processor_ms(lambda: [medium[i] for i in indices]) / len(indices)
+    fields, row = [medium[i] for i in range(CODED)], {"source_ms": source_ms}
+    row["filter_ms"] = max(0.0, make_ms - source_ms)
+    body = b""
+    for effort in ("fast", "default"):
+        encoder = field_encoder(medium.grid, replace(prepared.coding, effort=effort))
+
+        def code(encoder: Any = encoder, fields: list[ForceField] = fields) -> None:
+            nonlocal body
+            body = encoder.encode_segment(fields, encoder.key_frame(fields[0], None)).body
+
+        row[f"{effort}_ms"] = processor_ms(code) / CODED
+    row |= {"code_ms": row.pop("fast_ms"), "check_ms": row.pop("default_ms")}
+    row["check_ms"] -= row["code_ms"]
+    decoder = TouchDecoder(medium.grid, field_encoder(medium.grid, prepared.coding).parameters)
+    row["decode_ms"] = processor_ms(lambda: list(decoder.frames(body, CODED))) / CODED
+    return row
+
+
+def file_row(name: str, world: str, nw: int, loops: int) -> Figures:
+    """Return the speed of encoding and decoding a sequence, repeated `loops` times, and its stages."""
+    spec = spec_of(world, nw=nw)
+    prepared = prepare(str(FOLDERS[name]), spec)
+    medium = prepared.medium
+    world_s = processor_ms(lambda: medium[0]) / 1e3
+    field, count = medium[0], loops * len(medium)
+    looped = replace(medium, frame_count=count, make_frame=lambda i: medium[i % len(medium)])
+    row: Figures = {"sequence": name, "world": world, "voxels": field.support_count, "world_s": world_s}
+    with tempfile.TemporaryDirectory() as folder:
+        path, encoded = Path(folder) / "it.touch", list[Any]()
+        rate, cores = frames_per_s(
+            lambda: encoded.append(encode_prepared(replace(prepared, medium=looped), path, {})), count
+        )
+        row |= {"encode_frames_s": rate, "encode_cores": cores, "bytes": encoded[0].file_bytes}
+        with open_file(path) as opened:
+            decoded = opened.medium
+            rate, cores = frames_per_s(lambda: [decoded[i] for i in range(count)], count)
+    row |= {"decode_frames_s": rate, "decode_cores": cores}
+    return row | stages(prepared, name, spec)
+
+
+class SimulatedCamera(Pictures):
+    """Stored pictures, shown in a loop at `LIVE_HZ`; `latest_s` is when the latest one arrived."""
+
+    def __init__(self, folder: Path) -> None:
+        self.name = "a simulated camera"
+        self._pictures = [read_picture(path) for path in sorted(folder.glob("*.png"))]
+        self._count, self._start_s, self.latest_s = 0, time.monotonic(), 0.0
+
+    def next(self) -> Any:
+        time.sleep(max(0.0, self._start_s + self._count / LIVE_HZ - time.monotonic()))
+        picture = self._pictures[self._count % len(self._pictures)]
+        self._count, self.latest_s = self._count + 1, time.monotonic()
+        return picture
+
+
+class TimedSequence(CapturedSequence):
+    """Captured pictures; `arrived_s` has the time at which the picture of each frame arrived."""
+
+    def __init__(self, camera: SimulatedCamera) -> None:
+        self.camera, self.arrived_s = camera, dict[int, float]()
+        super().__init__(camera, CAMERA)
+
+    def depth_m(self, frame: int) -> Any:
+        self.arrived_s.setdefault(frame, self.camera.latest_s)
+        return super().depth_m(frame)
+
+
+def live(seconds: float) -> Figures:
+    """Send the camera live for some seconds; return processor time, delays, and what was left out."""
+    sequence = TimedSequence(SimulatedCamera(FOLDERS[TUM] / "depth"))
+    prepared, sender = open_sender(
+        DepthScene(sequence, frame="camera"), EncodeSpec(nw=LIVE_NW, source=CAMERA)
+    )
+    delays_s, start = list[float](), [0.0, 0.0]
+
+    def send(segment: LiveSegment) -> bytes | None:
+        message = sender.add(segment)
+        length_s = segment.frame_count / LIVE_HZ
+        if segment.first_frame in sequence.arrived_s:  # frame 0 was made before the stream began
+            delays_s.append(time.monotonic() - sequence.arrived_s[segment.first_frame] - length_s)
+        return message
+
+    def on_start() -> None:
+        sequence.arrived_s.clear()
+        start[:] = time.process_time(), time.monotonic()
+
+    sent = broadcast(prepared, send, LiveSpec(SEGMENT_S, seconds=seconds), on_start=on_start)
+    cpu_s, elapsed_s = time.process_time() - start[0], time.monotonic() - start[1]
+    sequence.close()
+    return {
+        "frames": sent.frames,
+        "left_out": sent.left_out,
+        "segment_s": SEGMENT_S,
+        "frame_ms": 1e3 * cpu_s / max(1, sent.frames),
+        "cores": cpu_s / elapsed_s,
+        "delay_s": float(np.median(delays_s)) if delays_s else None,
+        "longest_delay_s": max(delays_s, default=None),
+        "sent_kb_per_s": sent.sent_bytes / elapsed_s / 1e3,
+        "worst_error": sent.worst_mask_ratio,
+    }
+
+
+def measure(nw: int, loops: int, seconds: float) -> Figures:
+    """Measure the available sequences."""
+    present = [name for name, folder in FOLDERS.items() if folder.is_dir()]
+    if not present:
+        leave_out("the folder of inputs is missing")
+    rows = [file_row(name, world, nw, loops) for name in present for world in ("fused", "frames")]
+    figures: Figures = {"nw": nw, "load": os.getloadavg()[0], "files": rows}
+    if TUM in present:
+        spec = spec_of("frames", nw=LIVE_NW)
+        figures["live"] = live(seconds) | {"stages": stages(prepare(str(FOLDERS[TUM]), spec), TUM, spec)}
+    return figures
+
+
+def bars(figures: Figures) -> list[Bar]:
+    """Require 8 encoded and 25 decoded frames/s of fused walls, and a live stream with one core free."""
+    found: list[Bar] = []
+    for row in figures["files"]:
+        if row["world"] == "fused":
+            title = f"{row['sequence']}, fused"
+            found.append(at_least(f"{title}: encoding", row["encode_frames_s"], 8.0, "frames/s"))
+            found.append(at_least(f"{title}: decoding", row["decode_frames_s"], 25.0, "frames/s"))
+    sent = figures.get("live", {})
+    return [
+        *found,
+        at_most("live: processor time of a frame", sent.get("frame_ms"), 1e3 / LIVE_HZ, "ms"),
+        at_most("live: longest delay beyond a segment", sent.get("longest_delay_s"), 0.1, "s"),
+        at_most("live: frames left out", sent.get("left_out"), 0),
+    ]
+
+
+if __name__ == "__main__":
+    bench(
+        "realtime", __doc__, measure, bars, without=("live/*",), nw=(8, 5), loops=(4, 1), seconds=(20.0, 3.0)
+    )
