@@ -185,7 +185,7 @@ def xml_tree(data: bytes, rng: random.Random) -> bytes:
     """Change one to three elements, attributes or texts of an XML document; sometimes declare entities."""
     try:
         root = ElementTree.fromstring(data)
-    except ElementTree.ParseError:
+    except (ElementTree.ParseError, LookupError):  # LookupError: an encoding that was damaged before
         raise Malformed from None
     for _ in range(rng.randint(1, 3)):
         _change_element(rng.choice(list(root.iter())), root, rng)
