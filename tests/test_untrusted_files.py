@@ -299,6 +299,18 @@ def test_a_number_of_a_model_beyond_bounds_is_named(
         open_source(tmp_path / "a.xml", SourceOptions(seconds=0.01))
 
 
+@pytest.mark.parametrize(
+    ("size", "place"), [("inf 1 1 1", "0 0 0"), ("1 1 1 1", "inf 0 0"), ("1e308 1 1 1", "nan 0 0")]
+)
+def test_a_height_field_beyond_bounds_is_one_error(tmp_path: Path, size: str, place: str) -> None:
+    pytest.importorskip("mujoco")
+    heights = f'<hfield name="h" nrow="3" ncol="3" size="{size}" elevation="0 0 0 0 1 0 0 0 0"/>'
+    body = f'<worldbody><geom type="hfield" hfield="h" pos="{place}"/></worldbody>'
+    (tmp_path / "model.xml").write_text(f"<mujoco><asset>{heights}</asset>{body}</mujoco>")
+    with pytest.raises(SourceError, match=r"vertices with a coordinate that is NaN or beyond 1e\+15 m"):
+        open_source(tmp_path / "model.xml")
+
+
 def test_a_physics_file_may_not_name_files_outside_its_folder(scene: Path) -> None:
     path = scene / "scene.toml"
     for name in ("../mine.obj", str(scene.parent / "mine.obj"), "link.obj"):

@@ -301,17 +301,20 @@ def _triangles(mujoco: Any, model: Any, geom: int) -> tuple[Float64s, Int32s] | 
     """
     kinds, kind = mujoco.mjtGeom, int(model.geom_type[geom])
     index = int(model.geom_dataid[geom])
-    if kind == kinds.mjGEOM_MESH:
-        first, first_face = int(model.mesh_vertadr[index]), int(model.mesh_faceadr[index])
-        corners = np.array(model.mesh_vert[first : first + int(model.mesh_vertnum[index])], np.float64)
-        faces = np.array(model.mesh_face[first_face : first_face + int(model.mesh_facenum[index])], np.int32)
-        vertices, triangles = merge_vertices(corners, faces)
-    elif kind == kinds.mjGEOM_HFIELD:
-        vertices, triangles = _height_field(model, index)
-    else:
-        return None
-    rotation, shift = _frame(mujoco, model, geom)
-    return vertices @ rotation.T + shift, triangles
+    with np.errstate(over="ignore", invalid="ignore"):  # the mesh refuses vertices that are not finite
+        if kind == kinds.mjGEOM_MESH:
+            first, first_face = int(model.mesh_vertadr[index]), int(model.mesh_faceadr[index])
+            corners = np.array(model.mesh_vert[first : first + int(model.mesh_vertnum[index])], np.float64)
+            faces = np.array(
+                model.mesh_face[first_face : first_face + int(model.mesh_facenum[index])], np.int32
+            )
+            vertices, triangles = merge_vertices(corners, faces)
+        elif kind == kinds.mjGEOM_HFIELD:
+            vertices, triangles = _height_field(model, index)
+        else:
+            return None
+        rotation, shift = _frame(mujoco, model, geom)
+        return vertices @ rotation.T + shift, triangles
 
 
 def _height_field(model: Any, index: int) -> tuple[Float64s, Int32s]:
