@@ -31,7 +31,7 @@ static int compare_units(touch_writer *w, const layered_frame *frame, const touc
     touch_brick_forces forces;
     uint64_t mark = w->work.used;
     int is_done = touch_newtons_of(&forces, units, w->steps.unit_n, &w->work) &&
-                  touch_compare(&frame->source, &forces, &bound, &w->grid, 0, c, &w->work);
+                  touch_compare(&frame->source, &forces, &bound, &w->grid, TOUCH_COUNT_OUTLIERS, c, &w->work);
     w->work.used = mark;
     return is_done;
 }

@@ -313,11 +313,14 @@ static int touch_is_within(const int32_t v[3], const double f[4], const touch_bo
     return touch_error_ratio2(f, d, f[3], bound) <= 1.0;
 }
 
+enum { TOUCH_COUNT_OUTLIERS, TOUCH_LIST_OUTLIERS, TOUCH_SEND_OUTLIERS }; /* sent as they are, they are no error */
+
 typedef struct { /* a decoded frame compared with its original */
     uint64_t *outlier, outliers; /* 512 times the number of a brick plus the sample, ascending */
     double max_ratio;
     uint32_t voxel[3];
     uint64_t within, decoded; /* voxels with a force that are within the bound; decoded ones with a force */
+    int are_sent;             /* outliers */
 } touch_comparison;
 
 typedef struct { /* decoded forces, by keys of bricks */
@@ -355,25 +358,26 @@ static void touch_compare_brick(const float *original, const float *hidden, cons
         }
         double ratio2 = touch_error_ratio2(f, d, hidden ? hidden[n] : 0.0, bound);
         if (bound->is_exact && is_supported != is_sent) ratio2 = HUGE_VAL;
-        c->decoded += (uint64_t)is_sent, c->within += (uint64_t)(is_supported && ratio2 <= 1.0);
-        if (ratio2 > 1.0) {
+        int is_outlier = ratio2 > 1.0, is_exact = is_outlier && c->are_sent;
+        c->decoded += (uint64_t)(is_exact ? is_supported : is_sent), c->within += (uint64_t)(is_supported && !is_outlier);
+        if (is_outlier) {
             if (c->outlier) c->outlier[c->outliers] = number + (uint64_t)n;
             c->outliers++;
         }
-        if (!(ratio2 > c->max_ratio)) continue;
+        if (is_exact || !(ratio2 > c->max_ratio)) continue;
         c->max_ratio = ratio2;
         for (int i = 0; i < 3; i++) c->voxel[i] = (uint32_t)(8 * at[i] + (n >> (6 - 3 * i) & 7));
     }
 }
 
-/* Compare frames in all bricks of both. Where `has_list`, the outliers are listed, in `arena`. */
+/* Compare frames in all bricks of both. The outliers are counted, or listed in `arena`. */
 static int touch_compare(const touch_source *original, const touch_brick_forces *decoded, const touch_bound *bound,
-                         const touch_grid *grid, int has_list, touch_comparison *c, touch_arena *arena) {
+                         const touch_grid *grid, int outliers, touch_comparison *c, touch_arena *arena) {
     memset(c, 0, sizeof *c);
     for (int pass = 0; pass < 2; pass++) {
         uint64_t i = 0, j = 0, mark = arena->used, *key = touch_source_keys(original, arena), *list = c->outlier;
         if (!key) return 0;
-        memset(c, 0, sizeof *c), c->outlier = list;
+        memset(c, 0, sizeof *c), c->are_sent = outliers == TOUCH_SEND_OUTLIERS, c->outlier = list;
         while (i < original->bricks || j < decoded->count) {
             int has_first = j == decoded->count || (i < original->bricks && key[i] <= decoded->key[j]);
             int has_second = i == original->bricks || (j < decoded->count && decoded->key[j] <= key[i]);
@@ -384,7 +388,7 @@ static int touch_compare(const touch_source *original, const touch_brick_forces 
             i += (uint64_t)has_first, j += (uint64_t)has_second;
         }
         arena->used = mark;
-        if (pass || !has_list || !c->outliers) break;
+        if (pass || outliers == TOUCH_COUNT_OUTLIERS || !c->outliers) break;
         c->outlier = (uint64_t *)touch_take(arena, c->outliers, 8);
         if (!c->outlier) return 0;
     }
@@ -1028,7 +1032,7 @@ typedef struct touch_writer {
     touch_units previous;         /* the frame before, without its outliers */
     uint64_t mark;                /* of `work`, behind what stays */
     uint32_t frames;
-    int tries_base_layers, has_outliers;
+    int tries_base_layers;
     double max_ratio; /* of the frames so far */
     uint32_t max_frame, max_voxel[3];
     touch_sink body; /* the records of the frames, behind room for what is before them */
@@ -1099,7 +1103,7 @@ static double touch_fraction_within(const touch_writer *w, const touch_source *f
     touch_brick_forces decoded;
     original.hidden_n = 0;
     if (!touch_newtons_of(&decoded, prediction, w->steps.unit_n, arena) ||
-        !touch_compare(&original, &decoded, &bound, &w->grid, 0, &c, arena))
+        !touch_compare(&original, &decoded, &bound, &w->grid, TOUCH_COUNT_OUTLIERS, &c, arena))
         return -1;
     arena->used = mark;
     return c.outliers ? (double)c.within / (double)(c.within + c.outliers) : 1.0;
@@ -1218,17 +1222,22 @@ static int touch_reserve(touch_writer *w, uint64_t bytes, touch_cursor *error) {
 /* Bytes of a record's flags and lengths, and of an outlier, at most. */
 enum { TOUCH_RECORD_BYTES = 64, TOUCH_OUTLIER_BYTES = 32 };
 
+/* The force of an outlier, NULL if its brick has none; `i` is the brick of the outlier before, and becomes its own. */
+static const float *touch_outlier_force(const touch_grid *grid, const touch_source *frame, const uint64_t *key,
+                                        uint64_t outlier, uint64_t *i) {
+    uint64_t number = outlier >> 9, by = (grid->shape[1] + 7) >> 3, bz = (grid->shape[2] + 7) >> 3;
+    uint64_t own = touch_key((int64_t)(number / (by * bz)), (int64_t)(number / bz % by), (int64_t)(number % bz));
+    while (*i < frame->bricks && key[*i] < own) ++*i;
+    return *i < frame->bricks && key[*i] == own ? frame->forces_n + 1536 * *i + 3 * (outlier & 511) : 0;
+}
+
 /* The forces of some voxels, as they are; into a sink, or only counted. */
 static void touch_put_forces(touch_sink *s, const touch_grid *grid, const touch_source *frame, const touch_comparison *c,
                              const uint64_t *key) {
     uint64_t previous = 0, i = 0;
     for (uint64_t n = 0; n < c->outliers; n++) {
         uint64_t number = c->outlier[n] >> 9, sample = c->outlier[n] & 511, bits = 0;
-        uint64_t by = (grid->shape[1] + 7) >> 3, bz = (grid->shape[2] + 7) >> 3;
-        uint64_t own = touch_key((int64_t)(number / (by * bz)), (int64_t)(number / bz % by), (int64_t)(number % bz));
-        const float *force = 0;
-        while (i < frame->bricks && key[i] < own) i++;
-        if (i < frame->bricks && key[i] == own) force = frame->forces_n + 1536 * i + 3 * sample;
+        const float *force = touch_outlier_force(grid, frame, key, c->outlier[n], &i);
         for (int k = 0; k < 3 && force; k++) bits |= touch_f32_bits(force[k]);
         touch_put_varint(s, number - previous), touch_put_varint(s, 2 * sample + !bits);
         for (int k = 0; k < 3 && bits; k++) touch_put_u(s, touch_f32_bits(force[k]), 4);
@@ -1242,6 +1251,25 @@ static void touch_put_outliers(touch_writer *w, const touch_source *frame, const
     counted.bytes = 0, counted.size = 0, counted.capacity = ~(uint64_t)0 - 1;
     touch_put_forces(&counted, &w->grid, frame, c, key);
     touch_put_varint(&w->body, counted.size), touch_put_forces(&w->body, &w->grid, frame, c, key);
+}
+
+/* Read the chunk of outliers that ends the body, as a receiver does: they have no other error. */
+static int touch_check_outliers(const touch_writer *w, uint64_t start, const touch_source *frame, const touch_comparison *c,
+                                const uint64_t *key, touch_cursor *error) {
+    static const float none[3];
+    touch_cursor at = touch_cursor_of(w->body.bytes + start, w->body.size - start), chunk = touch_chunk(&at, 1);
+    uint64_t brick = 0, i = 0;
+    int64_t last = -1;
+    for (uint64_t n = 0; n < c->outliers; n++) {
+        int32_t place[3];
+        float force[3];
+        int is_read = touch_read_outlier(&chunk, &w->grid, &brick, &last, place, force);
+        const float *own = touch_outlier_force(&w->grid, frame, key, c->outlier[n], &i);
+        int is_same = is_read && 512 * brick + (uint64_t)last == c->outlier[n];
+        for (int k = 0; k < 3 && is_same; k++) is_same = force[k] == (own ? own : none)[k];
+        if (!is_same) return touch_fail(error, TOUCH_CORRUPT, "an outlier is not read as it was written");
+    }
+    return touch_need(error, chunk.at == chunk.end && at.at == at.end, "bytes behind the outliers");
 }
 
 /* Fractions of the bits, in 1/255, for people: of support and of amplitude. */
@@ -1264,7 +1292,7 @@ static int touch_put_frame(touch_writer *w, const touch_source *frame, int is_in
     touch_comparison c;
     touch_brick_forces decoded;
     if (!key || !touch_newtons_of(&decoded, &coded->units, w->steps.unit_n, &w->work) ||
-        !touch_compare(frame, &decoded, &bound, &w->grid, 1, &c, &w->work))
+        !touch_compare(frame, &decoded, &bound, &w->grid, TOUCH_SEND_OUTLIERS, &c, &w->work))
         return touch_fail(error, TOUCH_MEMORY, "no room for a frame");
     int has_layer = base_layer->size > 0, has_outliers = c.outliers > 0;
     uint64_t size = base_layer->size + coded->payload.size + TOUCH_OUTLIER_BYTES * c.outliers;
@@ -1275,9 +1303,10 @@ static int touch_put_frame(touch_writer *w, const touch_source *frame, int is_in
     touch_put_fractions(&w->body, bits);
     if (has_layer) touch_put_chunk(&w->body, base_layer);
     touch_put_chunk(&w->body, &coded->payload);
+    uint64_t start = w->body.size;
     if (has_outliers) touch_put_outliers(w, frame, &c, key);
     if (w->body.size > w->body.capacity) return touch_fail(error, TOUCH_MEMORY, "no room for a segment");
-    w->has_outliers |= c.outliers > 0;
+    if (has_outliers && !touch_check_outliers(w, start, frame, &c, key, error)) return 0;
     if (c.max_ratio > w->max_ratio) {
         w->max_ratio = c.max_ratio, w->max_frame = w->frames;
         memcpy(w->max_voxel, c.voxel, sizeof c.voxel);
@@ -1728,7 +1757,7 @@ static int touch_check_body(touch_writer *w, const touch_source *frames, touch_c
         if (f.is_exact)
             touch_need(error, touch_is_identical(frames + n, &decoded, &result.decoded, &w->work),
                        "a frame is not decoded as it was");
-        else if (!touch_compare(frames + n, &decoded, &bound, &w->grid, 0, &result, &w->work))
+        else if (!touch_compare(frames + n, &decoded, &bound, &w->grid, TOUCH_COUNT_OUTLIERS, &result, &w->work))
             return touch_fail(error, TOUCH_MEMORY, "no room for a decoder");
         else {
             touch_need(error, !result.outliers, "the decoded body violates the error bound");
@@ -1752,7 +1781,7 @@ int touch_encode_finish(touch_encoder *encoder, const touch_source *frames, touc
     int is_stated = w->options.mode != TOUCH_NMSE;
     memset(out, 0, sizeof *out);
     s.bytes = head, s.size = 0, s.capacity = sizeof head;
-    int is_exact = w->options.mode == TOUCH_LOSSLESS, is_checked = is_exact || w->options.is_checked || w->has_outliers;
+    int is_exact = w->options.mode == TOUCH_LOSSLESS, is_checked = is_exact || w->options.is_checked;
     if (is_exact && !touch_put_exact_frames(w, frames, &error)) return touch_report(encoder, &error);
     if (is_checked && !touch_check_body(w, frames, &error)) return touch_report(encoder, &error);
     touch_put_u(&s, (uint64_t)is_stated, 1);
@@ -1785,7 +1814,7 @@ int touch_is_static(const touch_grid *grid, const touch_options *options, const 
     bound.k = margin * options->k > 0.001 ? margin * options->k : 0.001, bound.f0 = margin * options->f0_n;
     original.hidden_n = 0, decoded.count = earlier->bricks, decoded.slot = 0, decoded.forces_n = earlier->forces_n;
     decoded.key = touch_source_keys(earlier, &work);
-    if (!decoded.key || !touch_compare(&original, &decoded, &bound, grid, 0, &c, &work)) return -1;
+    if (!decoded.key || !touch_compare(&original, &decoded, &bound, grid, TOUCH_COUNT_OUTLIERS, &c, &work)) return -1;
     return !c.outliers;
 }
 

@@ -31,7 +31,7 @@ def number_of(frame: ForceField) -> int:
 
 def reader() -> Any:
     entries = [SimpleNamespace(first_frame=LENGTH * i, frame_count=LENGTH) for i in range(COUNT)]
-    return SimpleNamespace(segments=entries, segment_of=lambda frame: frame // LENGTH)
+    return SimpleNamespace(name="a.touch", segments=entries, segment_of=lambda frame: frame // LENGTH)
 
 
 def frames_of(note: Callable[[int], None] = lambda _: None) -> SegmentFrames:

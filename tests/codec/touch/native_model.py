@@ -57,6 +57,7 @@ class _Comparison(ctypes.Structure):
         ("voxel", ctypes.c_uint32 * 3),
         ("within", ctypes.c_uint64),
         ("decoded", ctypes.c_uint64),
+        ("are_sent", ctypes.c_int),
     ]
 
 

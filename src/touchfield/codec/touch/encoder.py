@@ -3,7 +3,7 @@ code of ``c/touch_encode.h`` does the coding.
 
 Each frame is coded in closed loop. Every decoded voxel is compared with the original, and those outside the
 bound are sent as outliers. Then the finished body is decoded as a receiver would, and compared again (effort
-"fast" skips this if there are no outliers).
+"fast" compares what it has coded, and reads back the outliers alone).
 """
 
 from __future__ import annotations
