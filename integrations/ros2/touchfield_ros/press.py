@@ -82,7 +82,8 @@ class Press(Node):
 
     def _receive(self, wrench: WrenchStamped) -> None:
         force = wrench.wrench.force
-        message = f"force {force.x:.3f} {force.y:.3f} {force.z:.3f} N"
+        x, y, z = (round(n, 3) + 0.0 for n in (force.x, force.y, force.z))  # + 0.0: no "-0.000"
+        message = f"force {x:.3f} {y:.3f} {z:.3f} N"
         self.get_logger().info(message, throttle_duration_sec=0.5)
 
 
