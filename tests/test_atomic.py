@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -15,23 +17,28 @@ from touchfield.tasks.library import _list_files
 needs_locks = pytest.mark.skipif(sys.platform == "win32", reason="no locks, so nothing is removed")
 
 
-@needs_locks
-def test_the_next_write_removes_what_a_killed_run_left(tmp_path: Path) -> None:
-    """A file that a living process writes is kept."""
-    target, code = (
-        tmp_path / "a.touch",
-        (
-            "import sys; from pathlib import Path; from touchfield.atomic import atomic_path\n"
-            "with atomic_path(Path(sys.argv[1])) as path:\n"
-            "    path.write_bytes(b'part'); print('writing', flush=True); sys.stdin.read()"
-        ),
-    )
+@contextmanager
+def another_process_writes(code: str, target: Path) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
+    """Run a program that has begun to write to `target`; yield it, and its temporary file or folder."""
     with subprocess.Popen(
         [sys.executable, "-c", code, target], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as writer:
         assert writer.stdout is not None and writer.stdout.readline() == b"writing\n"
-        (other,) = tmp_path.iterdir()
-        assert is_temporary(other.name) and _list_files(tmp_path).files == {}
+        (temporary,) = target.parent.iterdir()
+        assert is_temporary(temporary.name) and _list_files(target.parent).files == {}
+        yield writer, temporary
+
+
+@needs_locks
+def test_the_next_write_removes_what_a_killed_run_left(tmp_path: Path) -> None:
+    """A file that a living process writes is kept."""
+    target = tmp_path / "a.touch"
+    code = (
+        "import sys; from pathlib import Path; from touchfield.atomic import atomic_path\n"
+        "with atomic_path(Path(sys.argv[1])) as path:\n"
+        "    path.write_bytes(b'part'); print('writing', flush=True); sys.stdin.read()"
+    )
+    with another_process_writes(code, target) as (writer, other):
         with atomic_path(target) as path:
             path.write_bytes(b"first")
         assert {p.name for p in tmp_path.iterdir()} == {"a.touch", other.name}
@@ -50,12 +57,7 @@ def test_the_next_write_removes_the_folder_that_a_killed_run_left(tmp_path: Path
         "with temporary_folder(Path(sys.argv[1])) as folder:\n"
         "    (folder / 'a.touch').write_bytes(b'part'); print('writing', flush=True); sys.stdin.read()"
     )
-    with subprocess.Popen(
-        [sys.executable, "-c", code, target], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    ) as writer:
-        assert writer.stdout is not None and writer.stdout.readline() == b"writing\n"
-        (other,) = tmp_path.iterdir()
-        assert is_temporary(other.name) and _list_files(tmp_path).files == {}
+    with another_process_writes(code, target) as (writer, other):
         with temporary_folder(target):
             assert (other / "a.touch").exists(), "a living process writes to it"
         writer.kill()
