@@ -43,7 +43,11 @@ def run_client(folder: Path, source: Path, workers: str, victim: int) -> subproc
     script.write_text(CLIENT)
     command = [sys.executable, script, source, folder / "a.touch", workers, str(victim)]
     return subprocess.run(
-        [str(part) for part in command], env=environment_with(folder), capture_output=True, text=True
+        [str(part) for part in command],
+        env=environment_with(folder),
+        capture_output=True,
+        text=True,
+        timeout=120,
     )
 
 

@@ -248,6 +248,22 @@ def _require_listener(address: str) -> None:
 # -- dask --------------------------------------------------------------------------------------------------
 
 
+class DaskExecutor:
+    """Runs tasks by a `distributed.Client` (extra ``cluster``); dask repeats the tasks of a lost worker.
+
+    The executor of `Client.get_executor` is not used: if the scheduler is lost while a result is on its way,
+    it drops the error of the connection, and its future is never done (seen with distributed 2026.8).
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+
+    def submit(self, work: Callable[..., Any], item: Any, /) -> TaskFuture:
+        """Start ``work(item)``; return its future."""
+        future: TaskFuture = self._client.submit(work, item, pure=False)
+        return future
+
+
 @contextmanager
 def _open_dask(rest: str) -> Iterator[TaskExecutor]:
     Client = import_extra("distributed", "--workers dask:ADDRESS", "distributed", "cluster").Client
@@ -257,20 +273,22 @@ def _open_dask(rest: str) -> Iterator[TaskExecutor]:
         found = f"no scheduler that answers ({str(error) or type(error).__name__})"
         hint = "Start one: dask scheduler."
         raise SourceError(f"--workers dask:{rest}", found, "the address of one", hint) from None
-    with _without_log("distributed.client"), client:
-        yield client.get_executor(pure=False)
+    with _without_logs("distributed", "distributed.client", "tornado.application"), client:
+        yield DaskExecutor(client)
 
 
 @contextmanager
-def _without_log(name: str) -> Iterator[None]:
-    """Keep a logger from printing errors, with tracebacks, that are raised anyway."""
-    logger = logging.getLogger(name)
-    level = logger.level
-    logger.setLevel(logging.CRITICAL)
+def _without_logs(*names: str) -> Iterator[None]:
+    """Keep loggers from printing errors, with tracebacks, that are raised anyway."""
+    loggers = [logging.getLogger(name) for name in names]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
     try:
         yield
     finally:
-        logger.setLevel(level)
+        for logger, level in zip(loggers, levels):
+            logger.setLevel(level)
 
 
 def _is_dask_address(text: str) -> bool:
