@@ -33,6 +33,17 @@ SOURCES: Final[Mapping[str, str]] = MappingProxyType(
         "modes)",
         "israr": "A. Israr, S. Choi and H. Z. Tan, Detection threshold and mechanical impedance of the hand "
         "in a pen-hold posture, IROS, 2006 (threshold of vibration)",
+        "pang": "X. D. Pang, H. Z. Tan and N. I. Durlach, Manual discrimination of force using active finger "
+        "motion, Perception and Psychophysics 49, 1991 (--profile: k of grip stylus and finger)",
+        "doerrer": "C. Doerrer and R. Werthschuetzky, Simulating push-buttons using a haptic display, "
+        "EuroHaptics, 2002 (--profile: k of grip stylus and finger)",
+        "feyzabadi": "S. Feyzabadi et al., Human force discrimination during active arm motion for force "
+        "feedback design, IEEE Transactions on Haptics 6, 2013 (--profile: F_0 of grip stylus and ball, k of "
+        "grip ball)",
+        "king": "H. H. King, R. Donlin and B. Hannaford, Perceptual thresholds for single vs. multi-finger "
+        "haptic interaction, IEEE Haptics Symposium, 2010 (--profile: F_0 of grip finger)",
+        "barbagli": "F. Barbagli et al., Haptic discrimination of force direction and the influence of "
+        "visual information, ACM Transactions on Applied Perception 3, 2006 (--mode mask-direction)",
         "shoham": "Y. Shoham and A. Gersho, Efficient bit allocation for an arbitrary set of quantizers, "
         "IEEE Transactions on Acoustics, Speech, and Signal Processing 36, 1988 (lambda)",
     }
@@ -42,6 +53,7 @@ SOURCES: Final[Mapping[str, str]] = MappingProxyType(
 _INTERVALS: Final = ("whittle", "mueller")
 _CITED: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
+        "encode": ("pang", "doerrer", "feyzabadi", "king", "barbagli"),
         "measure": ("miller", "chao", *_INTERVALS, "meila"),
         "reduce": ("manohar",),
         "points": ("manohar",),

@@ -23,8 +23,9 @@ from numpy.typing import ArrayLike
 from touchfield.arrays import Float64s
 from touchfield.errors import require_one_of
 
-VERIFIED: Final = ("read", "secondary", "unverified")
-"""How a figure was checked: read in the source or its abstract; read in a text that quotes it; neither."""
+VERIFIED: Final = ("read", "secondary", "setting", "unverified")
+"""How a figure was checked: read in the source or its abstract; read in a text that quotes it; chosen, so
+that there is nothing to check; none of these."""
 
 
 @dataclass(frozen=True)

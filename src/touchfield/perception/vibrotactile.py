@@ -84,7 +84,7 @@ class Crossover:
     """
 
     rate_hz: float  # samples a second
-    # by default the upper limit of what a hand feels as a force
+    # by default the upper bound of the forces that a hand controls, see human.toml
     cutoff_hz: float = figure("force_bandwidth_hz")
 
     def __post_init__(self) -> None:

@@ -38,9 +38,8 @@ class TouchSpec:
     elsewhere the error is at most F_0); "nmse" (no error bound: the fewest bytes for a mean squared error,
     which `step_n` sets); "lossless" (bit for bit, for a field that is already quantised)."""
     direction_jnd_deg: float = option(18.4, "mask-direction: greatest angle, degrees. [default: 18.4]")
-    """Just noticeable difference of a direction, degrees, above 0 and below 90 (docs: Barbagli 2006, Tan
-    2006).
-    """
+    """Just noticeable difference of a direction, degrees, above 0 and below 90; by default the smallest for a
+    hand on a device (Barbagli and others 2006, docs: perception.md)."""
     step_n: float = option(0.05, "mode nmse: step of the lattice, newtons. [default: 0.05]")
     """Step of the uniform lattice of mode "nmse", newtons."""
     effort: str = option("default", "default, or fast: up to 1.7 times as fast, decodes nothing to check.")
