@@ -3,10 +3,10 @@
     python bench/bench_parsers.py [--quick] [--runs N] [--seconds S] [--seed S] [--only NAME]
 
 Each format of `parser_formats` gets `runs` cases, or as many as end in `seconds` seconds; a full run takes an
-hour or two. A case is "read" or "refused" in one line that names the file; anything else is a fault: another
-exception, a warning, a process that dies or hangs, more time or memory than the bytes allow, a file that is
-opened outside the folder (`parser_worker`). Inputs of faults are found again by
-``fuzz_parsers.py --replay NAME SEED NUMBER``.
+hour or two. With `--only`, the rows of other formats stay as they are stored, with the commit of each. A case
+is "read" or "refused" in one line that names the file; anything else is a fault: another exception, a warning,
+a process that dies or hangs, more time or memory than the bytes allow, a file that is opened outside the
+folder (`parser_worker`). Inputs of faults are found again by ``fuzz_parsers.py --replay NAME SEED NUMBER``.
 
 Time is that of the processor, in which a library may be imported and loops be compiled. Memory is the growth
 of the resident memory. A quick run is a few cases of each format. Whether a case is read or refused depends
@@ -17,18 +17,20 @@ from __future__ import annotations
 
 from typing import Any
 
+import provenance
 from fuzz_parsers import Child, Tally, fuzz
-from machine import Bar, Figures, at_least, at_most, bench, column
+from machine import Bar, Figures, at_least, at_most, bench, column, stored
 from parser_formats import formats
 
 RUNS = 10_000
 QUICK_RUNS = 3
 
 
-def row_of(tally: Tally, seed: int) -> dict[str, Any]:
+def row_of(tally: Tally, seed: int, commit: str) -> dict[str, Any]:
     """Return the row of a format."""
     counts = tally.counts
     return {
+        "commit": commit,
         "runs": counts.total(),
         "read": counts["read"],
         "refused": counts["refused"],
@@ -39,12 +41,20 @@ def row_of(tally: Tally, seed: int) -> dict[str, Any]:
     }
 
 
+def stored_rows() -> dict[str, dict[str, Any]]:
+    """Return the rows of the stored result."""
+    before = stored("parsers")
+    return {name: {"commit": before["run"]["commit"], **row} for name, row in before.get("rows", {}).items()}
+
+
 def measure(runs: int, seconds: float, seed: int, only: str) -> Figures:
-    """Run the cases of every format."""
-    child, rows = Child(), dict[str, dict[str, Any]]()
+    """Run the cases of every format, or those of one, whose row of the stored result is replaced."""
+    child, commit = Child(), provenance.Run().summary()["commit"]
+    rows = stored_rows() if only else {}
     for entry in formats():
         if only in ("", entry.name):
-            row = rows[entry.name] = row_of(fuzz(child, entry.name, runs, seconds, seed), seed)
+            tally = fuzz(child, entry.name, runs, seconds, seed)
+            row = rows[entry.name] = row_of(tally, seed, commit)
             print(f"{entry.name}: {row['runs']} cases, {row['faults']} faults", flush=True)
     child.end()
     return {

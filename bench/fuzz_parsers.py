@@ -62,7 +62,8 @@ class Child:
         self.name, self.pipe, self.process = "", *self._started()
 
     def _started(self) -> tuple[Any, Any]:
-        os.environ["TOUCHFIELD_THREADS"] = "1"
+        # threads that wait for a core take processor time, which a case has little of
+        os.environ |= {"TOUCHFIELD_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         context = multiprocessing.get_context("spawn")
         pipe, other = context.Pipe()
         process = context.Process(target=serve, args=(other,), daemon=True)

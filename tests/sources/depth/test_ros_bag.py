@@ -19,6 +19,8 @@ from touchfield.sources.registry import kinds, open_source
 
 pytest.importorskip("mcap")
 pytest.importorskip("mcap_ros2")
+from mcap.writer import Writer
+
 from bag_makers import (
     OPTICAL,
     PERIOD_NS,
@@ -167,3 +169,19 @@ def test_faults_of_bags_are_one_line(tmp_path: Path) -> None:
         open_source(tmp_path / "r1.bag")
     with pytest.raises(SourceError, match=r"cannot be decoded"):
         ros.decode(ros.CAMERA_INFO, b"\0\1\0\0\1", "w")
+
+
+def test_a_topic_with_messages_of_two_types_is_refused(tmp_path: Path) -> None:
+    """The decoder of the listed type would read the other: an internal error before."""
+    path = tmp_path / "two.mcap"
+    with path.open("wb") as stream:
+        bag = Writer(stream)
+        bag.start(profile="ros2")
+        for name in ("tf2_migs/msg/TFMessage", ros.TRANSFORMS):
+            schema = bag.register_schema(name, "ros2msg", ros.DEFINITIONS[ros.TRANSFORMS].encode())
+            channel = bag.register_channel("/tf", "cdr", schema)
+            bag.add_message(channel, START_NS, b"\0\1\0\0\0\0\0\0", START_NS)
+        bag.finish()
+    found = "two.mcap, /tf: found messages of tf2_migs/msg/TFMessage, listed as tf2_msgs/msg/TFMessage"
+    with pytest.raises(SourceError, match=found):
+        read_bag(path, SourceOptions())

@@ -209,6 +209,9 @@ def _read_recording(path: Path, requested: str | None) -> _Recording:
         count += 1
         if count > _MAX_MESSAGES:
             raise SourceError(str(path), f"more than {_MAX_MESSAGES} messages", "fewer", "Cut it in parts.")
+        if kind != topics[topic]:  # the summary of an MCAP file and its chunks may name different schemas
+            found = f"messages of {kind}, listed as {topics[topic]}"
+            raise SourceError(f"{place[0]}, {topic}", found, "messages of one type", "Copy the bag again.")
         if (kind in _IMAGES and not is_depth.get(topic, True)) or (
             kind == messages.CAMERA_INFO and topic in infos
         ):
