@@ -4,7 +4,7 @@
 
 Each format of `parser_formats` gets `runs` cases, or as many as end in `seconds` seconds; a full run takes an
 hour or two. With `--only`, the rows of other formats stay as they are stored, with the commit of each. A case
-is "read" or "refused" in one line that names the file; anything else is a fault: another exception, a warning,
+is "read" or "refused" in a line that names the file; anything else is a fault: another exception, a warning,
 a process that dies or hangs, more time or memory than the bytes allow, a file that is opened outside the
 folder (`parser_worker`). Inputs of faults are found again by ``fuzz_parsers.py --replay NAME SEED NUMBER``.
 
