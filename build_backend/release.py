@@ -134,7 +134,8 @@ def write_sums(folder: Path) -> None:
 def run(command: list[str | Path], cwd: str | Path = ROOT) -> None:
     """Run a command; stop the release if it fails."""
     print("+", *(part for part in command if part != DECODE), flush=True)
-    subprocess.run([str(part) for part in command], cwd=cwd, check=True)
+    environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
+    subprocess.run([str(part) for part in command], cwd=cwd, env=environment, check=True)
 
 
 def main(folder: Path) -> None:
