@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo module test test-thorough test-all bench lint gallery site reproduction golden wheels web browser-tests clean
+.PHONY: demo module test test-thorough test-all bench lint gallery site reproduction golden wheels release web browser-tests clean
 
 demo: .venv/ready
 	$(BIN)/touchfield demo demo
@@ -51,8 +51,13 @@ golden: .venv/ready
 
 # wheels for the platforms of build_backend/targets.py, cross-compiled by zig, and checked
 wheels: .venv/ready
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check ziglang abi3audit auditwheel
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check abi3audit auditwheel 'ziglang>=0.16'
 	$(BIN)/python build_backend/wheels.py dist
+
+# all that a release publishes, built and checked in dist/; nothing is uploaded
+release: .venv/ready
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check abi3audit auditwheel build twine 'ziglang>=0.16'
+	$(BIN)/python build_backend/release.py dist
 
 # the page of `touchfield view`, built from web/ and c/; needs node, and npm's registry once
 web: .venv/ready web/node_modules/.package-lock.json
