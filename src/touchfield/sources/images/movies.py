@@ -36,6 +36,7 @@ from touchfield.sources.images.pictures import (
     opened,
     require_size,
 )
+from touchfield.sources.images.png_rows import require_all_rows
 
 Colours = NDArray[np.uint8]
 
@@ -338,4 +339,7 @@ def _shallow(path: Path) -> Iterator[Any]:
             raise SourceError(
                 str(path), "a picture that moves", "a still one", "Make a video or a GIF of it."
             )
+        if image.format == "PNG":
+            with path.open("rb") as stream:
+                require_all_rows(str(path), stream)
         yield image

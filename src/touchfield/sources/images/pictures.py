@@ -29,6 +29,7 @@ from touchfield.files import readable, require_plain
 from touchfield.medium.stores.npz import map_npy, read_npy_header
 from touchfield.sources.camera import require_frame
 from touchfield.sources.images.exr import EXR_MAGIC, exr_size, read_exr
+from touchfield.sources.images.png_rows import require_all_rows
 
 MAX_PIXELS: Final = 1 << 26  # pixels of the largest picture that is decoded (8192 x 8192)
 PICTURE_SUFFIXES: Final = (".png", ".tif", ".tiff", ".npy", ".exr")
@@ -270,11 +271,18 @@ def read_picture(path: Path) -> NDArray[Any]:
     with opened(path, ("PNG", "TIFF")) as image:
         require_all_strips(str(path), image)
         values = np.array(image)
+        if image.format == "PNG":
+            _require_whole_png(path, values)
     if values.shape != size:
         raise SourceError(str(path), f"samples of shape {values.shape}", f"{size}")
     if header.sample == "uint16" and values.dtype != np.uint16:
         values = values.astype(np.uint16)  # older releases of Pillow give 16-bit PNGs as int32
     return _native(values)
+
+
+def _require_whole_png(path: Path, values: NDArray[Any]) -> None:
+    with path.open("rb") as stream:
+        require_all_rows(str(path), stream, values)
 
 
 def require_all_strips(where: str, image: Any) -> None:
@@ -308,6 +316,7 @@ def read_map(path: Path) -> NDArray[Any]:
     bound_pixels(path, header.width, header.height, 3)
     with opened(path, ("PNG",)) as image:
         channels = np.asarray(image.convert("RGB"))
+        _require_whole_png(path, channels)
     if (channels != channels[:, :, :1]).any():
         mend = "Save the relative depth itself, not a coloured preview."
         raise SourceError(str(path), "a picture in colour", "the grey map", mend)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from touchfield.errors import SourceError, import_extra
 from touchfield.files import library_faults
 from touchfield.sources.images.pictures import MAX_PIXELS
+from touchfield.sources.images.png_rows import require_all_rows
 
 IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO, TRANSFORMS = "sensor_msgs/msg/CameraInfo", "tf2_msgs/msg/TFMessage"
@@ -144,6 +145,7 @@ def _png_samples(data: bytes, where: str) -> NDArray[np.uint16]:
         if image.width * image.height > MAX_PIXELS:
             raise SourceError(where, f"{image.width} x {image.height} pixels", f"at most {MAX_PIXELS}")
         stored = np.array(image).astype(np.uint16)
+        require_all_rows(where, BytesIO(data), stored)
     if stored.ndim != 2:
         raise SourceError(where, f"samples of shape {stored.shape}", "a grey picture of 16 bits")
     return stored
