@@ -440,6 +440,7 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
     "study": {
         "participant": case("07", "run_session.spec.participant", "07"),
         "device": Case("sim", refused="--device, --observer: found both"),
+        "wait": Case("1min", refused="--wait: found no device to wait for; expected --device"),
         "observer": case("threshold=3", "run_session.spec.observer", "threshold=3"),
         "runs": Case("20", refused="--runs is only for study power, not for study run"),
         "plot": Case("fits.png", refused="--plot is only for study analyse, not for study run"),
