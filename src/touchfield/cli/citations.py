@@ -33,6 +33,11 @@ SOURCES: Final[Mapping[str, str]] = MappingProxyType(
         "modes)",
         "israr": "A. Israr, S. Choi and H. Z. Tan, Detection threshold and mechanical impedance of the hand "
         "in a pen-hold posture, IROS, 2006 (threshold of vibration)",
+        "landin": "N. Landin, J. M. Romano, W. McMahan and K. J. Kuchenbecker, Dimensional reduction of "
+        "high-frequency accelerations for haptic rendering, EuroHaptics, 2010 (three axes to one)",
+        "culbertson": "H. Culbertson, J. J. Lopez Delgado and K. J. Kuchenbecker, One hundred data-driven "
+        "haptic texture models and open-source methods for rendering on 3D objects, IEEE Haptics Symposium, "
+        "2014 (models, .xml)",
         "shoham": "Y. Shoham and A. Gersho, Efficient bit allocation for an arbitrary set of quantizers, "
         "IEEE Transactions on Acoustics, Speech, and Signal Processing 36, 1988 (lambda)",
     }
@@ -49,6 +54,7 @@ _CITED: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "correlate": ("miller", "theiler", *_INTERVALS),
         "compare": ("israr",),
         "plan": ("shoham",),
+        "texture": ("landin", "culbertson", "israr"),
     }
 )
 
