@@ -167,7 +167,7 @@ def test_an_address_has_a_host_and_a_port() -> None:
     ):  # fmt: skip
         assert address(text, "where") == expected
     wrong = ":0 :65536 :-1 :0x9 :".replace(":", "here:").split()
-    colons = "[::1 [::1:9 ::1]:9 ::1 ::1:9 [:]:9 [::1]9 [::g]:9 []:9 [[::1]]:9".split()
+    colons = ["[::1", "[::1:9", "::1]:9", "::1", "::1:9", "[:]:9", "[::1]9", "[::g]:9", "[]:9", "[[::1]]:9"]
     for text in (*wrong, *colons, "here", ":9", "", "a b:9", "a/b:9", "u@h:9"):
         with pytest.raises(InvalidArgument, match="where: found"):
             address(text, "where")
@@ -178,7 +178,7 @@ def test_an_address_has_a_host_and_a_port() -> None:
     ):  # fmt: skip
         assert address(text, "where", usual) == expected, text
     for text in ("9", "[::1", "::1", "[::1]9"):
-        with pytest.raises(InvalidArgument, match="where: found .*such as 127.0.0.1:9000 or "):
+        with pytest.raises(InvalidArgument, match=r"where: found .*; expected a host and a port"):
             address(text, "where", usual)
 
 

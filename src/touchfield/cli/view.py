@@ -210,6 +210,10 @@ def _number(value: float, digits: int) -> str:
 def _information(m: Measurement) -> list[tuple[Quantity, str]]:
     """Return the entropies to be printed, each with its meaning: H(S) by weighting, H(W), in time."""
     visits = [(m.entropy, "over the visits of the trace")] if m.entropy.weighting == "interaction" else []
+    if m.contacts:
+        *each, shared = m.contacts.values()
+        visits = [(m.entropy, "over the visits of all contacts together"), *((q, "of one") for q in each)]
+        visits.append((shared, "received more than once"))
     everywhere = [(m.voxel, "over all voxels"), (m.corrected, "over all voxels, Miller-Madow")]
     others = [(quantity, "") for quantity in (m.per_frame, *m.in_time.values())]
     return [*visits, *everywhere, (m.object, "over the object"), *others]
