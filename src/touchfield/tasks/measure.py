@@ -245,7 +245,8 @@ def measure_medium(
             raise with_notes(InvalidArgument(name, found, "a support of at least one voxel", hint), notes)
         on_object = entropy(counts["object"], estimator=spec.estimator)
         corrected = entropy(counts["voxel"], estimator="miller-madow", interval=False)
-        entropy_over, contacts = on_object if spec.over == "object" else voxel, {}
+        entropy_over = on_object if spec.over == "object" else voxel
+        contacts: dict[str, Quantity] = {}
         if probes:
             entropy_over, contacts = _met(probes, frames, spec)
         on_step()
