@@ -303,7 +303,7 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "out": case("{tmp}/bent.npz", "tracks_of.out", "{tmp}/bent.npz"),
         "controls": case("9", "tracks_of.controls", 9),
         "yield-m-per-n": case("0.002", "tracks_of.compliance_m_per_n", 0.002),
-        "relax-s": case("0.1", "tracks_of.relax_s", 0.1),
+        "relax-s": case("0.1", "tracks_of.relax_s", 0.1, "--yield-m-per-n 0.002"),
         "frames": case("4:9", "motion.frames", (4, 9)),
         "animation": case("walk", "motion.animation", "walk"),
         "rest-frame": case("6", "motion.rest_frame", 6),
@@ -406,7 +406,7 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "quantiser": case("uniform:0.1", "spec.quantiser", "uniform:0.1"),
         "over": case("object", "spec.over", "object"),
         "estimator": case("miller-madow", "spec.estimator", "miller-madow"),
-        "density": case("4", "spec.density", 4.0),
+        "density": case("4", "spec.density", 4.0, "--device tshirt-32x32"),
     },
     "reduce": {
         **{name: own for name, own in _coder().items() if name != "coder"},

@@ -12,7 +12,15 @@ from typing import Annotated, Any, Final
 import typer
 
 from touchfield.cli.main import Json, Options, Stream, command
-from touchfield.cli.options import fields_of, numbers_of, rows, rows_of, with_options
+from touchfield.cli.options import (
+    fields_of,
+    numbers_of,
+    refuse_unused,
+    rows,
+    rows_of,
+    values_of,
+    with_options,
+)
 from touchfield.cli.output import Answer, check_results, echo, progress
 from touchfield.container.remote import is_live, is_remote
 from touchfield.errors import InvalidArgument
@@ -77,6 +85,10 @@ def play(
     from touchfield.tasks.play import check_play, play as run
 
     if check:
+        own = {"log": (log, None), "plot": (plot, None), "bridge": (bridge, False)}
+        unused = values_of(options, rows_of(PlaySpec), RENDER) | own
+        del unused["speed"]
+        refuse_unused(unused, "with --check, which plays nothing")
         verdict = check_play(stream, options["speed"])
         Answer(verdict, stream).show(as_json)
         if not verdict["can_play"]:
