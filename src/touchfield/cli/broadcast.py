@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from touchfield.cli.main import Options, Stream, command
-from touchfield.cli.options import SCENE, address_rows, encode_spec, with_options
+from touchfield.cli.options import SCENE, address_rows, encode_spec, values_of, with_options
 from touchfield.cli.output import Answer, echo, progress
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     Add = Callable[[LiveSegment], bytes]
 
-_LIVE_PORT: Final = 8076
+_LIVE_ADDRESS: Final = address_rows(8076, "receive")
 _LIVE: Final = (
     "As of `encode`; or camera:N (a depth camera, by OpenCV), watch:FOLDER (pictures that are put there), "
     "- (PNG pictures on standard input)."
@@ -55,7 +55,7 @@ def _access(options: dict[str, Any]) -> Access:
 @command(
     "Broadcast", "live sample:falling-4 --rate-hz 20", "live watch:pictures --world causal --depth-scale 1000"
 )
-@with_options(address_rows(_LIVE_PORT, "receive"), SCENE)
+@with_options(_LIVE_ADDRESS, SCENE)
 def live(
     options: Options,
     source: Annotated[str, typer.Argument(help=_LIVE)],
@@ -153,12 +153,9 @@ def _require_no_server(options: dict[str, Any], *, coarse: bool, udp: str | None
     """InvalidArgument for an option of the server, which a pipe has not."""
     from touchfield.errors import InvalidArgument
 
-    usual = {row.name: row.default for row in address_rows(_LIVE_PORT, "receive")} | {
-        "coarse": False,
-        "udp": None,
-    }
-    for name, value in {**options, "coarse": coarse, "udp": udp}.items():
-        if name in usual and value not in (usual[name], []):
+    values = values_of(options, _LIVE_ADDRESS) | {"coarse": (coarse, False), "udp": (udp, None)}
+    for name, (value, default) in values.items():
+        if value != default and value != []:
             hint = "Leave out the -, or the option."
             raise InvalidArgument(f"--{name}", "a pipe beside it", "a server, which OUT - does without", hint)
 
