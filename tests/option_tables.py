@@ -347,7 +347,7 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "start-s": case("1.5", "spec.start_s", 1.5),
         "speed": case("0.5", "spec.speed", 0.5),
         "loop": case(None, "spec.loop", True),
-        "panel": case("back", "spec.panel", "back"),
+        "panel": case("back", "spec.panel", "back", "--device pins:h:9"),
         "offline": case(None, "spec.offline", True),
         "trace": case("hand.csv", "spec.trace", "hand.csv"),
         "coarse": case("ws://here/coarse/live", "spec.coarse", "ws://here/coarse/live"),

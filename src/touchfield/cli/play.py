@@ -94,6 +94,7 @@ def play(
         if not verdict["can_play"]:
             raise typer.Exit(1)
         return
+    _refuse_unused_by_device(options, bridge)
     check_results((stream,), log, plot=plot)
     is_logged = not (log is plot is None)
     derived = {"is_logged": is_logged, "is_drawn": plot is not None, "render": render_spec(options)}
@@ -113,6 +114,19 @@ def play(
     played.checked()
     if played.is_starved:
         raise typer.Exit(1)
+
+
+def _refuse_unused_by_device(options: Options, has_bridge: bool) -> None:
+    """InvalidArgument for an option of point devices with an array, or the other way round."""
+    from touchfield.devices.drivers.registry import is_array_device
+
+    if not is_array_device(options["device"]):
+        panel = values_of(options, rows_of(PlaySpec, None, "panel"))
+        refuse_unused(panel, f"with --device {options['device']}, which is no array")
+        return
+    unused = values_of(options, RENDER) | {"bridge": (has_bridge, False)}
+    del unused["no-blend"]
+    refuse_unused(unused, f"with --device {options['device']}, an array of actuators")
 
 
 def _starved_note(stream: str, fraction: float) -> str:
