@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from machine import Bar, Figures, at_most, bench, figure
+from peak_memory import peak_bytes
 from touchfield.compute.threads import worker_count
 from touchfield.medium import Grid
 from touchfield.sources.clouds.cloud import Cloud
@@ -84,11 +85,6 @@ def field_of(path: str, samples: int) -> tuple[CloudScene, int]:
 
 def one(path: str, small: str, samples: int) -> None:
     """Print the figures of a cloud; called in a process of its own."""
-    resource = import_module("resource")
-
-    def peak_bytes() -> int:
-        return 1024 * int(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
-
     field_of(small, samples)
     before, began, used = peak_bytes(), time.perf_counter(), time.process_time()
     scene, bricks = field_of(path, samples)

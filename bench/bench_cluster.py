@@ -29,7 +29,6 @@ import json
 import multiprocessing
 import os
 import re
-import resource
 import subprocess
 import sys
 import tempfile
@@ -45,6 +44,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from cluster_makers import dask_cluster, run_client
 from machine import SHARED, Bar, Figures, at_least, at_most, bench, column, figure, need_module
+from peak_memory import peak_bytes
 from s3_makers import bucket_server
 from touchfield import EncodeSpec, device, encode
 from touchfield.codec import TouchSpec
@@ -126,12 +126,10 @@ def huge(nw: int | None) -> Figures:
     spec = EncodeSpec(nw=nw, touch=TouchSpec(effort="fast"))
     with tempfile.TemporaryDirectory() as folder, executor_of("processes:2") as workers:
         done = encode_tiles(TILED, Path(folder) / "a.zarr", spec, executor=workers)
+        processes_mb = [*children_mb(), peak_bytes() / 1e6]
     samples = done.prepared.medium.grid.voxel_count
-    memory_kib = [
-        resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_CHILDREN, resource.RUSAGE_SELF)
-    ]
     return {
-        "most_bytes": 1024 * max(memory_kib),
+        "most_bytes": 1e6 * max(processes_mb),
         "samples": samples,
         "tiles": done.tiles,
         "supported_voxels": done.supported_voxels,
@@ -155,7 +153,7 @@ def large(nw: int, ending: str) -> Figures:
         "file_bytes": done.file_bytes,
         "seconds": done.encode_s,
         "worker_mb": max(workers_mb, default=None),
-        "client_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6,
+        "client_mb": peak_bytes() / 1e6,
     }
 
 

@@ -44,6 +44,7 @@ from touchfield.sources.laws import LawSpec, penalty
 from touchfield.sources.shapes.analytic_scene import AnalyticScene
 from touchfield.sources.shapes.shapes import Box, Sphere, Superquadric
 
+HERE = Path(__file__).parent
 Floats = NDArray[np.float64]
 SIDES = (30, 36, 42, 48, 54, 60, 64)
 SPACING_M = 0.001
@@ -55,12 +56,12 @@ PITCH_M = 0.011
 """Distance of the balls of a floor, whose radius is 6 mm."""
 
 JOB = """
-import json, resource, sys, time
+import json, sys, time
+from peak_memory import peak_bytes
 from touchfield import EncodeSpec, encode
 done = encode(sys.argv[1], sys.argv[2], EncodeSpec(representation="object"))
-peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 summary = {key: done.summary()[key] for key in ("file_bytes", "encode_s", "frames", "objects")}
-print(json.dumps({**summary, "cpu_s": time.process_time(), "peak_mb": peak}))
+print(json.dumps({**summary, "cpu_s": time.process_time(), "peak_mb": peak_bytes() / 2**20}))
 """
 
 
@@ -229,7 +230,7 @@ def encoded_bodies(seconds: int) -> Figures | None:
         path = Path(folder) / "bodies.toml"
         hundred_bodies(path, seconds)
         code = [sys.executable, "-c", JOB, str(path), str(path.with_suffix(".touch"))]
-        output = subprocess.run(code, check=True, capture_output=True, text=True).stdout
+        output = subprocess.run(code, cwd=HERE, check=True, capture_output=True, text=True).stdout
     return dict(json.loads(output.splitlines()[-1]))
 
 

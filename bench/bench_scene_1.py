@@ -29,23 +29,24 @@ import numpy as np
 from machine import Bar, Figures, at_least, at_most, bench, figure
 from touchfield.codec.registry import field_encoder
 
+HERE = Path(__file__).parent
 SCENE = "sample:falling-7"
 LOOKED_AT = 8
 
 JOB = """
-import json, resource, sys
+import json, sys
+from peak_memory import peak_bytes
 from touchfield import EncodeSpec, encode
 representation, frames, out = sys.argv[1:]
 done = encode("{scene}", out, EncodeSpec(representation=representation, frames=(0, int(frames))))
-peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-print(json.dumps({{**done.summary(), "peak_mb": peak}}))
+print(json.dumps({{**done.summary(), "peak_mb": peak_bytes() / 2**20}}))
 """
 
 
 def coded(representation: str, frames: int, out: Path) -> dict[str, Any]:
     """Return the summary of one encoding in a separate process."""
     code = [sys.executable, "-c", JOB.format(scene=SCENE), representation, str(frames), str(out)]
-    output = subprocess.run(code, check=True, capture_output=True, text=True).stdout
+    output = subprocess.run(code, cwd=HERE, check=True, capture_output=True, text=True).stdout
     return dict(json.loads(output.splitlines()[-1]))
 
 

@@ -313,7 +313,7 @@ static int touch_is_within(const int32_t v[3], const double f[4], const touch_bo
     return touch_error_ratio2(f, d, f[3], bound) <= 1.0;
 }
 
-enum { TOUCH_COUNT_OUTLIERS, TOUCH_LIST_OUTLIERS, TOUCH_SEND_OUTLIERS }; /* sent as they are, they are no error */
+enum { TOUCH_COUNT_OUTLIERS, TOUCH_SEND_OUTLIERS }; /* sent as they are, they are no error */
 
 typedef struct { /* a decoded frame compared with its original */
     uint64_t *outlier, outliers; /* 512 times the number of a brick plus the sample, ascending */
@@ -370,7 +370,7 @@ static void touch_compare_brick(const float *original, const float *hidden, cons
     }
 }
 
-/* Compare frames in all bricks of both. The outliers are counted, or listed in `arena`. */
+/* Compare frames in all bricks of both. The outliers are counted, or listed in `arena` to be sent. */
 static int touch_compare(const touch_source *original, const touch_brick_forces *decoded, const touch_bound *bound,
                          const touch_grid *grid, int outliers, touch_comparison *c, touch_arena *arena) {
     memset(c, 0, sizeof *c);

@@ -3,6 +3,7 @@ parses texts such as "HOST:PORT", and `duration_s` texts such as "30s"."""
 
 from __future__ import annotations
 
+import ipaddress
 import re
 from dataclasses import field
 from typing import Any, Final
@@ -20,24 +21,33 @@ def option(default: Any, help_text: str) -> Any:
 def address(text: str, where: str, default: Address | None = None) -> Address:
     """Parse "HOST:PORT" or "[HOST]:PORT"; with a default also "", "HOST" and ":PORT".
 
-    Raises InvalidArgument for any other text; the error names `where`, such as "osc:HOST:PORT".
+    A host with colons, which is an IPv6 address, needs the brackets. Raises InvalidArgument for any other
+    text; the error names `where`, such as "osc:HOST:PORT".
     """
     host, colon, port = text.rpartition(":")
     if default is not None:
         if not colon or text.endswith("]"):
             host, port = text, "" if text.isdigit() else str(default[1])
         host = host or default[0]
-    host = host.removeprefix("[").removesuffix("]")
+    is_port = port.isascii() and port.isdigit() and len(port) <= 5 and 0 < int(port) < 65536
+    is_bracketed = host.startswith("[") and host.endswith("]")
+    host = host[1:-1] if is_bracketed else host
+    if not (is_port and _is_host(host, is_bracketed)):
+        expected = "a host and a port from 1 to 65535, such as 127.0.0.1:9000 or [::1]:9000"
+        raise InvalidArgument(where, repr(text[:80]), expected)
+    return host, int(port)
+
+
+def _is_host(host: str, is_bracketed: bool) -> bool:
+    """Return True if a text can be the name or the address of a host."""
     try:
         host.encode("idna")  # as sockets do
-    except UnicodeError:
-        host = ""
-    is_port = port.isascii() and port.isdigit() and len(port) <= 5 and 0 < int(port) < 65536
-    if not host or not is_port or not host.isprintable() or any(c in host for c in " /[]@"):
-        raise InvalidArgument(
-            where, repr(text[:80]), "a host and a port from 1 to 65535, such as 127.0.0.1:9000"
-        )
-    return host, int(port)
+        if ":" in host:
+            ipaddress.IPv6Address(host)
+    except ValueError:  # of which a UnicodeError is one
+        return False
+    is_plain = host.isprintable() and not any(c in host for c in " /[]@")
+    return bool(host) and is_plain and (is_bracketed or ":" not in host)
 
 
 _SECONDS: Final = {"ms": 1e-3, "s": 1.0, "min": 60.0}

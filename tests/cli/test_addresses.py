@@ -15,7 +15,18 @@ REFUSED = {
     "live missing.stl --udp host": "--udp: found 'host'; expected a host and a port from 1 to 65535",
     "live missing.stl --udp 127.0.0.1:65535 --coarse": "--udp: found port 65535, with --coarse",
     f"live missing.stl --udp {'x' * 64}:9": "--udp: found ",
-    "live missing.stl - --udp 127.0.0.1:9": "--udp: found a pipe beside it",
+    **{
+        f"live missing.stl - --{option}": f"--{option.split()[0]}: found a pipe beside it; expected a server"
+        for option in (
+            "udp 127.0.0.1:9",
+            "coarse",
+            "token a-long-word",
+            "open",
+            "cors *",
+            "host localhost",
+            "port 8077",
+        )
+    },
     "live missing.stl --cors example.org": "--cors: found 'example.org'; expected an origin",
     "live missing.stl --port 65536": "--port: found 65536",
     "serve . --cors https://example.org/page": "--cors: found 'https://example.org/page'",

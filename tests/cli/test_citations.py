@@ -53,6 +53,25 @@ def test_compare_and_plan_print_the_sources_of_their_figures(
         assert sources == list(sources_of(arguments[0])) and author in sources[-1]
 
 
+def test_texture_prints_the_sources_of_its_figures(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = "".join(f"{n / 4000:.6f},{np.sin(n):.6f}\n" for n in range(4000))
+    (tmp_path / "drag.csv").write_text(f"t_s,a_m_s2\n{rows}")
+    drag = [
+        str(tmp_path / "drag.csv"),
+        "-o",
+        str(tmp_path / "oak.json"),
+        "--speed-m-s",
+        "0.1",
+        "--force-n",
+        "1",
+    ]
+    assert _exit_code(["texture", *drag, "--json", "--cite"]) == 0
+    sources = json.loads(capsys.readouterr().out)["sources"]
+    assert sources == list(sources_of("texture")) and "Landin" in sources[2]
+
+
 def test_every_source_is_of_a_command_and_names_a_year() -> None:
     used = {text for command in cited_commands() for text in sources_of(command)}
     assert used == set(SOURCES.values()) and set(cited_commands()) <= set(COMMANDS)
@@ -65,7 +84,7 @@ def test_every_source_is_of_a_command_and_names_a_year() -> None:
 
 def test_modules_name_the_same_sources() -> None:
     """Each author named by a command is named by a module that computes its figures."""
-    folders, suffixes = ("measure", "reduction", "perception", "tasks"), (".py", ".toml")
+    folders, suffixes = ("measure", "reduction", "perception", "tasks", "datasets/cards"), (".py", ".toml")
     paths = (path for folder in folders for path in (ROOT / "src/touchfield" / folder).iterdir())
     files = (path for path in paths if path.suffix in suffixes)
     code = "".join(path.read_text() for path in files)

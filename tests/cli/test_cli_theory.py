@@ -147,6 +147,48 @@ def test_measure_along_a_trace(stream: Path, tmp_path: Path, capsys: Capture) ->
     assert "over the visits" in printed and "relative curl" in printed
 
 
+def test_measure_over_several_contacts(stream: Path, tmp_path: Path, capsys: Capture) -> None:
+    """Equal traces receive everything twice; a name with a comma is one trace; other times name the file."""
+    with pipeline.open_file(stream) as opened:
+        field = opened.medium[0]
+    inside_m = field.grid.to_m(field.positions())[:60]
+    paths = [tmp_path / name for name in ("thumb.csv", "a,b.csv", "index.csv", "late.csv")]
+    orders = (np.arange(60), np.arange(60), np.random.default_rng(1).permutation(60), np.arange(60))
+    for path, order in zip(paths, orders):
+        late_s = 0.5 if path.stem == "late" else 0.0
+        rows = "\n".join(
+            f"{n / 1000 + late_s:.4f},{x:.6f},{y:.6f},{z:.6f}" for n, (x, y, z) in enumerate(inside_m[order])
+        )
+        path.write_text(f"t_s,x_m,y_m,z_m\n{rows}\n")
+    thumb, comma, index, late = map(str, paths)
+
+    def measured(over: str) -> dict[str, Any]:
+        arguments = ["measure", str(stream), "--no-limits", "--over", f"interaction:{over}", "--json"]
+        assert _exit_code(arguments) == 0
+        return dict(json.loads(capsys.readouterr().out))
+
+    one, same, two = measured(comma), measured(f"{thumb},{thumb}"), measured(f"{thumb},{index}")
+    bits = one["entropy"]["value"]
+    assert one["contacts"] == {} and one["entropy"]["name"] == "H(S)" and bits > 2
+    assert same["entropy"]["value"] == pytest.approx(bits) and same["entropy"]["name"] == "H(S1,S2)"
+    assert same["contacts"]["total_correlation"]["value"] == pytest.approx(bits)
+    first, second, shared = (two["contacts"][key]["value"] for key in ("S1", "S2", "total_correlation"))
+    assert first == pytest.approx(bits) and two["entropy"]["value"] == pytest.approx(first + second - shared)
+    assert two["entropy"]["value"] > bits
+    arguments = ["measure", str(stream), "--no-limits", "--over"]
+    assert _exit_code([*arguments, f"interaction:{thumb},{index}"]) == 0
+    printed = capsys.readouterr().out
+    assert "of all contacts together" in printed and "received more than once" in printed
+    assert _exit_code([*arguments, f"interaction:{thumb},{late}"]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith(
+        f"touchfield: {late}: found 60 samples from 0.5 to 0.559 s; expected the 60 times"
+    )
+    assert error.count("\n") == 1
+    assert _exit_code([*arguments, f"interaction:{thumb},"]) == 2
+    assert "interaction:TRACE.csv" in capsys.readouterr().err
+
+
 def test_measure_takes_a_medium_and_a_scene() -> None:
     scene = tiny_scenes()[2]
     spec = MeasureSpec(quantiser="weber:0.1", limits=False, encode=EncodeSpec(nw=5))

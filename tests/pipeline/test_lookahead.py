@@ -78,9 +78,9 @@ def test_the_next_segments_are_decoded_by_other_threads(monkeypatch: pytest.Monk
             next_decoded.set()
 
     frames = frames_of(note)
-    frames(0)
-    assert not next_decoded.is_set(), "one frame alone asks for nothing else"
-    frames(1)
+    frames(0), frames(1)
+    assert not frames._lookahead, "the first two frames come before any other"
+    frames(2)
     assert next_decoded.wait(30)
     monkeypatch.setenv("TOUCHFIELD_THREADS", "1")
     begun: list[int] = []
@@ -103,12 +103,12 @@ def test_only_the_first_frames_of_a_large_segment_are_decoded_in_advance(
             yield field(i)
 
     frames = SegmentFrames(reader(), decode)
-    frames(0), frames(1)
+    frames(0), frames(1), frames(2)
     deadline_s = time.monotonic() + 30
     while 7 not in decoded and time.monotonic() < deadline_s:
         time.sleep(0.001)
     time.sleep(0.02)
-    assert sorted(decoded) == [0, 1, 3, 4, 6, 7], "as many as fit, and the one that does not"
+    assert sorted(decoded) == [0, 1, 2, 3, 4, 6, 7], "as many as fit, and the one that does not"
 
 
 @pytest.mark.parametrize("threads", ["1", "3"])
@@ -155,7 +155,7 @@ def test_after_a_jump_the_other_threads_stop(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setenv("TOUCHFIELD_THREADS", "2")
     decoder = GatedDecoder()
     frames = SegmentFrames(reader(), decoder)
-    frames(0), frames(1)
+    frames(0), frames(1), frames(2)
     ahead = list(frames._lookahead.values())
     assert decoder.is_waiting.wait(30)
     assert number_of(frames(LENGTH * 6)) == LENGTH * 6
@@ -177,3 +177,31 @@ def test_who_reaches_a_segment_takes_it_over(monkeypatch: pytest.MonkeyPatch) ->
     assert [number_of(frames(i)) for i in range(LENGTH, 2 * LENGTH)] == [3, 4, 5]
     assert decoder.threads[LENGTH] is not threading.current_thread()
     assert decoder.threads[LENGTH + 2] is threading.current_thread(), "it did not wait for the whole segment"
+
+
+@pytest.mark.parametrize("segment", [2, COUNT - 1])
+def test_behind_a_jump_to_a_last_frame_another_thread_decodes_one_frame(
+    segment: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The frame after it, from which a loop goes on, is the first of another segment."""
+    monkeypatch.setenv("TOUCHFIELD_THREADS", "2")
+    decoder = GatedDecoder()
+    decoder.gate.set()
+    frames = SegmentFrames(reader(), decoder)
+    last, following = LENGTH * (segment + 1) - 1, LENGTH * (segment + 1) % (LENGTH * COUNT)
+    assert number_of(frames(last)) == last
+    (ahead,) = frames._lookahead.values()
+    ahead._future.result(30)
+    assert decoder.threads[following] is not threading.current_thread()
+    assert following + 1 not in decoder.threads, "nobody has asked for more"
+    assert [number_of(frames(following + i)) for i in range(LENGTH)] == [following + i for i in range(LENGTH)]
+    assert decoder.threads[following + 1] is threading.current_thread()
+
+
+def test_a_loop_is_a_sequence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TOUCHFIELD_THREADS", "2")
+    frames = frames_of()
+    for frame in range(LENGTH * COUNT):
+        frames(frame)
+    assert number_of(frames(0)) == 0
+    assert frames._lookahead.keys() == {1, 2}, "decoding ahead goes on through the repeat"

@@ -189,10 +189,12 @@ class Handle(PointDevice):
         self.calls.append("close")
 
 
+HANDLE = SessionSpec("07", device="handle", wait="200ms")
+
+
 def with_handle(monkeypatch, handle):
     choice = PointChoice("handle", lambda: handle, None, False)
     monkeypatch.setattr(study, "point_device", lambda text: choice)
-    monkeypatch.setattr(study, "_WAIT_S", 0.2)
 
 
 @pytest.mark.parametrize(
@@ -208,7 +210,7 @@ def test_a_device_that_is_not_ready_is_found_before_the_first_trial(state, found
     path, shown = write_design(folder, levels=(0.1, 0.6)), []
     hand = Hand(monkeypatch, for_participant(read_design(path), "07"))
     with pytest.raises(DeviceError, match=found):
-        run_session(path, folder / "out", SessionSpec("07", device="handle"), hand.ask, shown.append)
+        run_session(path, folder / "out", HANDLE, hand.ask, shown.append)
     assert not hand.played and not (folder / "out").exists()
     assert handle.calls[-1] == "close" and len(shown) == 1 and "waiting for" in shown[0]
 
@@ -218,7 +220,7 @@ def test_a_session_waits_for_its_device_and_releases_it_before_the_first_interva
     with_handle(monkeypatch, handle)
     path = write_design(folder, levels=(0.1, 0.6))
     hand = Hand(monkeypatch, for_participant(read_design(path), "07"))
-    spec, calls_at_interval = SessionSpec("07", device="handle"), []
+    spec, calls_at_interval = HANDLE, []
     monkeypatch.setattr(
         study, "play", lambda *options: calls_at_interval.append(list(handle.calls)) or hand.play(*options)
     )
@@ -230,18 +232,27 @@ def test_a_session_waits_for_its_device_and_releases_it_before_the_first_interva
 
 
 def test_an_array_that_does_not_answer_and_a_stream_that_it_cannot_show(folder, monkeypatch, capsys):
-    monkeypatch.setattr(study, "_WAIT_S", 0.0)
     path, out = str(write_design(folder, levels=(0.1, 0.6))), str(folder / "out")
     with socket.socket() as taken:  # bound, and not listening: nothing answers there
         taken.bind(("127.0.0.1", 0))
         device = f"pins:127.0.0.1:{taken.getsockname()[1]}"
-        assert _exit_code(["study", "run", path, out, "--participant", "1", "--device", device])
+        session = ["study", "run", path, out, "--participant", "1", "--device", device]
+        assert _exit_code([*session, "--wait", "0s"])
     message = capsys.readouterr().err
     assert "127.0.0.1" in message and "Traceback" not in message
     encode(BALL, folder / "fine.touch", EncodeSpec(device="tshirt-32x32"))
     assert _exit_code(["study", "run", path, out, "--participant", "1", "--device", "sim"])
     assert "fine.touch: found a stream for the array" in capsys.readouterr().err
     assert not (folder / "out").exists()
+
+
+@pytest.mark.parametrize("wait", ["2h", "3601s", "soon"])
+def test_a_wait_is_that_of_every_interval_and_at_most_an_hour(wait):
+    assert SessionSpec("1", device="sim", wait="2min").playback(seconds=2.0).wait == "2min"
+    with pytest.raises(InvalidArgument, match="wait: found"):
+        SessionSpec("1", device="sim", wait=wait)
+    with pytest.raises(InvalidArgument, match="--wait: found no device to wait for"):
+        SessionSpec(observer="threshold=0.3", wait="1s")
 
 
 def test_participants_have_orders_of_their_own(folder):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from touchfield.cli.main import Options, Stream, command
-from touchfield.cli.options import SCENE, address_rows, encode_spec, with_options
+from touchfield.cli.options import SCENE, address_rows, encode_spec, values_of, with_options
 from touchfield.cli.output import Answer, echo, progress
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     Add = Callable[[LiveSegment], bytes]
 
+_LIVE_ADDRESS: Final = address_rows(8076, "receive")
 _LIVE: Final = (
     "As of `encode`; or camera:N (a depth camera, by OpenCV), watch:FOLDER (pictures that are put there), "
     "- (PNG pictures on standard input)."
@@ -54,7 +55,7 @@ def _access(options: dict[str, Any]) -> Access:
 @command(
     "Broadcast", "live sample:falling-4 --rate-hz 20", "live watch:pictures --world causal --depth-scale 1000"
 )
-@with_options(address_rows(8076, "receive"), SCENE)
+@with_options(_LIVE_ADDRESS, SCENE)
 def live(
     options: Options,
     source: Annotated[str, typer.Argument(help=_LIVE)],
@@ -86,11 +87,9 @@ def live(
 
     if out not in (None, "-"):
         raise InvalidArgument("OUT", repr(out), "- or nothing", "Receivers come by ws://, http:// or --udp.")
-    if coarse and out == "-":
-        raise InvalidArgument("--coarse", "a pipe, which loses nothing", "a server, or --udp")
+    if out == "-":
+        _require_no_server(options, coarse=coarse, udp=udp)
     if udp is not None:
-        if out == "-":
-            raise InvalidArgument("--udp", "a pipe beside it", "a server, whose stream is also sent so")
         require_receiver(udp, "--udp", is_layered=coarse)
     spec = LiveSpec(segment_s, loop, on_air_s)
     access = None if out == "-" else _access(options)
@@ -148,6 +147,17 @@ def live(
         "dropped_receivers": server.dropped,
     }
     return Answer(sums, source, prepared.notes)
+
+
+def _require_no_server(options: dict[str, Any], *, coarse: bool, udp: str | None) -> None:
+    """InvalidArgument for an option of the server, which a pipe has not."""
+    from touchfield.errors import InvalidArgument
+
+    values = values_of(options, _LIVE_ADDRESS) | {"coarse": (coarse, False), "udp": (udp, None)}
+    for name, (value, default) in values.items():
+        if value != default and value != []:
+            hint = "Leave out the -, or the option."
+            raise InvalidArgument(f"--{name}", "a pipe beside it", "a server, which OUT - does without", hint)
 
 
 def _counts(summary: dict[str, Any]) -> str:

@@ -44,6 +44,11 @@ SOURCES: Final[Mapping[str, str]] = MappingProxyType(
         "haptic interaction, IEEE Haptics Symposium, 2010 (--profile: F_0 of grip finger)",
         "barbagli": "F. Barbagli et al., Haptic discrimination of force direction and the influence of "
         "visual information, ACM Transactions on Applied Perception 3, 2006 (--mode mask-direction)",
+        "landin": "N. Landin, J. M. Romano, W. McMahan and K. J. Kuchenbecker, Dimensional reduction of "
+        "high-frequency accelerations for haptic rendering, EuroHaptics, 2010 (three axes to one)",
+        "culbertson": "H. Culbertson, J. J. Lopez Delgado and K. J. Kuchenbecker, One hundred data-driven "
+        "haptic texture models and open-source methods for rendering on 3D objects, IEEE Haptics Symposium, "
+        "2014 (models, .xml)",
         "shoham": "Y. Shoham and A. Gersho, Efficient bit allocation for an arbitrary set of quantizers, "
         "IEEE Transactions on Acoustics, Speech, and Signal Processing 36, 1988 (lambda)",
     }
@@ -61,6 +66,7 @@ _CITED: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "correlate": ("miller", "theiler", *_INTERVALS),
         "compare": ("israr",),
         "plan": ("shoham",),
+        "texture": ("landin", "culbertson", "israr"),
     }
 )
 

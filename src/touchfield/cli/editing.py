@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
@@ -16,7 +16,9 @@ from touchfield.cli.options import (
     fields_of,
     frames_of,
     numbers_of,
+    refuse_unused,
     rows_of,
+    values_of,
     with_options,
 )
 from touchfield.cli.output import Answer, check_results, progress, show_notes, show_rows
@@ -38,6 +40,7 @@ Out = Annotated[Path, typer.Argument(help="OUT.touch, or a field: FIELD.npz, FIE
 Kernel = Annotated[str, typer.Option(help="Of the resampler: spline, box, sinc, or trilinear for none.")]
 
 
+DEFAULT_RELAX_S: Final = 0.05
 _COUNTS = "NX,NY,NZ, such as 64,64,32"
 
 
@@ -195,6 +198,8 @@ def texture(
     tables += [(texture_of_models(read_texture_models(path)),) for path in models]
     recorded = [path for path in sources if path.suffix.lower() not in (".json", ".xml")]
     notes: tuple[str, ...] = ()
+    if not any(path.suffix.lower() == ".wav" for path in recorded):
+        refuse_unused({"full-scale-m-s2": (full_scale_m_s2, STANDARD_GRAVITY_M_S2)}, "without a .wav")
     if recorded:
         count = len(recorded)
         expected = f"one number, or one for each of {count} recordings: 0.05,0.1"
@@ -255,12 +260,16 @@ def deform(
     ),
     controls: Annotated[int, "Control points along each axis, 4 to 32."] = 8,
     yield_m_per_n: Annotated[float, "Metres that the medium gives way for a newton."] = 0.0,
-    relax_s: Annotated[float, "Time constant with which it does, seconds."] = 0.05,
+    relax_s: Annotated[float, "Time constant with which it does, seconds."] = DEFAULT_RELAX_S,
 ) -> Answer:
     """Bend STREAM at the receiver: by the motion of a model, or under the finger."""
     from touchfield.tasks.deformation import tracks_of
 
     check_results((stream, model), out)
+    if model is None:
+        refuse_unused(values_of(options, rows_of(Motion)), "without MODEL")
+    if not yield_m_per_n:
+        refuse_unused({"relax-s": (relax_s, DEFAULT_RELAX_S)}, "without --yield-m-per-n")
     moved = fields_of(Motion, options) | {"frames": frames_of("--frames", options["frames"])}
     motion = Motion(model, **moved) if model else None
     with progress("deform") as report:

@@ -9,7 +9,17 @@ from typing import Annotated
 import typer
 
 from touchfield.cli.main import Options, Stream, command
-from touchfield.cli.options import CODER, SCENE, Workers, coder_spec, encode_spec, numbers_of, with_options
+from touchfield.cli.options import (
+    CODER,
+    SCENE,
+    Workers,
+    coder_spec,
+    encode_spec,
+    numbers_of,
+    refuse_unused,
+    values_of,
+    with_options,
+)
 from touchfield.cli.output import Answer, check_results, echo, progress, show_notes
 from touchfield.compute.executors import executor_of
 from touchfield.errors import InvalidArgument
@@ -171,6 +181,7 @@ def points(
     if measured is not None and not is_next:
         raise InvalidArgument("--measured", "no --next", "both, or neither")
     if is_next:
+        refuse_unused(values_of(options, CODER), "with --next: nothing is rebuilt yet")
         done = next_points(source, count, measured)
     else:
         with progress("points") as report:

@@ -6,7 +6,7 @@ Each option is one row, and `with_options` adds rows to a command, so that comma
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from typing import Annotated, Any, Final, NamedTuple
 
@@ -167,6 +167,21 @@ def filter_rows() -> tuple[Row, ...]:
     """Return one option for each registered haptic filter; they are applied in command-line order."""
     kinds = field_filters().items()
     return rows("Haptic filters", *((name, list[str] | None, None, kind.summary) for name, kind in kinds))
+
+
+def values_of(options: dict[str, Any], *groups: Sequence[Row]) -> dict[str, tuple[Any, Any]]:
+    """Return the value and the default of the options of `groups`, by name."""
+    return {row.name: (options[row.key], row.default) for group in groups for row in group}
+
+
+def refuse_unused(values: Mapping[str, tuple[Any, Any]], reason: str) -> None:
+    """Raise InvalidArgument for the first option whose value is not the default: it would have no effect.
+
+    `values` has value and default by the name of the option; `reason` completes "--NAME has no effect".
+    """
+    for name, (value, default) in values.items():
+        if value != default and value != []:
+            raise InvalidArgument(f"--{name} has no effect {reason}", hint="Take it out.")
 
 
 def with_options(*groups: Sequence[Row]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:

@@ -12,7 +12,15 @@ from typing import Annotated, Any, Final
 import typer
 
 from touchfield.cli.main import Json, Options, Stream, command
-from touchfield.cli.options import fields_of, numbers_of, rows, rows_of, with_options
+from touchfield.cli.options import (
+    fields_of,
+    numbers_of,
+    refuse_unused,
+    rows,
+    rows_of,
+    values_of,
+    with_options,
+)
 from touchfield.cli.output import Answer, check_results, echo, progress
 from touchfield.container.remote import is_live, is_remote
 from touchfield.errors import InvalidArgument
@@ -77,11 +85,16 @@ def play(
     from touchfield.tasks.play import check_play, play as run
 
     if check:
+        own = {"log": (log, None), "plot": (plot, None), "bridge": (bridge, False)}
+        unused = values_of(options, rows_of(PlaySpec), RENDER) | own
+        del unused["speed"]
+        refuse_unused(unused, "with --check, which plays nothing")
         verdict = check_play(stream, options["speed"])
         Answer(verdict, stream).show(as_json)
         if not verdict["can_play"]:
             raise typer.Exit(1)
         return
+    _refuse_unused_by_device(options, bridge)
     check_results((stream,), log, plot=plot)
     is_logged = not (log is plot is None)
     derived = {"is_logged": is_logged, "is_drawn": plot is not None, "render": render_spec(options)}
@@ -101,6 +114,19 @@ def play(
     played.checked()
     if played.is_starved:
         raise typer.Exit(1)
+
+
+def _refuse_unused_by_device(options: Options, has_bridge: bool) -> None:
+    """InvalidArgument for an option of point devices with an array, or the other way round."""
+    from touchfield.devices.drivers.registry import is_array_device
+
+    if not is_array_device(options["device"]):
+        panel = values_of(options, rows_of(PlaySpec, None, "panel"))
+        refuse_unused(panel, f"with --device {options['device']}, which is no array")
+        return
+    unused = values_of(options, RENDER) | {"bridge": (has_bridge, False)}
+    del unused["no-blend"]
+    refuse_unused(unused, f"with --device {options['device']}, an array of actuators")
 
 
 def _starved_note(stream: str, fraction: float) -> str:

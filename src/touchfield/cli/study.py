@@ -33,6 +33,9 @@ def study(
         "run: label of the participant, letters and digits: required for a person; with --observer: sim.",
     ] = None,
     device: Annotated[str | None, "run: device that presents the intervals, as of play."] = None,
+    wait: Annotated[
+        str | None, "run: how long to wait until the device is ready, as of play; default: 30s."
+    ] = None,
     observer: Annotated[
         str | None, "run, power: simulated observer, threshold=T,slope=B,lapse=L in the unit of the levels."
     ] = None,
@@ -42,8 +45,8 @@ def study(
     """Find out which differences people notice: forced choice between streams, settings or renderers."""
     require_one_of("action", action, _ACTIONS)
     given = {
-        "FOLDER": folder, "--participant": participant, "--device": device, "--observer": observer,
-        "--runs": runs, "--plot": plot,
+        "FOLDER": folder, "--participant": participant, "--device": device, "--wait": wait,
+        "--observer": observer, "--runs": runs, "--plot": plot,
     }  # fmt: skip
     _require_fitting(action, {name for name, value in given.items() if value is not None})
     if action == "init":
@@ -66,13 +69,13 @@ def study(
         )
     if folder is None:
         raise InvalidArgument("FOLDER", "nothing", "the folder of the results, after the design")
-    spec = tasks.study.SessionSpec(participant, device, observer)
+    spec = tasks.study.SessionSpec(participant, device, observer, wait)
     done = tasks.study.run_session(target, folder, spec, _ask, lambda text: echo(text, to_stderr=True))
     return Answer(done.summary(), str(folder), done.notes)
 
 
 _OPTIONS: Final[dict[str, set[str]]] = {
-    "init": set(), "run": {"FOLDER", "--participant", "--device", "--observer"},
+    "init": set(), "run": {"FOLDER", "--participant", "--device", "--wait", "--observer"},
     "analyse": {"--plot"}, "power": {"--observer", "--runs"},
 }  # fmt: skip
 

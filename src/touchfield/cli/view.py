@@ -11,7 +11,7 @@ import typer
 
 from touchfield import pipeline, tasks
 from touchfield.cli.main import Options, Source, Stream, command
-from touchfield.cli.options import SCENE, encode_spec, fields_of, rows_of, with_options
+from touchfield.cli.options import SCENE, encode_spec, fields_of, refuse_unused, rows_of, with_options
 from touchfield.cli.output import (
     HAND_TABLES,
     Answer,
@@ -70,6 +70,8 @@ def compare(
     allow_outside: Annotated[bool, "Models and scene files may name files outside their own folder."] = False,
 ) -> Answer:
     """Measure a stream against its source, and draw both."""
+    if no_picture:
+        refuse_unused({"picture": (picture, None), "frame": (frame, None)}, "with --no-picture")
     target = picture or _free_name(source, stream)
     if picture is None or no_picture:  # a picture that was not asked for may be left out
         check_results((source, stream), target)
@@ -121,6 +123,8 @@ def measure(
 ) -> Answer:
     """Measure a medium in bits: entropies, coding limits, capacity of devices, energy."""
     encode = encode_spec({**options, "device": reference})
+    if not device:
+        refuse_unused({"density": (options["density"], None)}, "without --device")
     measure_fields = fields_of(MeasureSpec, options)
     spec = MeasureSpec(**measure_fields, devices=tuple(device or ()), limits=not no_limits, encode=encode)
     check_results((medium,), plot=plot)
@@ -210,6 +214,10 @@ def _number(value: float, digits: int) -> str:
 def _information(m: Measurement) -> list[tuple[Quantity, str]]:
     """Return the entropies to be printed, each with its meaning: H(S) by weighting, H(W), in time."""
     visits = [(m.entropy, "over the visits of the trace")] if m.entropy.weighting == "interaction" else []
+    if m.contacts:
+        *each, shared = m.contacts.values()
+        visits = [(m.entropy, "over the visits of all contacts together"), *((q, "of one") for q in each)]
+        visits.append((shared, "received more than once"))
     everywhere = [(m.voxel, "over all voxels"), (m.corrected, "over all voxels, Miller-Madow")]
     others = [(quantity, "") for quantity in (m.per_frame, *m.in_time.values())]
     return [*visits, *everywhere, (m.object, "over the object"), *others]

@@ -2,7 +2,9 @@
 to that frame, and goes on from there for the next one.
 
 Sequential access is decoded ahead: while one segment is read, the next ones are decoded on the other cores.
-Whoever asks for a frame comes first: after a jump, and once a segment is reached, the other cores stop.
+Whoever asks for a frame comes first: after a jump, and once a segment is reached, the other cores stop. They
+start again after `FIRST_FRAMES` frames in sequence. Only if the second of these starts another segment, it is
+decoded at the same time as the first.
 """
 
 from __future__ import annotations
@@ -23,11 +25,16 @@ from touchfield.medium.medium import VibrationFrame
 MAX_LOOKAHEAD_BYTES: Final = 1 << 28
 """Limit of the bytes of a segment that are decoded ahead; its other frames are decoded on access."""
 
+FIRST_FRAMES: Final = 2
+"""Frames after a jump that are decoded before any other: a player needs two to show a force."""
+
 Decode = Callable[[int], Iterator[ForceField]]
 
 
 class SegmentFrames:
     """``frames(i) -> ForceField``; sequential frames are decoded once, and the latest is cached.
+
+    The first frame counts as the one after the last: playback may repeat.
 
     Parameters
     ----------
@@ -43,6 +50,8 @@ class SegmentFrames:
         self._cursor: tuple[int, Iterator[ForceField], int] | None = None
         self._latest: tuple[int, ForceField] | None = None
         self._lookahead: dict[int, _Lookahead] = {}
+        self._run_frames = 0
+        """Number of sequential frames since the latest jump."""
 
     def __call__(self, frame: int) -> ForceField:
         """One frame; decodes its segment up to it, or one frame in sequential access."""
@@ -50,22 +59,46 @@ class SegmentFrames:
             if self._latest is not None and self._latest[0] == frame:
                 return self._latest[1]
             segment = self._reader.segment_of(frame)
-            entry = self._reader.segments[segment]
-            is_next = self._latest is not None and self._latest[0] + 1 == frame
-            if not is_next:
-                self._forget(range(segment, segment))
-            if self._cursor is None or self._cursor[0] != segment or self._cursor[2] > frame:
-                self._cursor = (segment, self._segment_fields(segment), entry.first_frame)
-            _, fields, next_frame = self._cursor
-            self._cursor = None  # after an error, the segment is decoded from its start
-            for _ in range(next_frame, frame + 1):
-                decoded = next(fields)
-            if frame + 1 == entry.first_frame + entry.frame_count:
-                next(fields, None)  # checks that the body ends after its last frame
-            self._cursor, self._latest = (segment, fields, frame + 1), (frame, decoded)
-            if is_next:
+            if self._is_next(frame):
+                self._run_frames += 1
+            else:
+                self._jump(segment, frame)
+            decoded = self._decoded(segment, frame)
+            if self._run_frames > FIRST_FRAMES:
                 self._look_ahead(segment)
             return decoded
+
+    def _is_next(self, frame: int) -> bool:
+        """True if a frame follows the latest one, perhaps in a loop."""
+        frame_count = self._stop_of(len(self._reader.segments) - 1)
+        return self._latest is not None and (self._latest[0] + 1) % frame_count == frame
+
+    def _stop_of(self, segment: int) -> int:
+        """The frame behind the last one of a segment."""
+        entry = self._reader.segments[segment]
+        return entry.first_frame + entry.frame_count
+
+    def _jump(self, segment: int, frame: int) -> None:
+        """Stop the other cores. If the frame after this one starts a segment, one of them decodes it."""
+        self._run_frames = 1
+        self._forget(range(0))
+        following = (segment + 1) % len(self._reader.segments)
+        if frame + 1 == self._stop_of(segment) and following != segment and worker_count() > 1:
+            self._lookahead[following] = _Lookahead(self._decode, following, max_frames=1)
+
+    def _decoded(self, segment: int, frame: int) -> ForceField:
+        """A frame of a segment, whose earlier frames are decoded first."""
+        first_frame = self._reader.segments[segment].first_frame
+        if self._cursor is None or self._cursor[0] != segment or self._cursor[2] > frame:
+            self._cursor = (segment, self._segment_fields(segment), first_frame)
+        _, fields, next_frame = self._cursor
+        self._cursor = None  # after an error, the segment is decoded from its start
+        for _ in range(next_frame, frame + 1):
+            decoded = next(fields)
+        if frame + 1 == self._stop_of(segment):
+            next(fields, None)  # checks that the body ends after its last frame
+        self._cursor, self._latest = (segment, fields, frame + 1), (frame, decoded)
+        return decoded
 
     def _look_ahead(self, segment: int) -> None:
         """Start to decode the following segments, one per core."""
@@ -76,7 +109,7 @@ class SegmentFrames:
         self._forget(window)
         for later in window[1:]:
             if later not in self._lookahead:
-                self._lookahead[later] = _Lookahead(self._decode, later, workers)
+                self._lookahead[later] = _Lookahead(self._decode, later)
 
     def _forget(self, window: range) -> None:
         for later in [i for i in self._lookahead if i not in window]:
@@ -90,18 +123,22 @@ class SegmentFrames:
 
 
 class _Lookahead:
-    """The fields of one segment, decoded by another thread until they are requested."""
+    """The fields of one segment, decoded by another thread until they are requested.
 
-    def __init__(self, decode: Decode, segment: int, workers: int) -> None:
+    At most `max_frames` of them, and about `MAX_LOOKAHEAD_BYTES`.
+    """
+
+    def __init__(self, decode: Decode, segment: int, max_frames: int | None = None) -> None:
         self._must_stop = Event()
-        self._future: Future[Iterator[ForceField]] = _pool(workers).submit(self._run, decode, segment)
+        pool = _pool(worker_count())
+        self._future: Future[Iterator[ForceField]] = pool.submit(self._run, decode, segment, max_frames)
 
-    def _run(self, decode: Decode, segment: int) -> Iterator[ForceField]:
+    def _run(self, decode: Decode, segment: int, max_frames: int | None) -> Iterator[ForceField]:
         """The fields of a segment; the first of them are decoded now."""
         fields = decode(segment)
         decoded: deque[ForceField] = deque()
         size = 0
-        while not self._must_stop.is_set() and size <= MAX_LOOKAHEAD_BYTES:
+        while not self._must_stop.is_set() and size <= MAX_LOOKAHEAD_BYTES and len(decoded) != max_frames:
             field = next(fields, None)
             if field is None:
                 break

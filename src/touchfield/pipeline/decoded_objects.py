@@ -3,10 +3,10 @@ when it is first needed."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import cache, cached_property, lru_cache
-from typing import Any, Final
+from functools import cache, cached_property, lru_cache, partial, wraps
+from typing import Any, Concatenate, Final, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -35,6 +35,23 @@ def coded_object(record: ObjectRecord) -> CodedObject:
     )
 
 
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+
+
+def _naming_its_file(
+    method: Callable[Concatenate[SceneStream, _P], _T],
+) -> Callable[Concatenate[SceneStream, _P], _T]:
+    """A method of a stream whose errors name the file."""
+
+    @wraps(method)
+    def call(self: SceneStream, /, *arguments: _P.args, **named: _P.kwargs) -> _T:
+        with naming_file(self.reader.name):
+            return method(self, *arguments, **named)
+
+    return call
+
+
 class SceneStream(OpenStream):
     """A file of coder `objects`; a voxel frame takes one query of the scene for each voxel near an object.
 
@@ -58,13 +75,13 @@ class SceneStream(OpenStream):
         self._body = lru_cache(1)(reader.read_segment)  # every deforming object reads it
 
     @cached_property
+    @_naming_its_file
     def tracks(self) -> tuple[PoseTrack, ...]:
         """The poses of each object in all frames; reads every segment once."""
         frame_count = sum(entry.frame_count for entry in self.reader.segments)
         poses, start = list[Float64s](), 0
         for i, entry in enumerate(self.reader.segments):
-            with naming_file(self.reader.name):
-                segment = self.decoder.tracks(self.reader.read_segment(i), entry.frame_count)
+            segment = self.decoder.tracks(self.reader.read_segment(i), entry.frame_count)
             if not poses:  # not before a segment has proved to be sound
                 poses = [np.empty((frame_count, 7)) for _ in segment]
             stop = start + entry.frame_count
@@ -97,12 +114,12 @@ class SceneStream(OpenStream):
         return replace(self.scene.voxelise(), vibration=self._vibration)
 
     @cached_property
+    @_naming_its_file
     def bits(self) -> BitAccount:
         """See `OpenStream`: of the objects and of all segments; decodes nothing."""
-        with naming_file(self.reader.name):
-            costs = [self.decoder.object_cost(i) for i in range(self.reader.object_count)]
-            for i, entry in enumerate(self.reader.segments):
-                costs.append(self.decoder.cost(self.reader.read_segment(i), entry.frame_count))
+        costs = [self.decoder.object_cost(i) for i in range(self.reader.object_count)]
+        for i, entry in enumerate(self.reader.segments):
+            costs.append(self.decoder.cost(self.reader.read_segment(i), entry.frame_count))
         return sum(costs, BitAccount())
 
     def _coder(self) -> dict[str, Any]:
@@ -134,31 +151,30 @@ class SceneStream(OpenStream):
         return composed_rule(self._modes, masked, Parameters.from_bytes(head.coder_parameters))
 
     @property
+    @_naming_its_file
     def max_error_summary(self) -> dict[str, Any]:
         if not self._modes:
             return {}
-        segments = enumerate(self.reader.segments)
-        with naming_file(self.reader.name):
-            return max_error_keys(
-                (entry.first_frame, self.decoder.parts(self._body(i), entry.frame_count).max_error)
-                for i, entry in segments
-            )
+        return max_error_keys(
+            (entry.first_frame, self.decoder.parts(self._body(i), entry.frame_count).max_error)
+            for i, entry in enumerate(self.reader.segments)
+        )
 
+    @_naming_its_file
+    def _rigid_field(self, index: int, _: int) -> ForceField:
+        """The only field of a rigid object."""
+        return self.decoder.rigid_field(index)
+
+    @_naming_its_file
     def _medium(self, index: int, coded: CodedObject) -> HapticMedium:
         """The fields of one object."""
         head = self.reader.head
-
-        def rigid_field(_: int) -> ForceField:
-            with naming_file(self.reader.name):
-                return self.decoder.rigid_field(index)
-
         if not coded.is_deforming:
-            return HapticMedium(coded.grid, head.rate_hz, 1, cache(rigid_field))
+            return HapticMedium(coded.grid, head.rate_hz, 1, cache(partial(self._rigid_field, index)))
 
         def decode(segment: int) -> Iterator[ForceField]:
             return self.decoder.fields(self._body(segment), index, self.reader.segments[segment].frame_count)
 
-        with naming_file(self.reader.name):
-            coder: Any = field_decoder(coded.field_coder, coded.grid, coded.field_parameters, f"OBJT {index}")
+        coder: Any = field_decoder(coded.field_coder, coded.grid, coded.field_parameters, f"OBJT {index}")
         frames, segments = SegmentFrames(self.reader, decode), segment_layout(self.reader, coder.describe())
         return HapticMedium(coded.grid, head.rate_hz, head.frame_count, frames, segments=segments)

@@ -112,6 +112,10 @@ def export(
         raise InvalidArgument("full_scale_n", repr(full_scale_n), "it for a force as .hjif only")
     if against is not None and kind != ".html":
         raise InvalidArgument("--source", f"one for {kind}", "one for .html only")
+    if device_name is not None and kind == ".html":
+        raise InvalidArgument("--device", f"one for {kind}", "one for drives or a force only")
+    if panel != PANELS[0] and (trajectory is not None or kind == ".html"):
+        raise InvalidArgument("--panel", repr(panel), "it for the drives of an array only")
     with open_stream(stream) as opened:
         if kind == ".html":
             head, page = opened.reader.head, view(stream, against, report)

@@ -10,19 +10,21 @@ medium -> curl, work around loops                       whether its forces could
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from touchfield.codec.paper.field_quantiser import DEFAULT_QUANTISER, FieldQuantiserSpec
 from touchfield.codec.registry import coder
 from touchfield.codec.segment import RAW_BITS_PER_VECTOR
 from touchfield.compute.threads import Progress, silent
 from touchfield.devices import device
-from touchfield.errors import InvalidArgument, require_kinds, with_notes
+from touchfield.errors import InvalidArgument, SourceError, require_kinds, with_notes
 from touchfield.measure.capacity import Capacity, capacity, codomain_bits, paired_ratio
 from touchfield.measure.counts import Counts
 from touchfield.measure.estimators import ESTIMATORS
@@ -32,9 +34,10 @@ from touchfield.measure.information import (
     entropy,
     mutual_information,
     normalised_mutual_information,
+    total_correlation,
     variation_of_information,
 )
-from touchfield.measure.interaction import interaction_entropy
+from touchfield.measure.interaction import contact_counts
 from touchfield.measure.limits import CodingLimits, coding_limits
 from touchfield.measure.passivity import Passivity, passivity
 from touchfield.measure.quantity import FewSamplesWarning, Quantity
@@ -68,7 +71,9 @@ class Measurement:
     times the voxels of a frame. `in_time` has the quantities of consecutive frames, over voxels: H(S_t |
     S_t-1), I(S_t; S_t-1), NMI and the variation of information; it is empty for one frame. `capacities` are
     by device, `passivity` is that of the frame with the largest support, `file_bits` counts all bits of the
-    ``.touch`` file.
+    ``.touch`` file. `contacts` is empty unless several traces were measured together; then `entropy` is what
+    all of them receive, and `contacts` has the entropy of each ("S1", ...) and "total_correlation", what they
+    receive more than once.
     """
 
     name: str
@@ -88,6 +93,7 @@ class Measurement:
     passivity: Passivity | None
     file_bits: int | None
     notes: tuple[str, ...]
+    contacts: dict[str, Quantity] = field(default_factory=dict)
 
     @cached_property
     def occupancy(self) -> float:
@@ -107,6 +113,7 @@ class Measurement:
             "entropy_object": self.object.summary(),
             "entropy_voxel_miller_madow": self.corrected.summary(),
             "entropy_frame": self.per_frame.summary(),
+            "contacts": {name: q.summary() for name, q in self.contacts.items()},
             "in_time": {name: q.summary() for name, q in self.in_time.items()},
             "coding_limits": None if self.limits is None else self.limits.summary(),
             "capacity": {name: c.summary() for name, c in self.capacities.items()},
@@ -159,7 +166,11 @@ class MeasureSpec:
     quantiser: str | None = option(
         None, "Q: weber:K, uniform:NEWTONS or lloyd-max:BITS, each with /DIRECTIONS; components:NEWTONS."
     )
-    over: str = option("voxel", "mu: voxel, object, or interaction:TRACE.csv (t_s,x_m,y_m,z_m).")
+    over: str = option(
+        "voxel",
+        "mu: voxel, object, or interaction:TRACE.csv (t_s,x_m,y_m,z_m); of several contacts of a hand: "
+        "interaction:ONE.csv,TWO.csv.",
+    )
     estimator: str = option("plug-in", f"Estimator of entropy: {', '.join(ESTIMATORS)}.")
     devices: tuple[str, ...] = ()
     limits: bool = True
@@ -170,8 +181,9 @@ class MeasureSpec:
 
     def __post_init__(self) -> None:
         require_kinds(self, estimator=ESTIMATORS)
-        kind, _, trace = self.over.partition(":")
-        if kind not in ("voxel", "object", "interaction") or (kind == "interaction") != bool(trace):
+        kind, _, _ = self.over.partition(":")
+        is_complete = all(self.trace_paths) and (kind == "interaction") == bool(self.trace_paths)
+        if kind not in ("voxel", "object", "interaction") or not is_complete:
             raise InvalidArgument("over", repr(self.over), "voxel, object, or interaction:TRACE.csv")
         if self.density is not None and not 1 <= self.density < 1e6:
             raise InvalidArgument(
@@ -179,6 +191,14 @@ class MeasureSpec:
             )
         if self.quantiser is not None:
             FieldQuantiserSpec.parse(self.quantiser)
+
+    @property
+    def trace_paths(self) -> tuple[str, ...]:
+        """The traces of ``interaction:``, separated by commas; a file whose name has commas is one trace."""
+        _, _, texts = self.over.partition(":")
+        if not texts:
+            return ()
+        return (texts,) if Path(texts).exists() else tuple(texts.split(","))
 
 
 def measure_medium(
@@ -193,8 +213,7 @@ def measure_medium(
     spec = spec or MeasureSpec()
     for profile_name in spec.devices:
         device(profile_name)  # unknown devices are reported before the work starts
-    kind, _, trace = spec.over.partition(":")
-    probe = read_trace(trace) if kind == "interaction" else None
+    probes = read_contacts(spec.trace_paths)
     medium, name, notes, file_bits, is_of_codewords = _medium(source, spec)
     is_distinct = is_of_codewords and not spec.devices
     quantiser_spec = FieldQuantiserSpec.parse(
@@ -226,15 +245,10 @@ def measure_medium(
             raise with_notes(InvalidArgument(name, found, "a support of at least one voxel", hint), notes)
         on_object = entropy(counts["object"], estimator=spec.estimator)
         corrected = entropy(counts["voxel"], estimator="miller-madow", interval=False)
-        entropy_over = on_object if kind == "object" else voxel
-        if probe is not None:
-            range_, rate_hz = spec.encode.frames, medium.rate_hz
-            moved = Trace(
-                probe.times_s - (range_[0] if range_ else 0) / rate_hz, probe.positions_m
-            )  # times relative to the first measured frame
-            is_static = len(frames) == 1 and range_ is None  # a static medium exists at all times
-            visited, clock_hz = (frames[0], None) if is_static else (frames, rate_hz)
-            entropy_over = interaction_entropy(moved, visited, spec.estimator, rate_hz=clock_hz)
+        entropy_over = on_object if spec.over == "object" else voxel
+        contacts: dict[str, Quantity] = {}
+        if probes:
+            entropy_over, contacts = _met(probes, frames, spec)
         on_step()
         in_time = {}
         if len(frames) > 1:
@@ -261,7 +275,39 @@ def measure_medium(
     return Measurement(
         name, quantise.text, quantise.alphabet, len(medium), medium.grid.voxel_count, supported, entropy_over,
         voxel, on_object, corrected, per_frame, in_time, limits, capacities, energy, file_bits, notes,
+        contacts,
     )  # fmt: skip
+
+
+def read_contacts(paths: Sequence[str]) -> tuple[Trace, ...]:
+    """Read the traces of contacts that are sampled at the same times; `SourceError` if they are not."""
+    traces = tuple(read_trace(path) for path in paths)
+    for path, trace in zip(paths[1:], traces[1:]):
+        if not np.array_equal(trace.times_s, traces[0].times_s):
+            found = f"{len(trace)} samples from {trace.times_s[0]:.6g} to {trace.times_s[-1]:.6g} s"
+            expected = f"the {len(traces[0])} times of {paths[0]}"
+            raise SourceError(path, found, expected, "Sample all contacts at the same times.")
+    return traces
+
+
+def _met(
+    probes: Sequence[Trace], frames: SymbolFrames, spec: MeasureSpec
+) -> tuple[Quantity, dict[str, Quantity]]:
+    """Return the entropy of what the contacts meet together, and the quantities of several contacts."""
+    range_, rate_hz = spec.encode.frames, frames.medium.rate_hz
+    start_s = (range_[0] if range_ else 0) / rate_hz  # times relative to the first measured frame
+    moved = [Trace(probe.times_s - start_s, probe.positions_m) for probe in probes]
+    is_static = len(frames) == 1 and range_ is None  # a static medium exists at all times
+    if is_static:
+        met = contact_counts(moved, frames[0])
+    else:
+        met = contact_counts(moved, frames, rate_hz=rate_hz)
+    joint = entropy(met, estimator=spec.estimator)
+    if len(probes) == 1:
+        return joint, {}
+    each = [entropy(met, column=i, estimator=spec.estimator) for i in range(len(probes))]
+    shared = total_correlation(met, estimator=spec.estimator)
+    return joint, {**{f"S{i}": q for i, q in enumerate(each, 1)}, "total_correlation": shared}
 
 
 def _medium(

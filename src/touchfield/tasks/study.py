@@ -31,8 +31,9 @@ from touchfield.devices.drivers.touch_down import touch_down
 from touchfield.errors import InvalidArgument, SourceError, as_source_error, is_finite
 from touchfield.files import json_of, read_bytes, readable, require_plain
 from touchfield.network.opening import open_stream
+from touchfield.options import duration_s
 from touchfield.pipeline.result import Result
-from touchfield.render.readiness import DEFAULT_WAIT_S, Unit, open_when_ready
+from touchfield.render.readiness import Unit, open_when_ready
 from touchfield.render.spec import RenderSpec
 from touchfield.study.analysis import Fit, fit_psychometric, level_tests, power_of
 from touchfield.study.design import (
@@ -59,7 +60,7 @@ TEMPLATES: Final = ("design.toml", "consent.md", "device.md")
 SESSION: Final = "session.json"
 _SIMULATED: Final = "simulated: "
 _MAX_SESSION_BYTES: Final = 1 << 20
-_WAIT_S: Final = DEFAULT_WAIT_S  # until the device of a session must be ready, as of `play`
+DEFAULT_WAIT: Final = PlaySpec.wait
 
 Ask = Callable[[str, int], int | None]
 """``ask(question, answers) -> 1 to answers``, or None to stop."""
@@ -173,12 +174,13 @@ class SessionSpec:
 
     `observer`: a simulated observer, "threshold=20,slope=3,lapse=0.02", in the unit of the levels; `device`:
     as of `PlaySpec`. One of both. `participant` is the label of a person, and by default "sim" of a simulated
-    observer.
+    observer. `wait`: duration, at most an hour, until the device must be ready, such as "2min"; None: 30 s.
     """
 
     participant: str | None = None
     device: str | None = None
     observer: str | None = None
+    wait: str | None = None
 
     def __post_init__(self) -> None:
         if (self.device is None) == (self.observer is None):
@@ -186,6 +188,14 @@ class SessionSpec:
             raise InvalidArgument("--device, --observer", found, "one of them: who answers?")
         if self.participant is None and self.observer is None:
             raise InvalidArgument("--participant", "nothing", "a label for the person, such as 01")
+        if self.wait is not None and self.device is None:
+            raise InvalidArgument("--wait", "no device to wait for", "--device", "Take --wait out.")
+        self.playback()
+
+    def playback(self, **options: Any) -> PlaySpec:
+        """How an interval is played, with more options of `PlaySpec`; InvalidArgument for a wrong `wait`."""
+        wait = DEFAULT_WAIT if self.wait is None else self.wait
+        return PlaySpec(device=self.device or "sim", wait=wait, loop=True, **options)
 
     @property
     def label(self) -> str:
@@ -224,7 +234,7 @@ def run_session(
     if observer is None and len(earlier) < design.trials:
         _require_shown(design, spec.device or "")
         if unit is not None:
-            _require_ready(unit, show)
+            _require_ready(unit, duration_s(spec.playback().wait, "wait"), show)
     design = for_participant(_session_design(design, folder, report), spec.label)
     if observer is not None:
         observer = replace(observer, seed=design.seed)
@@ -269,10 +279,10 @@ def _require_shown(design: StudyDesign, device: str) -> None:
             raise InvalidArgument(stream, found, f"one in space, for --device {device}", hint)
 
 
-def _require_ready(unit: Unit, show: Show) -> None:
+def _require_ready(unit: Unit, wait_s: float, show: Show) -> None:
     """Open a device, wait until it is ready, and close it; `DeviceError` if it is not ready in time."""
     try:
-        open_when_ready(unit, _WAIT_S, on_note=show)
+        open_when_ready(unit, wait_s, on_note=show)
     finally:
         unit.close()
 
@@ -420,11 +430,10 @@ class _Session:
 
     def _present(self, number: int, order: tuple[int, ...], stream: str, render: Mapping[str, Any]) -> None:
         """Play the intervals of a trial on the device, one after the other."""
-        device = self.spec.device or "sim"
         for i, has_comparison in enumerate(order, 1):
             self.show(f"trial {number + 1} of {self.design.trials}: interval {i} of {len(order)}")
-            spec = PlaySpec(device=device, seconds=self.design.interval_s, loop=True)
-            spec = replace(spec, render=render_spec(render if has_comparison else {}))
+            rendering = render_spec(render if has_comparison else {})
+            spec = self.spec.playback(seconds=self.design.interval_s, render=rendering)
             play(stream if has_comparison else self.design.reference, spec).checked()
 
 

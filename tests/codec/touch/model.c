@@ -53,7 +53,13 @@ int model_compare(const touch_grid *grid, const touch_options *options, const to
     forces.count = decoded->bricks, forces.key = touch_source_keys(decoded, &arena), forces.forces_n = decoded->forces_n;
     for (uint32_t i = 0; i < decoded->bricks; i++) slot[i] = i;
     forces.slot = slot;
-    if (options->mode != TOUCH_LOSSLESS) return touch_compare(original, &forces, &bound, grid, TOUCH_LIST_OUTLIERS, out, &arena);
+    if (options->mode != TOUCH_LOSSLESS) { /* the outliers are errors, and listed as if they were sent */
+        touch_comparison sent;
+        if (!touch_compare(original, &forces, &bound, grid, TOUCH_SEND_OUTLIERS, &sent, &arena)) return 0;
+        if (!touch_compare(original, &forces, &bound, grid, TOUCH_COUNT_OUTLIERS, out, &arena)) return 0;
+        out->outlier = sent.outlier;
+        return 1;
+    }
     memset(out, 0, sizeof *out);
     out->outliers = !touch_is_identical(original, &forces, &out->decoded, &arena);
     return 1;

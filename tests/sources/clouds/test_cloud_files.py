@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -337,6 +338,21 @@ def test_a_chunk_table_that_cannot_be_is_refused(tmp_path: Path) -> None:
     (tmp_path / "chunks.laz").write_bytes(data)
     with pytest.raises(SourceError, match="4294967295 chunks in a table"):
         open_cloud(tmp_path / "chunks.laz", SourceOptions())
+
+
+def test_a_panic_of_lazrs_is_one_clear_error(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Its report, with a stack of Rust, would go to stderr past Python."""
+    pytest.importorskip("lazrs", reason="extra points: lazrs")
+    data = bytearray(las(tmp_path / "a.laz", hills(200)).read_bytes())
+    items_at = data.index(b"laszip encoded") - 2 + 54 + 32  # of the record: the number of its items
+    data[items_at : items_at + 2] = bytes(2)
+    path = tmp_path / "items.laz"
+    path.write_bytes(data)
+    with pytest.raises(SourceError, match=r"items\.laz: found .*PanicException"):
+        open_cloud(path, SourceOptions())
+    assert capfd.readouterr().err == ""
+    os.write(2, b"as before")
+    assert capfd.readouterr().err == "as before"
 
 
 def test_e57_joins_scans_and_faces_their_scanners(tmp_path: Path) -> None:

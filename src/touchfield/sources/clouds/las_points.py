@@ -6,8 +6,14 @@ system in the file, metres if there is none. Where nothing else tells it, the su
 
 from __future__ import annotations
 
+import os
 import re
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from threading import Lock
 from typing import Any, Final
 
 import numpy as np
@@ -33,6 +39,8 @@ _NORMAL_NAMES: Final = (
 _HEADER_BYTES: Final = 247  # up to the number of extended records of version 1.4
 _COMPRESSED: Final = 128  # least format of points of a LAZ
 _RECORD_BYTES, _EXTENDED_BYTES = 54, 60  # of a record of variable length, at least
+_STDERR: Final = 2
+_STDERR_LOCK: Final = Lock()
 _EXPECTED: Final = "a whole LAS or LAZ file"
 
 
@@ -45,7 +53,11 @@ def read_las(path: Path) -> Cloud:
     _require_chunks(path)
     try:
         # not in parallel: lazrs would allocate whole chunks, of the size that the file declares
-        with laspy.open(path, laz_backend=laspy.LazBackend.Lazrs) as file, np.errstate(all="ignore"):
+        with (
+            _without_panics(),
+            np.errstate(all="ignore"),
+            laspy.open(path, laz_backend=laspy.LazBackend.Lazrs) as file,
+        ):
             return _read(file, path)
     except (TouchfieldError, OSError):
         raise
@@ -57,6 +69,41 @@ def read_las(path: Path) -> Cloud:
             raise
         found = f"a file that cannot be read ({type(error).__name__}: {str(error)[:120]})"
         raise SourceError(str(path), found, _EXPECTED, "Export it again.") from error
+
+
+@contextmanager
+def _without_panics() -> Iterator[None]:
+    """Keep the report of a panic of lazrs, which is raised as an error too, from stderr.
+
+    What else is written meanwhile is written afterwards. One thread reads at a time: stderr is the process's.
+    """
+    with _STDERR_LOCK, tempfile.TemporaryFile() as written:
+        try:
+            saved = os.dup(_STDERR)
+        except OSError:  # there is no stderr
+            yield
+            return
+        is_panic = False
+        _flush_stderr()
+        os.dup2(written.fileno(), _STDERR)
+        try:
+            yield
+        except BaseException as error:
+            is_panic = type(error).__module__ == "pyo3_runtime"
+            raise
+        finally:
+            _flush_stderr()
+            os.dup2(saved, _STDERR)
+            os.close(saved)
+            written.seek(0)
+            if not is_panic:
+                with suppress(OSError):
+                    os.write(_STDERR, written.read())
+
+
+def _flush_stderr() -> None:
+    with suppress(AttributeError, ValueError, OSError):  # there is none, or it is closed
+        sys.stderr.flush()
 
 
 def _require_records(path: Path) -> None:
