@@ -67,17 +67,13 @@ def _too_close(layout: Layout, at: Int64s, first: int, second: int, gap_mm: Floa
 
 
 def _merged_lines(layout: Layout) -> list[str]:
-    """Find squares of raised pins twice as wide as a line: two lines that are felt as one."""
+    """Find squares of four raised pins in a line: two lines that are felt as one."""
     found = []
     for n, placed in enumerate(layout.symbols):
         if placed.role != "line":
             continue
-        side = 2 * symbols()[placed.kind].width
         up = layout.raised & (layout.owner == n)
-        if min(up.shape) < side:
-            continue
-        windows = np.lib.stride_tricks.sliding_window_view(up, (side, side))
-        for row, column in np.argwhere(windows.all(axis=(2, 3))):
+        for row, column in np.argwhere(up[:-1, :-1] & up[1:, :-1] & up[:-1, 1:] & up[1:, 1:]):
             found.append(f"row {row}, column {column}: lines of {placed.kind} merge.")
     return found
 
@@ -104,8 +100,7 @@ def _styles(layout: Layout) -> list[str]:
             found.append(f"{len(kinds)} kinds of {role} ({', '.join(kinds)}) are more than {limit}.")
         looks: dict[object, str] = {}
         for kind in kinds:
-            s = symbols()[kind]
-            look = (s.on, s.off, s.width) if role == "line" else s.texture or s.picture
+            look = symbols()[kind].look
             if look in looks:
                 found.append(f"{looks[look]} and {kind} have the same symbol.")
             looks.setdefault(look, kind)

@@ -55,6 +55,7 @@ class MapSource:
     origin_deg : (float, float); Longitude and latitude of the coordinates' origin; of a map only.
     notes : tuple of str; What was found and not read.
     attribution : str; What the licence of the data requires, "" if nothing is known.
+    box_deg : four floats or None; West, south, east and north of the extract, where the file states it.
     """
 
     features: tuple[Feature, ...]
@@ -62,6 +63,7 @@ class MapSource:
     origin_deg: tuple[float, float] | None = None
     notes: tuple[str, ...] = ()
     attribution: str = ""
+    box_deg: tuple[float, float, float, float] | None = None
 
 
 @dataclass

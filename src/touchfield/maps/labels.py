@@ -182,7 +182,7 @@ def _sample(kind: str) -> Bools:
         return symbol.pattern((3, SWATCH_PINS))
     sample = np.zeros((3, SWATCH_PINS), np.bool_)
     is_up = np.arange(SWATCH_PINS) % (symbol.on + symbol.off) < symbol.on
-    sample[1 : 1 + symbol.width] = is_up
+    sample[1] = is_up
     return sample
 
 

@@ -26,7 +26,7 @@ from touchfield.maps.braille import Braille
 from touchfield.maps.features import Feature
 from touchfield.maps.guidelines import PinRules, guidelines
 from touchfield.maps.labels import Label, LabelRequest, put_labels
-from touchfield.maps.lines import dashes, network_of, widened
+from touchfield.maps.lines import dashes, network_of
 from touchfield.maps.pins import Window, fill
 from touchfield.maps.symbols import Symbol, symbols
 
@@ -93,17 +93,32 @@ def draw(
 
 
 def _limit_kinds(drawing: _Drawing) -> None:
-    """Leave out the least important classes beyond the greatest number of symbols of a shape."""
+    """Leave out classes that feel like a more important one, and those beyond the greatest number."""
     limit = int(guidelines()["max_kinds"].value)
     for shape in ("line", "area", "point"):
-        used = [s for s in symbols().values() if s.shape == shape and s.is_drawn and s.name in drawing.features]
-        for symbol in used[limit:]:
-            count = len(drawing.features[symbol.name])
-            drawing.notes.append(
-                f"Left out: {count} of {symbol.titled('en')}: more than {limit} kinds of {shape} cannot be "
-                "told apart."
-            )
-            drawing.features = {k: v for k, v in drawing.features.items() if k != symbol.name}
+        looks: dict[object, str] = {}
+        for symbol in symbols().values():
+            if symbol.shape != shape or not symbol.is_drawn or not _count_of(drawing, symbol):
+                continue
+            if symbol.look in looks:
+                reason = f"they would feel like {looks[symbol.look]}"
+            elif len(looks) == limit:
+                reason = f"more than {limit} kinds of {shape} cannot be told apart"
+            else:
+                looks[symbol.look] = symbol.titled("en")
+                continue
+            drawing.notes.append(f"Left out: {_count_of(drawing, symbol)} of {symbol.titled('en')}: {reason}.")
+            drawing.features = {
+                kind: features
+                for kind, features in drawing.features.items()
+                if symbol.name not in (kind, symbols()[kind].outline if kind in symbols() else "")
+            }
+
+
+def _count_of(drawing: _Drawing, symbol: Symbol) -> int:
+    """Return the number of features of a class, and of those that are drawn by its line."""
+    kinds = [symbol.name, *(other.name for other in symbols().values() if other.outline == symbol.name)]
+    return sum(len(drawing.features.get(kind, ())) for kind in kinds)
 
 
 # -- lines -------------------------------------------------------------------------------------------------
@@ -134,11 +149,11 @@ def _outlines(drawing: _Drawing, line_kind: str) -> list[Feature]:
 def _draw_network(drawing: _Drawing, symbol: Symbol, features: Sequence[Feature]) -> None:
     board, blocked = drawing.board, drawing.board.blocked()
     network = network_of(features, symbol, drawing.window, blocked, board.rules.line_pins)
-    raised = dashes(network.pins, symbol.on, symbol.off)
-    place = widened(network.pins, symbol.width) & ~blocked
-    if symbol.width > 1:
-        raised = place.copy()
+    raised, place = dashes(network.pins, symbol.on, symbol.off), network.pins.copy()
     _open_gaps(drawing, symbol.name, place)
+    for part in parts_of(place):
+        if max(np.ptp(side) for side in np.nonzero(part)) + 1 < board.rules.symbol_pins:
+            place[part] = False  # a pier between two doors, too short to be felt as a wall
     for feature, pins in network.drawn:
         own = pins & place
         drawing.seen[feature.kind] += 1

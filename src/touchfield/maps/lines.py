@@ -43,13 +43,12 @@ def network_of(
     network = Network(np.zeros((window.rows, window.columns), np.bool_))
     traced = [(feature, _paths(feature, window)) for feature in features]
     traced.sort(key=lambda item: -sum(map(len, item[1])))
-    reach = np.ones((2 * symbol.width + 1,) * 2, np.bool_)
     vertices: set[tuple[float, float]] = set()
     for feature, paths in traced:
         own = {(float(x), float(y)) for part in feature.parts for x, y in np.round(part, 6)}
         joints = None if symbol.joins == "touch" else _joints(own & vertices, window)
         vertices |= own
-        near = np.asarray(ndimage.binary_dilation(network.pins, reach))
+        near = np.asarray(ndimage.binary_dilation(network.pins, AROUND))
         mask = np.zeros_like(network.pins)
         for path in paths:
             for piece in _pieces(path, ~blocked[tuple(path.T)]):
@@ -182,12 +181,3 @@ def dashes(mask: Bools, on: int, off: int) -> Bools:
                     queue.append(other)
     return raised
 
-
-def widened(mask: Bools, width: int) -> Bools:
-    """Return a network of lines `width` pins wide, to the right and below."""
-    wide = np.zeros_like(mask)
-    rows, columns = mask.shape
-    for down in range(width):
-        for right in range(width):
-            wide[down:, right:] |= mask[: rows - down, : columns - right]
-    return wide

@@ -37,7 +37,15 @@ def read_osm(path: Path) -> MapSource:
             _add(found, item)
     require_features(found, "roads, paths, buildings, water or parks")
     features, origin = on_plane(found, str(path))
-    return MapSource(features, 1.0, origin, found.notes(), ATTRIBUTION)
+    return MapSource(features, 1.0, origin, found.notes(), ATTRIBUTION, _box(objects.header.box()))
+
+
+def _box(box: Any) -> tuple[float, float, float, float] | None:
+    """Return the box of an extract; its ways go beyond it."""
+    if not box.valid():
+        return None
+    low, high = box.bottom_left, box.top_right
+    return low.lon, low.lat, high.lon, high.lat
 
 
 _HINT: Final = "Cut out a smaller area first: osmium extract -b WEST,SOUTH,EAST,NORTH IN -o OUT."

@@ -54,7 +54,8 @@ def read_svg(path: Path) -> MapSource:
         found.left_out["references to other files, which are not read"] += outside
     with library_faults(path, "a drawing that svgelements does not read", _EXPECTED):
         drawing = svgelements.SVG.parse(BytesIO(data), reify=True)
-        for element, labels in _elements(svgelements, drawing, ()):
+        elements = list(_elements(svgelements, drawing, ()))
+        for element, labels in reversed(elements):  # what lies on top takes the most important texture
             _add(svgelements, found, colours, element, labels)
     require_features(found, "lines, filled shapes or texts")
     return MapSource(tuple(found.features), None, None, found.notes())
@@ -80,7 +81,7 @@ def _labels(element: Any) -> list[str]:
 
 
 class _Colours:
-    """The classes of areas by their colour, in the order of the drawing."""
+    """The classes of areas by their colour, in the order in which they are asked for."""
 
     def __init__(self) -> None:
         self._kinds: dict[tuple[int, int, int], str] = {}
@@ -110,7 +111,8 @@ def _add(
     if not parts:
         return
     fill, stroke = _paint(element.fill), _paint(element.stroke)
-    if fill is not None and min(fill) < WHITE:
+    has_inside = any(len(part) > 2 for part in parts)
+    if fill is not None and min(fill) < WHITE and has_inside:
         area_class = class_of_words(labels, "area") or colours.kind_of(fill)
         if area_class is None:
             found.left_out[f"areas of further colours than {len(FILLS)}, the most textures"] += 1

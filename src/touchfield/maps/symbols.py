@@ -1,7 +1,6 @@
 """Classes of map features, the symbol of each, and the class of a feature by its tags or by words.
 
-The table is ``symbols.toml``. No two classes of maps have the same symbol; those of the colours of a drawing
-(`FILLS`) have the textures of maps again.
+The table is ``symbols.toml``. Classes of one `look` are not drawn on the same map.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ FILLS: Final = ("fill1", "fill2", "fill3", "fill4", "fill5")
 class Symbol:
     """A class of features and how it is drawn.
 
-    A line has `on` pins up and `off` down, `width` pins wide. An area has a `texture`, or is drawn as the
+    A line is one pin wide and has `on` pins up and `off` down. An area has a `texture`, or is drawn as the
     line of the class `outline`. A point has a `picture`, or `opens` a gap in the lines of a class. A line that
     `widens` is drawn as an area of that class. Rows of a texture or a picture are from the top; a texture
     repeats.
@@ -43,7 +42,6 @@ class Symbol:
     title: Mapping[str, str] = field(hash=False)
     on: int = 1
     off: int = 0
-    width: int = 1
     joins: str = "node"
     texture: tuple[str, ...] = ()
     picture: tuple[str, ...] = ()
@@ -55,6 +53,11 @@ class Symbol:
     def is_drawn(self) -> bool:
         """True if the class has a symbol of its own."""
         return not (self.outline or self.opens or self.widens)
+
+    @property
+    def look(self) -> tuple[object, ...]:
+        """What a finger tells the symbol by."""
+        return (self.on, self.off) if self.shape == "line" else (*self.texture, *self.picture)
 
     def pattern(self, shape: tuple[int, int]) -> Bools:
         """Return the texture or the picture over [rows, columns] of pins."""
