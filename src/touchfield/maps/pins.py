@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float64s, Int64s
 from touchfield.errors import InvalidArgument
-
-_MAX_PIECE_PINS: Final = 1 << 12
-"""Longest piece of a line within the display: its diagonal is shorter."""
-
 
 @dataclass(frozen=True)
 class Window:
@@ -73,36 +69,36 @@ def _edges(ring: Float64s) -> tuple[Float64s, Float64s]:
 def trace(line: Float64s, rows: int, columns: int) -> list[Int64s]:
     """Return the pins along a line as paths of neighbours, (row, column) int64 [n, 2] each.
 
-    `line` is (row, column) [n, 2]. A path ends where the line leaves the display. Neighbours touch by a side
-    or a corner, and a path has no corner that can be cut.
+    `line` is (row, column) [n, 2]; vertices that follow each other on one pin count once. A path ends where
+    the line leaves the display. Neighbours touch by a side or a corner, and a path cuts corners.
     """
+    moves = (np.diff(np.rint(line), axis=0) != 0).any(axis=1)
+    line = line[np.concatenate([[True], moves])]
+    line = line if len(line) > 1 else np.repeat(line, 2, axis=0)
     start, stop, is_inside = _clipped(line[:-1], line[1:], rows, columns)
-    paths: list[list[tuple[int, int]]] = [[]]
-    for n in np.flatnonzero(is_inside):
-        pieces = _straight(start[n], stop[n])
-        if paths[-1] and max(abs(paths[-1][-1][0] - pieces[0][0]), abs(paths[-1][-1][1] - pieces[0][1])) > 1:
-            paths.append([])
-        for pin in pieces:
-            _append(paths[-1], pin)
-    return [np.array(path, np.int64).reshape(-1, 2) for path in paths if path]
+    pieces = [_straight(start[n], stop[n]) for n in np.flatnonzero(is_inside)]
+    if not pieces:
+        return []
+    pins = np.concatenate(pieces)
+    steps = np.abs(np.diff(pins, axis=0)).max(axis=1)
+    pins, steps = pins[np.concatenate([[True], steps > 0])], steps[steps > 0]
+    return [_without_corners(path) for path in np.split(pins, 1 + np.flatnonzero(steps > 1))]
 
 
-def _append(path: list[tuple[int, int]], pin: tuple[int, int]) -> None:
-    """Append a pin to a path unless it is its last one, and cut the corner before it."""
-    if path and path[-1] == pin:
-        return
-    if len(path) > 1 and max(abs(path[-2][0] - pin[0]), abs(path[-2][1] - pin[1])) <= 1:
-        path.pop()
-        if path[-1] == pin:
-            return
-    path.append(pin)
+def _without_corners(path: Int64s) -> Int64s:
+    """Return a path without the pins whose neighbours touch each other."""
+    path = path.astype(np.int64)
+    is_corner = np.zeros(len(path), np.bool_)
+    is_corner[1:-1] = np.abs(path[2:] - path[:-2]).max(axis=1) <= 1
+    for n in np.flatnonzero(is_corner):  # of corners in a row every other one is cut
+        is_corner[n] = not is_corner[n - 1]
+    return path[~is_corner]
 
 
-def _straight(start: Float64s, stop: Float64s) -> list[tuple[int, int]]:
+def _straight(start: Float64s, stop: Float64s) -> NDArray[np.int16]:
     """Return the pins of a straight piece within the display."""
-    count = int(min(np.ceil(np.abs(stop - start).max()), _MAX_PIECE_PINS)) + 1
-    pins = np.rint(np.linspace(start, stop, count)).astype(np.int64)
-    return [(int(row), int(column)) for row, column in pins]
+    count = int(np.ceil(np.abs(stop - start).max())) + 1
+    return np.rint(np.linspace(start, stop, count)).astype(np.int16)
 
 
 def _clipped(

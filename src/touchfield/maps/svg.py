@@ -133,8 +133,8 @@ def _line_class(element: Any) -> str:
     dashes = str((element.values or {}).get("stroke-dasharray") or "none")
     lengths = [float(word) for word in re.findall(r"[\d.]+", dashes)[:2] if word.strip(".")]
     if not lengths or max(lengths) <= 0:
-        return "road"
-    return "path" if lengths[0] < 2 * float(element.stroke_width or 1) else "rail"
+        return "solid"
+    return "dotted" if lengths[0] < 2 * float(element.stroke_width or 1) else "dashed"
 
 
 def _is_closed(parts: list[Float64s]) -> bool:

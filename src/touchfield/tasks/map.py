@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from touchfield.arrays import Bools
+from touchfield.codec.touch.spec import TouchSpec
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument, SourceError, require_ending
 from touchfield.exchange.symbolic import ArrayEffect, effect_medium
@@ -134,7 +135,8 @@ def make_map(
         files += (Path(stl),)
     checked = check(drawn.layout)
     figures = _figures(read, window, target, drawn, checked, lines, files) | {"title": title}
-    notes = _notes(read, drawn, checked, spec, braille)
+    pages_left_out = bool(pages) and not target.is_array
+    notes = _notes(read, drawn, checked, braille, pages_left_out=pages_left_out)
     return MadeMap(drawn, checked, pages, lines, files, figures, (*notes, *page_notes))
 
 
@@ -181,7 +183,8 @@ def _write_pins(path: Path, pins: Bools, target: Device, source: str | Path) -> 
     effect = ArrayEffect(FRAME_RATE_HZ, pins[None].astype(np.float32))
     medium = effect_medium(effect, device_grid(target), target.force_max_n, {"format": "map"})
     scene = FixedLatticeScene(medium, target, ())
-    prepared = prepare(scene, EncodeSpec(device=target.name, nw=None))
+    spec = EncodeSpec(device=target.name, nw=None, touch=TouchSpec(mode="lossless"))
+    prepared = prepare(scene, spec)
     encode_prepared(prepared, path, file_provenance(source, prepared))
 
 
@@ -216,7 +219,12 @@ def _figures(
 
 
 def _notes(
-    read: MapSource, drawn: Drawn, checked: Checked, spec: MapSpec, braille: Braille | None
+    read: MapSource,
+    drawn: Drawn,
+    checked: Checked,
+    braille: Braille | None,
+    *,
+    pages_left_out: bool,
 ) -> tuple[str, ...]:
     notes = [*read.notes, *drawn.notes]
     notes += [
@@ -233,5 +241,7 @@ def _notes(
     if braille is not None and braille.unknown:
         unknown = ", ".join(sorted(braille.unknown)[:5])
         notes.append(f"{braille.table} lacks letters of these texts, which are written by number: {unknown}.")
+    if pages_left_out:
+        notes.append("A point device gets no pages of the legend: it is in this report, and in the --svg.")
     notes += [f"Against the guidelines: {text}" for text in checked.violations]
     return tuple(dict.fromkeys(notes))
