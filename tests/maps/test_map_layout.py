@@ -176,7 +176,7 @@ def test_the_legend_has_every_symbol_and_key(tmp_path: Path) -> None:
     assert [line.text for line in lines][:3] == ["Straße", "Weg", "Haltestelle"]
     assert {line.text for line in lines if not line.kind} == {label.name for label in made.labels if label.is_key}
     pages, notes = legend_pages(lines, LetterBraille(), 40, 60, PinRules(2.5))
-    assert len(pages) == 2 and notes == () and all(page.any() for page in pages)
+    assert len(pages) == -(-len(lines) // 10) and notes == () and all(page.any() for page in pages)
     for page in pages:
         rows = np.flatnonzero(page.any(axis=1))
         assert (rows % 4 != 3).all()  # a free row between two lines
@@ -196,10 +196,11 @@ def test_what_a_pitch_allows() -> None:
 
 def test_an_area_that_crosses_itself_has_its_odd_parts() -> None:
     bow = np.array([[0, 0], [8, 8], [8, 0], [0, 8]], float)
-    hole = np.array([[1, 0.6], [1, 2.4], [7, 2.4], [7, 0.6]], float)
     inside = fill([bow], 9, 9)
-    assert inside[1, 4] == 0 and inside[7, 1] and inside[7, 7] and not inside[4, 1]
-    assert np.array_equal(fill([bow, hole], 9, 9)[2:7, 1:3], ~inside[2:7, 1:3])
+    assert inside[1, 4] and inside[7, 4] and not inside[4, 1] and not inside[4, 7]
+    hole = np.array([[0.5, 2.5], [0.5, 5.5], [2.5, 5.5], [2.5, 2.5]])
+    with_hole = fill([bow, hole], 9, 9)
+    assert np.array_equal(with_hole[1:3, 3:6], ~inside[1:3, 3:6]) and with_hole[7, 4]
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -92,7 +92,8 @@ def _without_corners(path: Int64s) -> Int64s:
     is_corner[1:-1] = np.abs(path[2:] - path[:-2]).max(axis=1) <= 1
     for n in np.flatnonzero(is_corner):  # of corners in a row every other one is cut
         is_corner[n] = not is_corner[n - 1]
-    return path[~is_corner]
+    path = path[~is_corner]
+    return path[np.concatenate([[True], (np.diff(path, axis=0) != 0).any(axis=1)])]  # a line may turn back
 
 
 def _straight(start: Float64s, stop: Float64s) -> NDArray[np.int16]:
