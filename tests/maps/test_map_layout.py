@@ -62,7 +62,11 @@ def test_no_two_symbols_are_closer_than_the_guideline(name: str, display: str) -
 
 def test_the_crossing_shows_its_streets_its_crossings_and_their_names() -> None:
     made = drawn(INPUTS / "crossing.osm.pbf")
-    assert {label.name for label in made.labels} == {"East Lynn Street", "22nd Avenue East", "23rd Avenue East"}
+    assert {label.name for label in made.labels} == {
+        "East Lynn Street",
+        "22nd Avenue East",
+        "23rd Avenue East",
+    }
     seen, count = made.counts["crossing"]
     assert count >= 5 <= seen
     road = np.isin(made.layout.owner, [n for n, s in enumerate(made.layout.symbols) if s.kind == "road"])
@@ -85,7 +89,13 @@ def test_a_town_has_every_symbol_where_it_lies(tmp_path: Path) -> None:
     made = drawn(write_geojson(tmp_path / "town.geojson", *town()))
     kinds = {symbol.kind for symbol in made.layout.symbols}
     assert kinds == {"road", "path", "stop", "building", "water", "green", "label"}
-    assert {label.name for label in made.labels} == {"High Street", "Mill Lane", "Town Hall", "Green Park", "Mill"}
+    assert {label.name for label in made.labels} == {
+        "High Street",
+        "Mill Lane",
+        "Town Hall",
+        "Green Park",
+        "Mill",
+    }
     assert next(label for label in made.labels if label.name == "Mill").text == "Mill"
     assert next(label for label in made.labels if label.name == "High Street").text == "hs"
     number = next(n for n, symbol in enumerate(made.layout.symbols) if symbol.kind == "building")
@@ -157,7 +167,10 @@ def test_the_check_finds_a_fault(tmp_path: Path, fault: str, message: str) -> No
         raised[row, column] ^= True
     elif fault == "double":
         row, column = np.argwhere(raised & (owner == number["road"]))[30]
-        raised[row : row + 2, column : column + 2], owner[row : row + 2, column : column + 2] = True, number["road"]
+        raised[row : row + 2, column : column + 2], owner[row : row + 2, column : column + 2] = (
+            True,
+            number["road"],
+        )
     elif fault == "alike":
         symbols[number["building"]] = replace(symbols[number["building"]], kind="fill4")
         symbols[number["water"]] = replace(symbols[number["water"]], kind="building")
@@ -174,7 +187,9 @@ def test_the_legend_has_every_symbol_and_key(tmp_path: Path) -> None:
     made = drawn(write_geojson(tmp_path / "town.geojson", *town()))
     lines = legend_lines(made.layout, made.labels, "de")
     assert [line.text for line in lines][:3] == ["Straße", "Weg", "Haltestelle"]
-    assert {line.text for line in lines if not line.kind} == {label.name for label in made.labels if label.is_key}
+    assert {line.text for line in lines if not line.kind} == {
+        label.name for label in made.labels if label.is_key
+    }
     pages, notes = legend_pages(lines, LetterBraille(), 40, 60, PinRules(2.5))
     assert len(pages) == -(-len(lines) // 10) and notes == () and all(page.any() for page in pages)
     for page in pages:

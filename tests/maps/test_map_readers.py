@@ -12,7 +12,7 @@ import pytest
 
 from map_makers import INPUTS, feature, town, write_geojson
 from touchfield.errors import InvalidArgument, SourceError, TouchfieldError
-from touchfield.maps.features import MAX_POINTS
+from touchfield.maps import features
 from touchfield.maps.reader import box_of, read_map
 from touchfield.maps.symbols import class_of_tags, class_of_words, symbols
 
@@ -65,18 +65,18 @@ def test_geojson_and_osm_agree(tmp_path: Path) -> None:
     """The same data as GeoJSON gives the same features."""
     osmium = pytest.importorskip("osmium")
     path = osm_file(tmp_path / "a.osm")
-    features = []
+    items = []
     for item in osmium.FileProcessor(str(path)).with_locations().with_areas():
         tags = {tag.k: tag.v for tag in item.tags}
         if item.is_area() and tags:
             rings = [r for outer in item.outer_rings() for r in (outer, *item.inner_rings(outer))]
-            features.append(feature("Polygon", [[[n.lon, n.lat] for n in ring] for ring in rings], **tags))
+            items.append(feature("Polygon", [[[n.lon, n.lat] for n in ring] for ring in rings], **tags))
         elif item.is_way() and "highway" in tags:
             line = [[n.lon, n.lat] for n in item.nodes if n.location.valid()]
-            features.append(feature("LineString", line, **tags))
+            items.append(feature("LineString", line, **tags))
         elif item.is_node() and tags:
-            features.append(feature("Point", [item.lon, item.lat], **tags))
-    other = read_map(write_geojson(tmp_path / "a.geojson", *features))
+            items.append(feature("Point", [item.lon, item.lat], **tags))
+    other = read_map(write_geojson(tmp_path / "a.geojson", *items))
     for one, two in zip(read_map(path).features, other.features, strict=True):
         assert (one.kind, one.shape, one.name) == (two.kind, two.shape, two.name)
         for a, b in zip(one.parts, two.parts, strict=True):
@@ -123,7 +123,9 @@ def test_a_drawing_has_lines_fills_texts_and_layers(tmp_path: Path) -> None:
     assert sorted(f.kind for f in source.features) == ["dashed", "fill1", "text", "wall", "water"]
     text = next(f for f in source.features if f.kind == "text")
     assert text.name == "Saal" and source.unit_m is None
-    assert any("white" in note for note in source.notes) and any("other files" in note for note in source.notes)
+    assert any("white" in note for note in source.notes) and any(
+        "other files" in note for note in source.notes
+    )
 
 
 def refused(path: Path, content: str | bytes, match: str) -> None:
@@ -158,9 +160,18 @@ def test_bad_geojson_is_one_clear_error(tmp_path: Path, case: str) -> None:
     refused(tmp_path / "a.geojson", *BAD_JSON[case])
 
 
-def test_too_many_points_are_refused(tmp_path: Path) -> None:
-    line = [[0, 0], [0.001, 0.001]] * (MAX_POINTS // 2 + 1)
-    refused(tmp_path / "a.geojson", json.dumps(feature("LineString", line, highway="path")), "points; expected")
+def test_too_many_points_and_features_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert features.MAX_POINTS >= 1 << 20 and features.MAX_FEATURES >= 1 << 16
+    monkeypatch.setattr(features, "MAX_POINTS", 1000)
+    line = [[0, 0], [0.001, 0.001]] * 501
+    refused(
+        tmp_path / "a.geojson",
+        json.dumps(feature("LineString", line, highway="path")),
+        "more than 1000 points",
+    )
+    monkeypatch.setattr(features, "MAX_FEATURES", 3)
+    with pytest.raises(SourceError, match="more than 3 features"):
+        read_map(write_geojson(tmp_path / "b.geojson", *town()))
 
 
 BOMB = '<!DOCTYPE svg [<!ENTITY a "{}">]><svg xmlns="http://www.w3.org/2000/svg"><text>&a;</text></svg>'

@@ -26,7 +26,9 @@ def make_map_command(
     out: Annotated[
         Path, typer.Argument(help="The .touch file; pages of the legend are OUT.legend-1.touch and so on.")
     ],
-    device: Annotated[str, "A pin display or a point device: a profile's name, or its TOML file."] = "graphiti",
+    device: Annotated[
+        str, "A pin display or a point device: a profile's name, or its TOML file."
+    ] = "graphiti",
     box: Annotated[
         str | None, "The part to draw: WEST,SOUTH,EAST,NORTH, degrees; of a drawing LEFT,TOP,RIGHT,BOTTOM."
     ] = None,

@@ -20,7 +20,7 @@ from touchfield.arrays import Bools
 from touchfield.errors import InvalidArgument
 
 TABLES: Final = {
-    "en": "en-ueb-g1.ctb", "de": "de-g1.ctb", "fr": "fr-bfu-comp6.utb", "es": "es-g1.ctb",
+    "en": "en-ueb-g1.ctb", "de": "de-g0.utb", "fr": "fr-bfu-comp6.utb", "es": "es-g1.ctb",
     "it": "it-it-comp6.utb", "nl": "nl-NL-g0.utb", "pl": "Pl-Pl-g1.utb", "pt": "pt-pt-g1.utb",
     "ru": "ru-litbrl.ctb", "sv": "sv-g0.utb", "da": "da-dk-g16.ctb",
 }  # fmt: skip
@@ -68,11 +68,11 @@ class Braille:
     def cells(self, text: str) -> tuple[int, ...]:
         """Return the dots of each cell: bit n is dot n + 1.
 
-        Texts with letters that the table does not have are collected in `unknown`; liblouis writes these
-        letters by their numbers. Raises `InvalidArgument` for a table of eight dots.
+        Letters that the table does not have are left out, and their texts collected in `unknown`. Raises
+        `InvalidArgument` for a table of eight dots.
         """
-        cells = self._translate(text, 0)
-        if cells != self._translate(text, _NO_UNDEFINED):
+        cells = self._translate(text, _NO_UNDEFINED)
+        if cells != self._translate(text, 0):
             self.unknown.add(text)
         if any(cell >> 6 for cell in cells):
             expected = "a table of six dots, as pins of three rows show"
@@ -118,7 +118,9 @@ def _library() -> Any:
             continue
         library.lou_setLogLevel(_LOG_OFF)
         return library
-    found = f"no liblouis in {override}" if override else "that liblouis, which writes Braille, is not installed"
+    found = (
+        f"no liblouis in {override}" if override else "that liblouis, which writes Braille, is not installed"
+    )
     raise InvalidArgument("labels", found, "liblouis", _HINT)
 
 
@@ -142,6 +144,4 @@ def pins_of(cells: Sequence[int], cell_pins: int) -> Bools:
 def cells_of(pins: Bools, cell_pins: int) -> tuple[int, ...]:
     """Return the cells that pins show, the inverse of `pins_of`."""
     starts = range(0, pins.shape[1], cell_pins)
-    return tuple(
-        sum(int(pins[dot % 3, start + dot // 3]) << dot for dot in range(6)) for start in starts
-    )
+    return tuple(sum(int(pins[dot % 3, start + dot // 3]) << dot for dot in range(6)) for start in starts)

@@ -58,7 +58,9 @@ def _distances(layout: Layout) -> tuple[float | None, list[str]]:
         return None, []
     gaps_mm = pitch_mm * np.hypot(*(up[pairs[:, 0]] - up[pairs[:, 1]]).T) - dot_mm
     close = np.flatnonzero(gaps_mm < float(guidelines()["gap_mm"].value) - 1e-9)
-    return float(gaps_mm.min()), [_too_close(layout, up[pairs[n, 0]], first[n], second[n], gaps_mm[n]) for n in close]
+    return float(gaps_mm.min()), [
+        _too_close(layout, up[pairs[n, 0]], first[n], second[n], gaps_mm[n]) for n in close
+    ]
 
 
 def _too_close(layout: Layout, at: Int64s, first: int, second: int, gap_mm: Float64s) -> str:
@@ -85,7 +87,9 @@ def _sizes(layout: Layout) -> list[str]:
     found = []
     for n, placed in enumerate(layout.symbols):
         rows, columns = np.nonzero(layout.owner == n)
-        extent_mm = [pitch_mm * float(np.ptp(side)) + dot_mm for side in (rows, columns)] if len(rows) else [0.0]
+        extent_mm = (
+            [pitch_mm * float(np.ptp(side)) + dot_mm for side in (rows, columns)] if len(rows) else [0.0]
+        )
         if min(extent_mm) < least.get(placed.role, 0.0) - 1e-9:
             found.append(f"A symbol of {placed.kind} is {min(extent_mm):.2f} mm across.")
     return found
@@ -119,4 +123,3 @@ def _labels(layout: Layout) -> list[str]:
         if not owned.all() or cells_of(box, layout.rules.cell_pins) != placed.cells:
             found.append(f"The label {placed.names[0]!r} is covered.")
     return found
-

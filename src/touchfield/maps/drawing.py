@@ -32,7 +32,9 @@ def _joined(layout: Layout) -> list[tuple[tuple[int, int], tuple[int, int]]]:
     """Return the pairs of neighbouring raised pins of one line or solid area."""
     pairs = []
     rows, columns = layout.raised.shape
-    is_joined = np.array([symbol.role == "line" or _is_solid(symbol.kind) for symbol in layout.symbols] + [False])
+    is_joined = np.array(
+        [symbol.role == "line" or _is_solid(symbol.kind) for symbol in layout.symbols] + [False]
+    )
     joins = layout.raised & is_joined[layout.owner]
     for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
         for row, column in np.argwhere(joins):
@@ -159,7 +161,9 @@ def draw_report(
 
     rows, columns = layout.raised.shape
     panels = 1 + len(pages)
-    figure: Any = Figure(figsize=(0.13 * columns + 3.2, 0.13 * rows * panels + 0.4 * panels), layout="constrained")
+    figure: Any = Figure(
+        figsize=(0.13 * columns + 3.2, 0.13 * rows * panels + 0.4 * panels), layout="constrained"
+    )
     axes = figure.subplots(panels, 1, squeeze=False)[:, 0]
     _draw_pins(axes[0], layout.raised, title)
     kinds = list(dict.fromkeys(symbol.kind for symbol in layout.symbols))

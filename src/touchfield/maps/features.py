@@ -79,7 +79,12 @@ class Collector:
     point_count: int = 0
 
     def add(
-        self, kind: str, shape: str, parts: Iterable[Sequence[Any] | Float64s], name: str = "", level: str = ""
+        self,
+        kind: str,
+        shape: str,
+        parts: Iterable[Sequence[Any] | Float64s],
+        name: str = "",
+        level: str = "",
     ) -> None:
         """Add a feature; parts that are too short for its shape, or not finite, are counted as left out."""
         min_points = {"point": 1, "line": 2, "area": 3}[shape]

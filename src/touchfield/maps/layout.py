@@ -72,9 +72,7 @@ class _Drawing:
             self.requests.append(LabelRequest(feature.name, feature.kind, pins, must_be_inside))
 
 
-def draw(
-    features: Sequence[Feature], window: Window, rules: PinRules, braille: Braille | None
-) -> Drawn:
+def draw(features: Sequence[Feature], window: Window, rules: PinRules, braille: Braille | None) -> Drawn:
     """Draw features in a window; without `braille` there are no labels."""
     by_kind: dict[str, list[Feature]] = {}
     for feature in features:
@@ -107,7 +105,9 @@ def _limit_kinds(drawing: _Drawing) -> None:
             else:
                 looks[symbol.look] = symbol.titled("en")
                 continue
-            drawing.notes.append(f"Left out: {_count_of(drawing, symbol)} of {symbol.titled('en')}: {reason}.")
+            drawing.notes.append(
+                f"Left out: {_count_of(drawing, symbol)} of {symbol.titled('en')}: {reason}."
+            )
             drawing.features = {
                 kind: features
                 for kind, features in drawing.features.items()

@@ -180,4 +180,3 @@ def dashes(mask: Bools, on: int, off: int) -> Bools:
                     depths[other] = depths[pin] + 1
                     queue.append(other)
     return raised
-

@@ -88,9 +88,7 @@ def _parts(found: Collector, item: Any, shape: str) -> list[list[tuple[float, fl
     if shape == "line":
         return [_points(found, item.nodes)]
     return [
-        _points(found, ring)
-        for outer in item.outer_rings()
-        for ring in (outer, *item.inner_rings(outer))
+        _points(found, ring) for outer in item.outer_rings() for ring in (outer, *item.inner_rings(outer))
     ]
 
 

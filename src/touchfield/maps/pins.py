@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from touchfield.arrays import Bools, Float64s, Int64s
 from touchfield.errors import InvalidArgument
 
+
 @dataclass(frozen=True)
 class Window:
     """The part of a map that a display shows.
@@ -102,9 +103,7 @@ def _straight(start: Float64s, stop: Float64s) -> NDArray[np.int16]:
     return np.rint(np.linspace(start, stop, count)).astype(np.int16)
 
 
-def _clipped(
-    start: Float64s, stop: Float64s, rows: int, columns: int
-) -> tuple[Float64s, Float64s, Bools]:
+def _clipped(start: Float64s, stop: Float64s, rows: int, columns: int) -> tuple[Float64s, Float64s, Bools]:
     """Clip pieces of a line to the display (Liang and Barsky); returns ends and which are inside."""
     first, last = np.zeros(len(start)), np.ones(len(start))
     step = stop - start

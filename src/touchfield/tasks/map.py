@@ -149,7 +149,9 @@ def _pins_of(target: Device) -> tuple[int, int, PinRules]:
         columns, rows = (1 + math.floor(side / POINT_PITCH_MM) for side in target.workspace_mm[:2])
         return rows, columns, PinRules(POINT_PITCH_MM)
     if target.shows != "height" or target.pitch_mm is None:
-        raise InvalidArgument("device", f"{target.name}, an array of motors", "a pin display, or a point device")
+        raise InvalidArgument(
+            "device", f"{target.name}, an array of motors", "a pin display, or a point device"
+        )
     return target.lattice[1], target.lattice[0], PinRules(target.pitch_mm)
 
 
@@ -199,7 +201,9 @@ def _figures(
     files: tuple[Path, ...],
 ) -> dict[str, Any]:
     pitch_mm = drawn.layout.rules.pitch_mm
-    scale = {} if read.unit_m is None else {"scale": f"1:{round(1000 * read.unit_m * window.step / pitch_mm)}"}
+    scale = (
+        {} if read.unit_m is None else {"scale": f"1:{round(1000 * read.unit_m * window.step / pitch_mm)}"}
+    )
     return {
         "device": target.name,
         "pins": f"{window.columns} x {window.rows}, {pitch_mm:g} mm apart",
@@ -240,7 +244,7 @@ def _notes(
         notes.append(f"{len(drawn.unlabelled)} names have no room on the map: {shown}.")
     if braille is not None and braille.unknown:
         unknown = ", ".join(sorted(braille.unknown)[:5])
-        notes.append(f"{braille.table} lacks letters of these texts, which are written by number: {unknown}.")
+        notes.append(f"{braille.table} lacks letters of these texts, which are left out: {unknown}.")
     if pages_left_out:
         notes.append("A point device gets no pages of the legend: it is in this report, and in the --svg.")
     notes += [f"Against the guidelines: {text}" for text in checked.violations]
