@@ -45,17 +45,25 @@ def write_geojson(path: Path, *features: dict[str, Any], **members: Any) -> Path
     return path
 
 
+def street(x_0: float, y_0: float, x_1: float, y_1: float, **tags: str) -> dict[str, Any]:
+    """A straight line with a vertex in its middle, where others may join it."""
+    return feature("LineString", [[x_0, y_0], [(x_0 + x_1) / 2, (y_0 + y_1) / 2], [x_1, y_1]], **tags)
+
+
+def block(west: float, south: float, east: float, north: float, **tags: str) -> dict[str, Any]:
+    """A rectangle."""
+    ring = [[west, south], [east, south], [east, north], [west, north], [west, south]]
+    return feature("Polygon", [ring], **tags)
+
+
 def town() -> list[dict[str, Any]]:
     """Two streets that cross, a path, a house, a pond in a park, and a bus stop, of some 150 m."""
     return [
-        feature("LineString", [[0, 0.0005], [0.0007, 0.0005], [0.0015, 0.0005]], highway="primary", name="High Street"),
-        feature("LineString", [[0.0007, 0], [0.0007, 0.0005], [0.0007, 0.001]], highway="residential", name="Mill Lane"),
-        feature("LineString", [[0, 0.00015], [0.0015, 0.0002]], highway="footway"),
-        feature("Polygon", [[[0.0001, 0.0006], [0.0004, 0.0006], [0.0004, 0.0008], [0.0001, 0.0008], [0.0001, 0.0006]]],
-                building="yes", name="Town Hall"),
-        feature("Polygon", [[[0.0009, 0.0006], [0.0014, 0.0006], [0.0014, 0.001], [0.0009, 0.001], [0.0009, 0.0006]]],
-                leisure="park", name="Green Park"),
-        feature("Polygon", [[[0.0011, 0.0007], [0.0013, 0.0007], [0.0013, 0.0009], [0.0011, 0.0009], [0.0011, 0.0007]]],
-                natural="water"),
+        street(0, 0.0005, 0.0014, 0.0005, highway="primary", name="High Street"),
+        street(0.0007, 0, 0.0007, 0.001, highway="residential", name="Mill Lane"),
+        street(0, 0.00015, 0.0015, 0.0002, highway="footway"),
+        block(0.0001, 0.0006, 0.0004, 0.0008, building="yes", name="Town Hall"),
+        block(0.0009, 0.0006, 0.0014, 0.001, leisure="park", name="Green Park"),
+        block(0.0011, 0.0007, 0.0013, 0.0009, natural="water"),
         feature("Point", [0.0012, 0.00048], highway="bus_stop", name="Mill"),
-    ]  # fmt: skip
+    ]

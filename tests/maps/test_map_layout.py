@@ -1,4 +1,4 @@
-"""Maps on pins: real extracts and diagrams keep the distances of the guidelines, and the check finds faults."""
+"""Maps on pins: real extracts and diagrams keep the distances of the guidelines; the check finds faults."""
 
 from __future__ import annotations
 

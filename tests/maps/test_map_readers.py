@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -140,7 +141,9 @@ BAD_JSON: dict[str, tuple[str, str]] = {
     "no type": ("{}", r"\$: found no 'type'"),
     "a type that is none": ('{"type": "Circle"}', r"\$\.type.*expected a type of GeoJSON"),
     "text for a number": (
-        json.dumps(feature("Point", ["a", 1], amenity="x")), r"\$\.geometry\.coordinates\[0\]: found .*position"),
+        json.dumps(feature("Point", ["a", 1], amenity="x")),
+        r"\$\.geometry\.coordinates\[0\]: found .*position",
+    ),
     "no coordinates": ('{"type": "Feature", "properties": {"amenity": "x"}, "geometry": {"type": "Point"}}',
                        "no 'coordinates'"),
     "metres": (json.dumps(feature("Point", [500000, 5400000], amenity="x")), "expected degrees.*ogr2ogr"),
@@ -150,7 +153,7 @@ BAD_JSON: dict[str, tuple[str, str]] = {
         '{"type": "FeatureCollection", "features": [], "crs": {"properties": {"name": "EPSG:31467"}}}',
         "coordinate system 'EPSG:31467'"),
     "nothing known": (json.dumps(feature("Point", [0, 0], colour="red")), "1 points without a known tag"),
-    "nested": ('{"type": "GeometryCollection", "geometries": [' * 30 + "]}" * 30, "collections within collections"),
+    "nested": ('{"type": "GeometryCollection", "geometries": [' * 30 + "]}" * 30, "collections within"),
     "deep": ("[" * 100_000, "JSON|nested|deep"),
 }  # fmt: skip
 
@@ -201,7 +204,7 @@ def test_a_bad_extract_is_one_clear_error(tmp_path: Path, suffix: str) -> None:
     contents: tuple[bytes, ...] = (b"", b"\0" * 64, b"<osm", (INPUTS / "park.osm.pbf").read_bytes()[:999])
     if suffix == ".osm":
         contents += (
-            b'<!DOCTYPE osm [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><osm version="0.6"><note>&b;</note></osm>',
+            b'<!DOCTYPE osm [<!ENTITY a "aa"><!ENTITY b "&a;&a;">]><osm version="0.6"><note>&b;</note></osm>',
         )
     for content in contents:
         refused(tmp_path / f"a{suffix}", content, "pyosmium does not read|nothing that can be drawn")
@@ -234,16 +237,15 @@ def test_damaged_files_are_read_or_refused(tmp_path: Path, name: str) -> None:
     library = {".pbf": "osmium", ".svg": "svgelements"}.get(Path(name).suffix)
     if library:
         pytest.importorskip(library)
-    outcomes = {"read": 0, "refused": 0}
+    outcomes = Counter[str]()
     for seed in range(40):
         path = tmp_path / name
         path.write_bytes(mutants((INPUTS / name).read_bytes(), seed))
         try:
             source = read_map(path)
         except TouchfieldError as error:
-            assert "\n" not in str(error)
-            outcomes["refused"] += 1
+            outcomes["refused" if "\n" not in str(error) else "garbled"] += 1
         else:
             assert all(np.isfinite(part).all() for f in source.features for part in f.parts)
             outcomes["read"] += 1
-    assert outcomes["refused"] > 0
+    assert outcomes["refused"] > 0 and not outcomes["garbled"]

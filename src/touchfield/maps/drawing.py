@@ -39,9 +39,9 @@ def _joined(layout: Layout) -> list[tuple[tuple[int, int], tuple[int, int]]]:
     for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
         for row, column in np.argwhere(joins):
             other = (int(row) + down, int(column) + right)
-            if 0 <= other[0] < rows and 0 <= other[1] < columns and joins[other]:
-                if layout.owner[other] == layout.owner[row, column]:
-                    pairs.append(((int(row), int(column)), other))
+            is_inside = 0 <= other[0] < rows and 0 <= other[1] < columns
+            if is_inside and joins[other] and layout.owner[other] == layout.owner[row, column]:
+                pairs.append(((int(row), int(column)), other))
     return pairs
 
 

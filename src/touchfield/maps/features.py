@@ -1,4 +1,4 @@
-"""`Feature` and `MapSource`: what the readers of maps and drawings return, and the limits of what they accept.
+"""`Feature` and `MapSource`: what the readers of maps and drawings return, and the limits of their inputs.
 
 Coordinates are float64 [n, 2], x right and y up: metres of a local plane for maps, the file's own unit for
 drawings.

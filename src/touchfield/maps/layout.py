@@ -204,7 +204,7 @@ def _draw_points(drawing: _Drawing) -> None:
                 continue
             drawing.seen[symbol.name] += 1
             starts = np.argwhere(board.fits(height, width, ~board.blocked()))
-            distance = np.abs(starts + (height // 2, width // 2) - pin).max(axis=1)
+            distance = np.abs(starts - np.subtract(pin, (height // 2, width // 2))).max(axis=1)
             if not len(starts) or distance.min() > board.rules.displacement_pins:
                 continue
             row, column = starts[distance.argmin()]

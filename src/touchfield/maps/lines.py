@@ -164,7 +164,7 @@ def _spur(mask: Bools, end: tuple[int, int], min_pins: int) -> list[tuple[int, i
 
 
 def dashes(mask: Bools, on: int, off: int) -> Bools:
-    """Return the pins of a network that are up, `on` of them and then `off` down, from an end of each part."""
+    """Return the pins of a network that are up: `on` of them, then `off` down, from an end of each part."""
     if not off:
         return mask
     raised = np.zeros_like(mask)

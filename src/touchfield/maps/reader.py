@@ -53,7 +53,8 @@ def box_of(source: MapSource, box: tuple[float, float, float, float] | None) -> 
     """Return the corners of what is drawn, in the coordinates of the features.
 
     `box` is west, south, east, north in degrees, or left, top, right, bottom in the drawing's unit; None is
-    the box that the file states, or else of all features. Raises `InvalidArgument` if it has no extent or nothing lies in it.
+    the box that the file states, or else of all features. Raises `InvalidArgument` if it has no extent or
+    nothing lies in it.
     """
     points = [part for feature in source.features for part in feature.parts]
     lows = np.array([part.min(axis=0) for part in points])

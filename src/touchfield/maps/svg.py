@@ -2,7 +2,8 @@
 
 The class of an element follows from words in its id, its class and the labels of the layers around it; else
 from its paint. An element with a fill is an area, one without a line: dashed if its stroke is dashed. Each
-colour of areas without a class gets a texture of its own, up to `FILLS`. White areas are paper. Texts become Braille labels. Nothing outside the file is read.
+colour of areas without a class gets a texture of its own, up to `FILLS`. White areas are paper. Texts become
+Braille labels. Nothing outside the file is read.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ _GIVEN_BY_PROGRAM: Final = re.compile(
 )
 """Ids that drawing programs number by themselves."""
 _LABELS: Final = (
-    "{http://www.inkscape.org/namespaces/inkscape}label", "inkscape:label", "aria-label", "data-name", "id", "class",
+    "{http://www.inkscape.org/namespaces/inkscape}label", "inkscape:label", "aria-label", "data-name", "id",
+    "class",
 )  # fmt: skip
 
 

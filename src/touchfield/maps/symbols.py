@@ -28,9 +28,9 @@ FILLS: Final = ("fill1", "fill2", "fill3", "fill4", "fill5")
 class Symbol:
     """A class of features and how it is drawn.
 
-    A line is one pin wide and has `on` pins up and `off` down. An area has a `texture`, or is drawn as the
-    line of the class `outline`. A point has a `picture`, or `opens` a gap in the lines of a class. A line that
-    `widens` is drawn as an area of that class. Rows of a texture or a picture are from the top; a texture
+    A line is one pin wide and has `on` pins up and `off` down; one that `widens` is drawn as an area of that
+    class. An area has a `texture`, or is drawn as the line of the class `outline`. A point has a `picture`,
+    or `opens` a gap in the lines of a class. Rows of a texture or a picture are from the top; a texture
     repeats.
     """
 

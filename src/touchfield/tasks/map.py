@@ -35,7 +35,7 @@ from touchfield.sources.terrain.height_scene import HeightScene
 POINT_PITCH_MM: Final = 2.5
 """Distance of the virtual pins on a device that is a point: that of pin displays."""
 POINT_HEIGHT_MM: Final = 4.0
-"""Height of symbols under the point of a device: our choice, twice the spacing of its usual lattice of 2^6."""
+"""Height of symbols under the point of a device: our choice, above the spacing of its lattice of 2^6."""
 FRAME_RATE_HZ: Final = 1.0
 """Of a medium of one frame."""
 
