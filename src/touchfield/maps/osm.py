@@ -15,7 +15,7 @@ from touchfield.maps.symbols import class_of_tags
 MAX_BYTES: Final = 1 << 26
 MAX_OBJECTS: Final = 1 << 22
 """Nodes, ways, relations and areas; an extract of a town has some 10^5."""
-ATTRIBUTION: Final = "Map data from OpenStreetMap, openstreetmap.org/copyright (ODbL 1.0)"
+ATTRIBUTION: Final = "© OpenStreetMap contributors, openstreetmap.org/copyright (ODbL 1.0)"
 _EXPECTED: Final = "an extract of OpenStreetMap"
 
 
