@@ -485,7 +485,9 @@ MUTATORS: Final[dict[str, Mutator]] = {
     ".e57": one_of(binary.e57, binary.e57, binary.e57, raw),
     ".ply": _HEADER,
     ".pcd": one_of(columns, header_until(b"DATA"), raw),
-    **dict.fromkeys((".stl", ".las", ".laz", ".nc", ".exr", ".hgt", ".gif", ".db3", ".wav", ".bin", ".pbf"), raw),
+    **dict.fromkeys(
+        (".stl", ".las", ".laz", ".nc", ".exr", ".hgt", ".gif", ".db3", ".wav", ".bin", ".pbf"), raw
+    ),
 }
 
 

@@ -169,13 +169,14 @@ def dashes(mask: Bools, on: int, off: int) -> Bools:
         return mask
     raised = np.zeros_like(mask)
     for part in parts_of(mask):
-        start = next(iter(ends_of(part)), None) or tuple(int(i) for i in np.argwhere(part)[0])
+        first = np.argwhere(part)[0]
+        start = next(iter(ends_of(part)), (int(first[0]), int(first[1])))
         depths = {start: 0}
         queue = deque([start])
         while queue:
             pin = queue.popleft()
-            raised[pin] = depths[pin] % (on + off) < on  # type: ignore[index]
-            for other in _neighbours(part, pin):  # type: ignore[arg-type]
+            raised[pin] = depths[pin] % (on + off) < on
+            for other in _neighbours(part, pin):
                 if other not in depths:
                     depths[other] = depths[pin] + 1
                     queue.append(other)

@@ -94,7 +94,9 @@ def _without_corners(path: Int64s) -> Int64s:
     for n in np.flatnonzero(is_corner):  # of corners in a row every other one is cut
         is_corner[n] = not is_corner[n - 1]
     path = path[~is_corner]
-    return path[np.concatenate([[True], (np.diff(path, axis=0) != 0).any(axis=1)])]  # a line may turn back
+    is_new = np.ones(len(path), np.bool_)
+    is_new[1:] = (np.diff(path, axis=0) != 0).any(axis=1)  # a line may turn back
+    return np.asarray(path[is_new])
 
 
 def _straight(start: Float64s, stop: Float64s) -> NDArray[np.int16]:

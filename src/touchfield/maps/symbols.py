@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -80,7 +80,9 @@ def symbols() -> Mapping[str, Symbol]:
     text = (resources.files("touchfield.maps") / "symbols.toml").read_text("utf-8")
     found = []
     for name, row in tomllib.loads(text).items():
-        values = {key: tuple(value) if isinstance(value, list) else value for key, value in row.items()}
+        values: dict[str, Any] = {
+            key: tuple(value) if isinstance(value, list) else value for key, value in row.items()
+        }
         found.append(Symbol(name=name, **values))
     return MappingProxyType({symbol.name: symbol for symbol in sorted(found, key=lambda s: s.priority)})
 
