@@ -182,6 +182,8 @@ USES = "".join(f'<g id="g{n}">{f"<use href=#g{n + 1}#/>" * 10}</g>'.replace("#g"
                for n in range(12))  # fmt: skip
 BAD_SVG: dict[str, tuple[str, str]] = {
     "no XML": ("<svg", "no XML"),
+    "an unknown encoding": ('<?xml version="1.0" encoding="UTF255"?><svg/>', "no XML"),
+    "an encoding of many bytes": ('<?xml version="1.0" encoding="gb18030"?><svg/>', "no XML"),
     "another root": ("<html/>", "the element 'html'"),
     "entities": (BOMB.format("x" * 99), "a document type with declarations.*plain SVG"),
     "instances of instances": (

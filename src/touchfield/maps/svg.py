@@ -206,7 +206,7 @@ def _check(path: Path, data: bytes) -> int:
     parser.StartDoctypeDeclHandler = refuse
     try:
         parser.Parse(data, True)
-    except expat.ExpatError as error:
+    except (expat.ExpatError, LookupError, ValueError) as error:  # the latter of unknown encodings
         raise SourceError(str(path), f"no XML ({error})", _EXPECTED) from error
     definitions.require_bounded(0)
     return outside
