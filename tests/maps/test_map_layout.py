@@ -18,6 +18,7 @@ from touchfield.maps.labels import legend_lines, legend_pages
 from touchfield.maps.layout import Drawn, draw
 from touchfield.maps.pins import Window, fill, trace
 from touchfield.maps.reader import box_of, on_level, read_map
+from touchfield.maps.symbols import symbols
 
 LIBRARIES = {".pbf": "osmium", ".svg": "svgelements"}
 FLOOR_BOX = (8.67669, 49.41849, 8.67706, 49.41883)
@@ -207,6 +208,15 @@ def test_what_a_pitch_allows() -> None:
         assert row.verified in ("read", "secondary", "unverified") and row.source and row.unit
         assert (row.verified != "secondary") or row.read_in
         assert (row.verified == "unverified") == (not row.where)
+
+
+def test_dashes_have_the_length_of_the_guideline() -> None:
+    dot_mm, pitch_mm = guidelines()["dot_mm"].value, 2.5
+    for symbol in symbols().values():
+        if symbol.shape == "line" and symbol.on > 1:
+            dash_mm, space_mm = pitch_mm * (symbol.on - 1) + dot_mm, pitch_mm * (symbol.off + 1) - dot_mm
+            assert guidelines()["dash_mm"].value <= dash_mm <= 10
+            assert space_mm / dash_mm == pytest.approx(guidelines()["dash_gap_fraction"].value, abs=0.1)
 
 
 def test_an_area_that_crosses_itself_has_its_odd_parts() -> None:

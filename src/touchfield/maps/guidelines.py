@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -114,19 +114,3 @@ class PinRules:
     def _pins_of(self, name: str) -> int:
         """Pins whose outer edges are at least the length of a guideline apart."""
         return 1 + math.ceil((_value(name) - _value("dot_mm")) / self.pitch_mm - 1e-9)
-
-
-def table_rows() -> list[dict[str, Any]]:
-    """Return the table as rows for a report: name, value, unit, source and how it was verified."""
-    return [
-        {
-            "guideline": name,
-            "value": row.value,
-            "unit": row.unit,
-            "source": row.source,
-            "where": row.where,
-            "verified": row.verified,
-            "read_in": row.read_in,
-        }
-        for name, row in guidelines().items()
-    ]

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from touchfield.errors import SourceError, import_extra
-from touchfield.files import library_faults, plain_size
+from touchfield.files import library_faults, plain_size, readable
 from touchfield.maps.features import Collector, MapSource, on_plane, require_features
 from touchfield.maps.symbols import class_of_tags
 
@@ -26,7 +26,9 @@ def read_osm(path: Path) -> MapSource:
     `MAX_OBJECTS` objects or than `touchfield.maps.features` allows.
     """
     osmium = import_extra("osmium", f"reading {path.name}", "osmium", "map")
-    if plain_size_checked(path) > MAX_BYTES:
+    with readable(path, _EXPECTED):
+        size = plain_size(path, _EXPECTED)
+    if size > MAX_BYTES:
         raise SourceError(str(path), f"more than {MAX_BYTES} bytes", f"{_EXPECTED} up to that", _HINT)
     found = Collector(str(path))
     with library_faults(path, "what pyosmium does not read", _EXPECTED):
@@ -49,16 +51,6 @@ def _box(box: Any) -> tuple[float, float, float, float] | None:
 
 
 _HINT: Final = "Cut out a smaller area first: osmium extract -b WEST,SOUTH,EAST,NORTH IN -o OUT."
-
-
-def plain_size_checked(path: Path) -> int:
-    """Return the length of a plain file; `SourceError` if it cannot be read."""
-    try:
-        return plain_size(path, _EXPECTED)
-    except OSError as error:
-        from touchfield.files import file_error
-
-        raise file_error(path, error, _EXPECTED) from error
 
 
 def _add(found: Collector, item: Any) -> None:
