@@ -165,6 +165,19 @@ def read_recording(path: Path, out: Path, options: dict[str, Any]) -> object:
     return read(path)
 
 
+def draw_map(path: Path, out: Path, options: dict[str, Any]) -> object:
+    """Read a map or a drawing, draw it on the pins of a display, and check it."""
+    from touchfield.maps.check import check
+    from touchfield.maps.guidelines import PinRules
+    from touchfield.maps.layout import draw
+    from touchfield.maps.pins import Window
+    from touchfield.maps.reader import box_of, read_map
+
+    source = read_map(path)
+    drawn = draw(source.features, Window.around(*box_of(source, None), 40, 60), PinRules(2.5), None)
+    return check(drawn.layout)
+
+
 # -- inputs ------------------------------------------------------------------------------------------------
 
 
@@ -312,6 +325,12 @@ def effect_files() -> dict[str, tuple[Seed, ...]]:
     }
 
 
+def maps(*names: str) -> tuple[Seed, ...]:
+    """Return maps and drawings of the tests."""
+    folder = ROOT / "tests" / "maps" / "inputs"
+    return tuple(file_of(name, (folder / name).read_bytes()) for name in names)
+
+
 def write_camera_yaml(folder: Path) -> Path:
     """Write a plain folder whose camera is YAML, as ROS calibrates it."""
     layouts.write_kitti(folder)
@@ -449,8 +468,8 @@ _ZIP: Final = one_of(*(binary.archive(member_mutator),) * 3, raw)
 _HEADER: Final = one_of(header_until(b"end_header"), columns, raw)
 
 MUTATORS: Final[dict[str, Mutator]] = {
-    **dict.fromkeys((".json", ".gltf", ".hjif", ".haptic", ".ahap", ".tact"), _JSON),
-    **dict.fromkeys((".dae", ".xml", ".mjcf", ".urdf", ".vti", ".model", ".rels"), _XML),
+    **dict.fromkeys((".json", ".geojson", ".gltf", ".hjif", ".haptic", ".ahap", ".tact"), _JSON),
+    **dict.fromkeys((".dae", ".svg", ".xml", ".mjcf", ".urdf", ".vti", ".model", ".rels"), _XML),
     **dict.fromkeys((".npz", ".3mf", ".zip"), _ZIP),
     **dict.fromkeys((".tif", ".tiff"), _TIFF),
     **dict.fromkeys((".mp4", ".mov"), _MP4),
@@ -466,7 +485,9 @@ MUTATORS: Final[dict[str, Mutator]] = {
     ".e57": one_of(binary.e57, binary.e57, binary.e57, raw),
     ".ply": _HEADER,
     ".pcd": one_of(columns, header_until(b"DATA"), raw),
-    **dict.fromkeys((".stl", ".las", ".laz", ".nc", ".exr", ".hgt", ".gif", ".db3", ".wav", ".bin"), raw),
+    **dict.fromkeys(
+        (".stl", ".las", ".laz", ".nc", ".exr", ".hgt", ".gif", ".db3", ".wav", ".bin", ".pbf"), raw
+    ),
 }
 
 
@@ -574,4 +595,7 @@ def formats() -> tuple[Format, ...]:
             ),
         ),
         Format("profile", read_profile, profiles()),
+        Format("GeoJSON", draw_map, maps("floor_plan.geojson")),
+        Format("OpenStreetMap", draw_map, maps("crossing.osm.pbf", "park.osm.pbf")),
+        Format("SVG", draw_map, maps("triangle.svg", "parabola.svg", "cell.svg")),
     )

@@ -30,6 +30,7 @@ PACKAGES = (
         "devices",
         "exchange",
         "filters",
+        "maps",
         "measure",
         "medium",
         "network",

@@ -105,6 +105,20 @@ def test_a_pipe_is_refused_without_waiting(tmp_path: Path, name: str) -> None:
             open_source(path, SourceOptions(kind=kind, depth_scale=1000, intrinsics="9,9,4,4"))
 
 
+@pytest.mark.parametrize("encoding", ["UTF255", "gb18030"])
+@pytest.mark.parametrize(
+    ("name", "root"), [("a.dae", "COLLADA"), ("a.xml", "mujoco"), ("a.vti", "VTKFile"), ("a.urdf", "robot")]
+)
+def test_an_unknown_encoding_of_xml_is_one_clear_error(
+    tmp_path: Path, name: str, root: str, encoding: str
+) -> None:
+    path = tmp_path / name
+    path.write_text(f'<?xml version="1.0" encoding="{encoding}"?><{root}/>')
+    with pytest.raises(SourceError) as caught:
+        open_source(path)
+    assert name in str(caught.value) and "\n" not in str(caught.value)
+
+
 def test_only_regular_files_are_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pipe, folder = tmp_path / "pipe.npy", tmp_path / "frames"
     os.mkfifo(pipe)

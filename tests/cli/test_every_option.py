@@ -135,6 +135,7 @@ TASKS = {
     "decode": ("network.opening:open_stream", "pipeline.decoding:write_field"),
     "export": ("tasks.exchange:export",),
     "import": ("tasks.exchange:import_effect",),
+    "map": ("tasks.map:make_map",),
     "edit": ("tasks.editing:edit",),
     "splice": ("tasks.editing:splice",),
     "resample": ("tasks.editing:resample_file",),

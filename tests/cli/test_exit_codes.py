@@ -16,6 +16,7 @@ import pytest
 from PIL import Image
 from test_every_option import TASKS
 
+from map_makers import town, write_geojson
 from option_tables import ARGUMENTS
 from touchfield.cli.main import _exit_code
 from touchfield.codec.touch.spec import TouchSpec
@@ -42,6 +43,11 @@ WRITING = {
         "sphere.touch {out}.wav --trajectory hand.csv",
         "sphere.touch {out}.hjif --trajectory hand.csv",
         "sphere.touch {out}.html",
+    ),
+    "map": (
+        "town.geojson {out}.touch --no-labels",
+        "town.geojson new.touch --no-labels --svg {out}.svg",
+        "town.geojson new.touch --no-labels --stl {out}.stl",
     ),
     "edit": ("sphere.touch {out}.touch --operator gain:2", "sphere.touch {out}.npz --operator gain:2"),
     "splice": ("sphere.touch sphere.touch {out}.touch",),
@@ -70,6 +76,7 @@ READING = {
     "study": "run {in}.toml new-results --observer threshold=2",
     "correlate": "{in}.png sphere.touch",
     "import": "{in}.hjif new.touch",
+    "map": "{in}.geojson new.touch",
     "demux": "{in}.mp4 new.touch",
     "mux": "{in}.mp4 sphere.touch new.mp4",
     "serve": "{in} --port 0",
@@ -102,6 +109,7 @@ NOTHING_READ = {"data", "demo", "devices", "sources", "doctor", "warmup"}
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("refused")
     (path / "sphere.toml").write_text(SPHERE)
+    write_geojson(path / "town.geojson", *town())
     encode(path / "sphere.toml", path / "sphere.touch", EncodeSpec(nw=4, thickness_m=0.01))
     grid = Grid((8, 8, 8), (0.008,) * 3, (-0.028,) * 3)
     forces = np.random.default_rng(1).normal(size=(4, *grid.shape, 3)).astype(np.float32)

@@ -134,6 +134,7 @@ TYPER_INTERRUPTED = 130
 
 COMMANDS: Final = {
     **dict.fromkeys(("encode", "filter", "field", "plan"), "encode"),
+    "map": "map",
     "decode": "decode",
     **dict.fromkeys(("export", "import"), "encode"),
     **dict.fromkeys(("edit", "splice", "resample", "lod", "partition"), "editing"),

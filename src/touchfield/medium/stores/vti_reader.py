@@ -84,7 +84,7 @@ def _parse(path: Path) -> tuple[Element, bytes]:
         data = data[: match.end()] + b"</AppendedData></VTKFile>"
     try:
         root = ElementTree.fromstring(data)
-    except (ElementTree.ParseError, ValueError) as error:
+    except (ElementTree.ParseError, LookupError, ValueError) as error:  # LookupError: an unknown encoding
         raise SourceError(
             str(path), f"no VTK file ({reason(error)})", "VTK ImageData", "Copy the file again."
         ) from error

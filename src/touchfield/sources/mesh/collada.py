@@ -163,7 +163,7 @@ def _check_instances(path: Path, data: bytes) -> Counter[str]:
     parser.StartDoctypeDeclHandler = refuse
     try:
         parser.Parse(data, True)
-    except expat.ExpatError as error:
+    except (expat.ExpatError, LookupError, ValueError) as error:  # the latter of unknown encodings
         raise SourceError(str(path), f"no XML ({error})", "a whole COLLADA file") from error
     definitions.require_bounded(len(data))
     return tags

@@ -21,6 +21,8 @@ class Definitions:
     """The definitions of a file: the length of each, and those that it uses.
 
     where : str; The file, for messages.
+    max_size : int; What the root may expand to, in the unit of `sizes`; that of the file if it is longer.
+    unit : str; Name of that unit in messages.
 
     Attributes
     ----------
@@ -28,8 +30,8 @@ class Definitions:
     uses : dict of str to list of str; Names of the definitions that each uses, once for each instance.
     """
 
-    def __init__(self, where: str) -> None:
-        self._where = where
+    def __init__(self, where: str, max_size: int = _MAX_EXPANDED, unit: str = "bytes") -> None:
+        self._where, self._max_size, self._unit = where, max_size, unit
         self.sizes = defaultdict[str, int](int)
         self.uses = defaultdict[str, list[str]](list)
 
@@ -51,10 +53,9 @@ class Definitions:
             if cyclic is not None:
                 raise SourceError(self._where, f"{cyclic[-40:]!r} within itself", "a tree of objects")
             pending += missing
-        limit = max(_MAX_EXPANDED, file_bytes)
+        limit = max(self._max_size, file_bytes)
         if totals[ROOT] > limit or depths[ROOT] > _MAX_DEPTH:
-            found = (
-                f"instances of {float(totals[ROOT]):.3g} bytes, {depths[ROOT]} deep, in {file_bytes} bytes"
-            )
-            expected = f"at most {limit} bytes, {_MAX_DEPTH} deep"
+            size = f"{float(totals[ROOT]):.3g} {self._unit}, {depths[ROOT]} deep"
+            found = f"instances of {size}" + (f", in {file_bytes} bytes" if file_bytes else "")
+            expected = f"at most {limit} {self._unit}, {_MAX_DEPTH} deep"
             raise SourceError(self._where, found, expected, "Export fewer instances.")

@@ -209,7 +209,7 @@ def _elements(model: Path) -> list[tuple[str, dict[str, str]]]:
     try:
         with readable(model, "a model that can be read"):
             parser.Parse(model.read_bytes(), True)
-    except expat.ExpatError as error:
+    except (expat.ExpatError, LookupError, ValueError) as error:  # the latter of unknown encodings
         mend = "Check that place, or copy the file again."
         raise SourceError(str(model), f"no XML ({error})", "a whole MJCF model", mend) from error
     if elements[0][0] not in ("mujoco", "mujocoinclude"):

@@ -1,0 +1,251 @@
+"""`make_map`: a tactile map of a file of geographic data or a drawing, for a pin display or a force-feedback
+device, with a legend, and on request for swell paper and printers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from touchfield.arrays import Bools
+from touchfield.codec.touch.spec import TouchSpec
+from touchfield.devices import Device, device
+from touchfield.errors import InvalidArgument, SourceError, require_ending
+from touchfield.exchange.symbolic import ArrayEffect, effect_medium
+from touchfield.filters.device_spec import device_grid
+from touchfield.maps.braille import Braille
+from touchfield.maps.check import Checked, check
+from touchfield.maps.drawing import draw_report, relief_mm, write_stl, write_svg
+from touchfield.maps.features import MapSource
+from touchfield.maps.guidelines import PinRules, guidelines
+from touchfield.maps.labels import LegendLine, legend_lines, legend_pages
+from touchfield.maps.layout import Drawn, draw
+from touchfield.maps.pins import Window
+from touchfield.maps.reader import box_of, on_level, read_map
+from touchfield.pipeline.encoding import encode_prepared
+from touchfield.pipeline.preparation import prepare
+from touchfield.pipeline.provenance import file_provenance
+from touchfield.pipeline.source import FixedLatticeScene
+from touchfield.pipeline.spec import EncodeSpec
+from touchfield.sources.terrain.height_scene import HeightScene
+
+POINT_PITCH_MM: Final = 2.5
+"""Distance of the virtual pins on a device that is a point: that of pin displays."""
+POINT_HEIGHT_MM: Final = 4.0
+"""Height of symbols under the point of a device: our choice, above the spacing of its lattice of 2^6."""
+FRAME_RATE_HZ: Final = 1.0
+"""Of a medium of one frame."""
+
+
+@dataclass(frozen=True)
+class MapSpec:
+    """What is requested of a map.
+
+    device : str; Name of a profile, or the path of one.
+    box : four floats or None; West, south, east and north in degrees, or left, top, right and bottom of a
+        drawing; None is everything.
+    level : str or None; The floor of a building.
+    language : str; Of the Braille: a key of `touchfield.maps.braille.TABLES`, or a table of liblouis.
+    has_labels : bool; False draws symbols only.
+    """
+
+    device: str = "graphiti"
+    box: tuple[float, float, float, float] | None = None
+    level: str | None = None
+    language: str = "en"
+    has_labels: bool = True
+
+
+@dataclass(frozen=True)
+class MadeMap:
+    """A map that was made.
+
+    drawn : Drawn; What is on the pins.
+    checked : Checked; What the guidelines' check found.
+    pages : tuple of bool [rows, columns]; The legend.
+    lines : tuple of LegendLine; Its lines.
+    files : tuple of Path; Every file that was written.
+    figures : dict; Stable keys for people and programs.
+    notes : tuple of str
+    """
+
+    drawn: Drawn
+    checked: Checked
+    pages: tuple[Bools, ...]
+    lines: tuple[LegendLine, ...]
+    files: tuple[Path, ...]
+    figures: dict[str, Any]
+    notes: tuple[str, ...]
+
+    def summary(self) -> dict[str, Any]:
+        """Stable keys for people and programs."""
+        return dict(self.figures)
+
+    def draw(self, path: Path) -> None:
+        """Draw the pins and the legend as PNG; needs matplotlib."""
+        draw_report(path, self.drawn.layout, self.pages, self.lines, self.figures["title"])
+
+
+def legend_path(out: Path, page: int) -> Path:
+    """Return the file of a page of the legend, counted from 1, beside that of its map."""
+    return out.with_name(f"{out.stem}.legend-{page}{out.suffix}")
+
+
+def make_map(
+    source: str | Path,
+    out: str | Path,
+    spec: MapSpec | None = None,
+    *,
+    svg: str | Path | None = None,
+    stl: str | Path | None = None,
+) -> MadeMap:
+    """Make a tactile map.
+
+    `source` is GeoJSON, an extract of OpenStreetMap (``.osm``, ``.osm.pbf``) or an SVG drawing. `out` is a
+    medium of one frame for the device; the pages of its legend are ``OUT.legend-1.touch`` and so on. `svg`
+    is a drawing for swell paper, with the legend; `stl` a plate for printers.
+
+    Raises TouchfieldError if the source cannot be read, nothing can be drawn, or labels are requested and
+    liblouis is missing; no file is then left.
+    """
+    spec, path = spec or MapSpec(), Path(out)
+    require_ending(path, "OUT.touch")
+    target = device(spec.device)
+    rows, columns, rules = _pins_of(target)
+    read = read_map(source)
+    read = on_level(read, spec.level) if spec.level is not None else read
+    window = Window.around(*box_of(read, spec.box), rows, columns)
+    braille = _braille(read, spec, rules)
+    drawn = draw(read.features, window, rules, braille)
+    if not drawn.layout.symbols:
+        found = f"nothing that is large enough for {rows} x {columns} pins"
+        raise SourceError(str(source), found, "a feature of a line's or a symbol's size", _SMALLER)
+    lines = legend_lines(drawn.layout, drawn.labels, spec.language) if braille else ()
+    pages, page_notes = legend_pages(lines, braille, rows, columns, rules) if braille else ((), ())
+    files = _write(path, drawn, pages, target, source)
+    title = Path(source).name
+    if svg is not None:
+        write_svg(Path(svg), drawn.layout, pages, lines, title, read.attribution)
+        files += (Path(svg),)
+    if stl is not None:
+        write_stl(Path(stl), drawn.layout)
+        files += (Path(stl),)
+    checked = check(drawn.layout)
+    figures = _figures(read, window, target, drawn, checked, lines, files) | {"title": title}
+    pages_left_out = bool(pages) and not target.is_array
+    notes = _notes(read, drawn, checked, braille, pages_left_out=pages_left_out)
+    return MadeMap(drawn, checked, pages, lines, files, figures, (*notes, *page_notes))
+
+
+_SMALLER: Final = "Draw a smaller part: --box."
+
+
+def _pins_of(target: Device) -> tuple[int, int, PinRules]:
+    """Return rows and columns of pins of a device and the rules for them; virtual pins under a point."""
+    if not target.is_array:
+        columns, rows = (1 + math.floor(side / POINT_PITCH_MM) for side in target.workspace_mm[:2])
+        return rows, columns, PinRules(POINT_PITCH_MM)
+    if target.shows != "height" or target.pitch_mm is None:
+        raise InvalidArgument(
+            "device", f"{target.name}, an array of motors", "a pin display, or a point device"
+        )
+    return target.lattice[1], target.lattice[0], PinRules(target.pitch_mm)
+
+
+def _braille(read: MapSource, spec: MapSpec, rules: PinRules) -> Braille | None:
+    """Return the translator, or None if no labels are requested."""
+    if not spec.has_labels:
+        return None
+    if not rules.can_write_braille:
+        found = f"pins {rules.pitch_mm:g} mm apart"
+        raise InvalidArgument("labels", found, "the pitch of Braille, about 2.5 mm", "Use --no-labels.")
+    return Braille(spec.language)
+
+
+def _write(
+    path: Path, drawn: Drawn, pages: tuple[Bools, ...], target: Device, source: str | Path
+) -> tuple[Path, ...]:
+    if not target.is_array:
+        heights_mm, spacing_mm = relief_mm(drawn.layout, POINT_HEIGHT_MM, 0.0)
+        scene = HeightScene(heights_mm / 1000, (spacing_mm / 1000,) * 2, name=Path(source).name)
+        prepared = prepare(scene, EncodeSpec(device=target.name))
+        encode_prepared(prepared, path, file_provenance(source, prepared))
+        return (path,)
+    files = [path, *(legend_path(path, n + 1) for n in range(len(pages)))]
+    for file, pins in zip(files, (drawn.layout.raised, *pages)):
+        _write_pins(file, pins, target, source)
+    return tuple(files)
+
+
+def _write_pins(path: Path, pins: Bools, target: Device, source: str | Path) -> None:
+    """Write pins that are up or down as a medium of one frame."""
+    effect = ArrayEffect(FRAME_RATE_HZ, pins[None].astype(np.float32))
+    medium = effect_medium(effect, device_grid(target), target.force_max_n, {"format": "map"})
+    scene = FixedLatticeScene(medium, target, ())
+    spec = EncodeSpec(device=target.name, nw=None, touch=TouchSpec(mode="lossless"))
+    prepared = prepare(scene, spec)
+    encode_prepared(prepared, path, file_provenance(source, prepared))
+
+
+# -- report ------------------------------------------------------------------------------------------------
+def _figures(
+    read: MapSource,
+    window: Window,
+    target: Device,
+    drawn: Drawn,
+    checked: Checked,
+    lines: tuple[LegendLine, ...],
+    files: tuple[Path, ...],
+) -> dict[str, Any]:
+    pitch_mm = drawn.layout.rules.pitch_mm
+    scale = (
+        {} if read.unit_m is None else {"scale": f"1:{round(1000 * read.unit_m * window.step / pitch_mm)}"}
+    )
+    return {
+        "device": target.name,
+        "pins": f"{window.columns} x {window.rows}, {pitch_mm:g} mm apart",
+        **scale,
+        "features": len(read.features),
+        "drawn": {kind: f"{count} of {seen}" for kind, (seen, count) in drawn.counts.items()},
+        "pins_up": int(drawn.layout.raised.sum()),
+        "min_gap_mm": checked.min_gap_mm,
+        "required_gap_mm": float(guidelines()["gap_mm"].value),
+        "violations": len(checked.violations),
+        "labels": len(drawn.labels),
+        "legend": [{"shows": line.kind or "key", "text": line.text} for line in lines],
+        "unlabelled": list(drawn.unlabelled),
+        "attribution": read.attribution or None,
+        "files": [str(file) for file in files],
+    }
+
+
+def _notes(
+    read: MapSource,
+    drawn: Drawn,
+    checked: Checked,
+    braille: Braille | None,
+    *,
+    pages_left_out: bool,
+) -> tuple[str, ...]:
+    notes = [*read.notes, *drawn.notes]
+    notes += [
+        f"{seen - count} of {seen} {kind} are not drawn: too small, too close to others, or outside."
+        for kind, (seen, count) in drawn.counts.items()
+        if count < seen
+    ]
+    names = sum(bool(feature.name) for feature in read.features)
+    if braille is None and names:
+        notes.append(f"{names} names are not shown: --no-labels.")
+    if drawn.unlabelled:
+        shown = ", ".join(drawn.unlabelled[:8])
+        notes.append(f"{len(drawn.unlabelled)} names have no room on the map: {shown}.")
+    if braille is not None and braille.unknown:
+        unknown = ", ".join(sorted(braille.unknown)[:5])
+        notes.append(f"{braille.table} lacks letters of these texts, which are left out: {unknown}.")
+    if pages_left_out:
+        notes.append("A point device gets no pages of the legend: it is in this report, and in the --svg.")
+    notes += [f"Against the guidelines: {text}" for text in checked.violations]
+    return tuple(dict.fromkeys(notes))
