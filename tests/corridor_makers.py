@@ -85,8 +85,8 @@ class Corridor:
         shift = 0.0
         for middle, x in self.dodges:
             far = abs(z - middle)
-            if far < 2.2:
-                shift += x * 0.5 * (1 + math.cos(math.pi * min(1.0, max(0.0, (far - 0.6) / 1.6))))
+            if far < 1.7:
+                shift += x * 0.5 * (1 + math.cos(math.pi * min(1.0, max(0.0, (far - 0.4) / 1.3))))
         return shift
 
     def pose(self, time_s: float) -> np.ndarray:
@@ -97,14 +97,16 @@ class Corridor:
         z = self.speed_m_s * time_s
         x, ahead = self.path_x(z), self.path_x(z + 0.3)
         stride = 2 * math.pi * 0.9 * time_s
-        yaw = math.atan2(ahead - x, 0.3) + math.radians(4) * math.sin(stride)
+        yaw = 0.5 * math.atan2(ahead - x, 0.3) + math.radians(4) * math.sin(stride)
         yaw += math.radians(self.look_deg) * math.sin(2 * math.pi * time_s / 7.0)
         pitch = math.radians(self.pitch_deg + 2.0 * math.sin(2 * stride + 0.5))
         roll = math.radians(2.0 * math.sin(stride + 1.0))
         steps = np.linspace(z - 0.15, z + 0.15, 7)
         standing = float(np.mean(np.maximum(self.floor_m(np.full(7, x), steps), -0.0)))
         y = standing + self.camera_height_m + 0.02 * math.sin(2 * stride)
-        forward = np.array([math.sin(yaw) * math.cos(pitch), -math.sin(pitch), math.cos(yaw) * math.cos(pitch)])
+        forward = np.array(
+            [math.sin(yaw) * math.cos(pitch), -math.sin(pitch), math.cos(yaw) * math.cos(pitch)]
+        )
         right = np.array([math.cos(yaw), 0.0, -math.sin(yaw)])
         down = np.cross(right, forward)
         right, down = (
@@ -125,6 +127,13 @@ class Corridor:
 def as_pose(pose: np.ndarray) -> np.ndarray:
     """A pose of the corridor in right-handed axes (x to the left), as trackers give it."""
     return np.diag([-1.0, 1.0, 1.0, 1.0]) @ pose
+
+
+def small_turn(rng: np.random.Generator, deviation_deg: float) -> np.ndarray:
+    """A random rotation [3, 3], as an error of a tracker."""
+    x, y, z = np.radians(deviation_deg) * rng.normal(size=3)
+    q, r = np.linalg.qr(np.eye(3) + np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]))
+    return np.asarray(q * np.sign(np.diag(r)))
 
 
 def corridor(seed: int, seconds: float, half_width_m: float | None = None) -> Corridor:

@@ -135,7 +135,11 @@ class GroundFinder:
         if ground is None or not is_level or not heights_m[0] <= ground.height_m <= heights_m[1]:
             return None
         inliers = np.abs(low @ ground.up + ground.height_m) < _tolerance_m(low)
-        return ground if np.count_nonzero(inliers) >= max(_MIN_POINTS, _MIN_FRACTION * points[..., 0].size) else None
+        return (
+            ground
+            if np.count_nonzero(inliers) >= max(_MIN_POINTS, _MIN_FRACTION * points[..., 0].size)
+            else None
+        )
 
     def _planes(
         self, low: Float64s, expected_up: Float64s, tilt_deg: float, heights_m: tuple[float, float]
@@ -156,7 +160,10 @@ def _level_points(points: Float32s, up: Float64s, min_below_m: float) -> Float64
     """Return the points at least `min_below_m` below the camera whose surface is nearly level, [n, 3]."""
     known = points[..., 2] > 0
     s = _BASELINE_PX
-    along, down = points[s:-s, 2 * s :] - points[s:-s, : -2 * s], points[2 * s :, s:-s] - points[: -2 * s, s:-s]
+    along, down = (
+        points[s:-s, 2 * s :] - points[s:-s, : -2 * s],
+        points[2 * s :, s:-s] - points[: -2 * s, s:-s],
+    )
     is_whole = known[s:-s, 2 * s :] & known[s:-s, : -2 * s] & known[2 * s :, s:-s] & known[: -2 * s, s:-s]
     middle = points[s:-s, s:-s]
     is_low = is_whole & known[s:-s, s:-s] & (middle[..., 2] < _MAX_GROUND_M)

@@ -12,7 +12,7 @@ import math
 from collections import deque
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from touchfield.guidance.contact import ContactTimer, times_to_contact
 from touchfield.guidance.directions import (
     RANGE_M,
     azimuths_deg,
+    bins_of,
     in_the_way,
     min_points_of,
     nearest_m,
@@ -34,12 +35,16 @@ from touchfield.guidance.steps import HALF_WIDTH_M, GroundAhead, ground_ahead
 from touchfield.guidance.view import DepthView, known_points
 from touchfield.sources.camera import Intrinsics
 
+if TYPE_CHECKING:
+    from touchfield.guidance.memory import Memory
+
 MIN_KNOWN: Final = 0.25
 MIN_SEEN: Final = 0.5
 HOLD_S: Final = 1.0
 """How long a step is shown after it left the picture, without poses."""
 _MAX_JUMP_M: Final = 0.5
 """Larger changes of the position between frames are errors of the poses, and the memory starts anew."""
+_MARGIN_M: Final = 0.1  # for the noise of distances, and the frame that confirms a surface
 _HYSTERESIS_M: Final = 0.1
 
 
@@ -97,8 +102,7 @@ class Guide:
     ) -> None:
         self.spec = spec or GuideSpec()
         self.view = DepthView(intrinsics, width, height)
-        self.pose_jumps = 0
-        self._shape = (height, width)
+        self.shape = (height, width)
         self._finder = GroundFinder(self.spec)
         self._min_points = min_points_of(self.view.intrinsics.fx)
         self._near: deque[Bools] = deque(maxlen=3)
@@ -106,6 +110,11 @@ class Guide:
         self._held = _HeldSteps()
         self._timers = [ContactTimer() for _ in range(8)]
         self._track = _Track(self.view, self.spec)
+
+    @property
+    def pose_jumps(self) -> int:
+        """How often the position jumped, and the memory started anew."""
+        return self._track.jumps
 
     def update(self, depth_m: Float32s, time_s: float, pose: Float64s | None = None) -> Situation:
         """Return the situation of a picture.
@@ -119,8 +128,8 @@ class Guide:
         pose : float64 [4, 4], optional
             World from camera, metres. Without it, nothing is remembered that is not in the picture.
         """
-        if depth_m.shape != self._shape:
-            raise InvalidArgument("depth picture", f"shape {depth_m.shape}", f"{self._shape}")
+        if depth_m.shape != self.shape:
+            raise InvalidArgument("depth picture", f"shape {depth_m.shape}", f"{self.shape}")
         reduced = self.view.reduced_m(depth_m)
         points, is_known = known_points(self.view, reduced)
         known_fraction = float(is_known.mean())
@@ -154,12 +163,11 @@ class Guide:
 
     def _states(self, distances_m: Float64s, seen: Float64s) -> tuple[State, ...]:
         was_near = self._near[-1] if self._near else np.zeros(8, np.bool_)
-        limit_m = self.spec.warn_m + np.where(was_near, _HYSTERESIS_M, 0.0)
+        limit_m = self.spec.warn_m + _MARGIN_M + np.where(was_near, _HYSTERESIS_M, 0.0)
         self._near.append(distances_m < limit_m)
         is_near = np.sum(self._near, axis=0) >= min(2, len(self._near))
         known = np.where(seen >= MIN_SEEN, State.FREE, State.UNKNOWN)
-        # once seen in three frames and not confirmed, it is not free either
-        known[np.sum(self._near, axis=0) == 1] = State.UNKNOWN
+        known[np.sum(self._near, axis=0) == 1] = State.UNKNOWN  # seen once, and neither confirmed nor free
         return tuple(State(int(s)) for s in np.where(is_near, State.NEAR, known))
 
     def _confirmed_steps(self, ahead: GroundAhead) -> GroundAhead:
@@ -249,13 +257,16 @@ class _Track:
         from touchfield.guidance.memory import MIN_SAMPLES
 
         assert self._memory is not None and self.wearer_from_anchor is not None
-        points = self._memory.surface_points(self.wearer_from_anchor, now_s)
-        near = points[in_the_way(points, self._spec.head_m)]
-        near = near[np.hypot(near[:, 0], near[:, 2]) < min(RANGE_M, self._spec.warn_m + 0.3)]
-        return nearest_m(near, MIN_SAMPLES), self._memory.known_bins(self.wearer_from_anchor, now_s)
+        points, has_moved = self._memory.surface_points(self.wearer_from_anchor, now_s)
+        is_near = in_the_way(points, self._spec.head_m)
+        is_near &= np.hypot(points[:, 0], points[:, 2]) < min(RANGE_M, self._spec.warn_m + 0.3)
+        known = self._memory.known_bins(self.wearer_from_anchor, now_s)
+        # what moves is not where it was: there, nothing is known
+        known[np.unique(bins_of(azimuths_deg(points[is_near & has_moved])))] = False
+        return nearest_m(points[is_near & ~has_moved], MIN_SAMPLES), known
 
 
-def _memory_of(view: DepthView, spec: GuideSpec):  # type: ignore[no-untyped-def]
+def _memory_of(view: DepthView, spec: GuideSpec) -> Memory:
     from touchfield.guidance.memory import Memory  # needs compiled kernels
 
     return Memory(view, spec.memory_s)

@@ -34,6 +34,7 @@ MIN_SAMPLES: Final = np.full(50, 3.0)
 _BODY_ROWS: Final = slice(9, 24)  # samples from 0.3 to 1.5 m above the ground
 _RAY_M: Final = np.arange(0.3, 2.01, SPACING_M)
 _MIN_KNOWN: Final = 0.85
+_FEET_M, _MAX_RAISED_M, _MIN_FLOOR_SAMPLES = 0.4, 0.45, 8
 
 
 class Memory:
@@ -64,10 +65,14 @@ class Memory:
         bins = bins_of(azimuths_deg(self._columns(wearer_from_anchor)))
         self._seen_s.reshape(-1)[seen[bins]] = now_s
 
-    def surface_points(self, wearer_from_anchor: Float64s, now_s: float) -> Float32s:
-        """Return the points of remembered surfaces, float32 [n, 3], in the wearer's frame."""
+    def surface_points(self, wearer_from_anchor: Float64s, now_s: float) -> tuple[Float32s, Bools]:
+        """Return the points of remembered surfaces and which of them have moved.
+
+        They are float32 [n, 3] in the wearer's frame, and bool [n]. What lies below the wearer is floor: heights
+        are above that.
+        """
         if self._volume is None:
-            return np.empty((0, 3), np.float32)
+            return np.empty((0, 3), np.float32), np.empty(0, np.bool_)
         samples = self._volume.samples
         is_near = (samples.has_surface > 0) & (np.abs(samples.distance_m) <= 0.6 * SPACING_M)
         rows, inner = np.nonzero(is_near)
@@ -77,7 +82,9 @@ class Memory:
         normal = samples.normal[rows, :, inner]
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
         points = self._volume.grid.to_m(index) - normal * samples.distance_m[rows, inner, None]
-        return _moved(points, wearer_from_anchor)
+        placed = _moved(points, wearer_from_anchor)
+        placed[:, 1] -= _standing_m(placed)
+        return placed, samples.changes[rows, inner] > 0
 
     def known_bins(self, wearer_from_anchor: Float64s, now_s: float) -> Bools:
         """Return the directions of 5 degrees that are known up to 2 m or to a surface, bool [72]."""
@@ -134,6 +141,13 @@ class Memory:
         valid_x, valid_z = ((a >= 0) & (a < n) for a, n in zip((x, z), seen_s.shape, strict=True))
         seen_s[np.ix_(valid_x, valid_z)] = self._seen_s[np.ix_(x[valid_x], z[valid_z])]
         self._seen_s = seen_s
+
+
+def _standing_m(points: Float32s) -> float:
+    """Return the height of a raised floor below the wearer above the ground that is seen ahead; 0 if none."""
+    below = points[np.hypot(points[:, 0], points[:, 2]) < _FEET_M, 1]
+    below = below[(below > 0.05) & (below < _MAX_RAISED_M)]
+    return float(np.median(below)) if len(below) >= _MIN_FLOOR_SAMPLES else 0.0
 
 
 def _dense(samples: np.ndarray) -> np.ndarray:

@@ -71,11 +71,14 @@ class Patterns:
         for panel, column, direction in self._columns:
             state = situation.states[direction]
             if state == State.NEAR:
-                drives[panel, :upper, column] = self.strength(
+                near = drives[panel, :upper, column]
+                strength = self.strength(
                     float(situation.distances_m[direction]), float(situation.contact_s[direction])
                 )
+                np.maximum(near, strength, out=near)
             elif state == State.UNKNOWN and has_tick:
-                drives[panel, upper - 1, column] = _TICK_DRIVE
+                tick = drives[panel, upper - 1 : upper, column]
+                np.maximum(tick, _TICK_DRIVE, out=tick)
         low = drives[0, -1]
         np.maximum(low, self._ground_drive(situation, now_s, has_tick), out=low)
         return drives

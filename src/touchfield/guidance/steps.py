@@ -55,9 +55,7 @@ def ground_ahead(
     )
 
 
-def _drop_m(
-    ground: Ground, rays: Float32s, depth_m: Float32s, points: Float32s, step_m: float
-) -> float:
+def _drop_m(ground: Ground, rays: Float32s, depth_m: Float32s, points: Float32s, step_m: float) -> float:
     """Return the distance at which the ground is missing."""
     directions = rays @ ground.wearer_from_camera.T.astype(np.float32)
     with np.errstate(divide="ignore", invalid="ignore"):
