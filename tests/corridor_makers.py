@@ -2,8 +2,8 @@
 
 Walls, boxes, poles, people who stand or walk, raised floors and holes are axis-aligned boxes and upright
 cylinders, which are intersected with the rays of the pixels. The noise is that of a Kinect: normal with the
-deviation of Nguyen et al. 2012, quanta of 0.0029 1/m in the inverse depth, nothing nearer than 0.5 m or farther
-than 5 m, no depth in patches, at grazing angles and in the shadow beside near edges.
+deviation of Nguyen et al. 2012, quanta of 0.0029 1/m in the inverse depth, nothing nearer than 0.5 m or
+farther than 5 m, no depth in patches, at grazing angles and in the shadow beside near edges.
 """
 
 from __future__ import annotations
@@ -334,3 +334,11 @@ def floor_ahead(scene: Corridor, pose: np.ndarray) -> tuple[float, float]:
     is_up, is_down = (change > 0.08).all(axis=0), (change < -0.08).all(axis=0)
     up, down = (float(distances[np.argmax(a)]) if a.any() else math.inf for a in (is_up, is_down))
     return up, down
+
+
+def is_flat_around(scene: Corridor, pose: np.ndarray) -> bool:
+    """True if the floor has no step or drop from 0.8 m behind to 3.2 m ahead, 0.7 m to both sides."""
+    forward, right = heading(pose)
+    along, across = np.meshgrid(np.arange(-0.8, 3.2, 0.1), np.arange(-0.7, 0.71, 0.1))
+    points = pose[[0, 2], 3] + along[..., None] * forward + across[..., None] * right
+    return bool(np.ptp(scene.floor_m(points[..., 0], points[..., 1])) < 0.05)

@@ -3,8 +3,8 @@
 Direction i is the sector of 45 degrees that starts at -180 + 45 i degrees; 0 degrees is forward, and angles
 increase to the right. These are the eight columns of a vest with four columns in front and four behind.
 
-A surface counts where enough points lie within 20 cm of distance: single points are noise of the sensor, or lie
-at the edge between a near and a far surface.
+A surface counts where enough points lie within 20 cm of distance: single points are noise of the sensor, or
+lie at the edge between a near and a far surface.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ _OWN_BODY_M: Final = 0.2
 
 
 def azimuths_deg(points: Float32s) -> Float32s:
-    """Return the directions of points or rays [n, 3] in the wearer's frame, float32 [n], -180 to 180."""
+    """Return the directions of points or rays [n, 3] in the wearer's frame, float32 [n]."""
     return np.degrees(np.arctan2(points[:, 0], points[:, 2])).astype(np.float32)
 
 
 def bins_of(azimuth_deg: NDArray[np.floating]) -> Int64s:
     """Return the bins of 5 degrees of directions, int64, 0 to 71; nine consecutive ones are a sector."""
-    return np.floor((azimuth_deg + 180.0) / BIN_DEG).astype(np.int64) % BINS
+    return np.asarray(np.floor((azimuth_deg + 180.0) / BIN_DEG).astype(np.int64) % BINS)
 
 
 def in_the_way(points: Float32s, head_m: float) -> Bools:
@@ -79,7 +79,7 @@ def min_points_of(focal_px: float) -> Float64s:
     It is a tenth of the pixels of 10 x 50 cm, between 5 and 40. `focal_px` is the focal length in pixels.
     """
     middles_m = (np.arange(_CELLS) + 0.5) * _CELL_M
-    return np.clip(0.1 * 0.1 * 0.5 * (focal_px / middles_m) ** 2, 5.0, 40.0)
+    return np.asarray(np.clip(0.1 * 0.1 * 0.5 * (focal_px / middles_m) ** 2, 5.0, 40.0))
 
 
 def seen_bins(azimuth_deg: Float32s, is_known: Bools, is_useful: Bools) -> Bools:

@@ -1,14 +1,13 @@
 """Finds the plane of the ground in the points of a depth picture, and with it the wearer's frame.
 
-Points whose surface is nearly level are selected. Planes through three random ones are scored by the area of the
-points near them, less that of the points below (RANSAC; Fischler and Bolles 1981); the best is refined by least
-squares. A plane is the ground if it is
-nearly level and at a height that fits. What is level and fits is, in this order, what the last frame and the
-poses predict, or how the wearer carries the camera (`GuideSpec`). Without any ground for `MAX_LOST_S` the search
-starts anew.
+Points whose surface is nearly level are selected. Planes through three random ones are scored by the area of
+the points near them, less that of the points below (RANSAC; Fischler and Bolles 1981); the best is refined by
+least squares. A plane is the ground if it is nearly level and at a height that fits: what the last frame and
+the poses predict, or else how the wearer carries the camera (`GuideSpec`). Without any ground for `MAX_LOST_S`
+the search starts anew.
 
-The wearer's frame has x to the right, y up and z forward, where the camera looks (left-handed axes); its origin is
-the point of the ground below the camera.
+The wearer's frame has x to the right, y up and z forward, where the camera looks (left-handed axes); its origin
+is the point of the ground below the camera.
 """
 
 from __future__ import annotations
@@ -82,9 +81,9 @@ class GroundFinder:
     def find(self, points: Float32s, now_s: float, turn: Float64s | None = None) -> Ground:
         """Return the ground of a frame at the time `now_s`.
 
-        `points` float32 [height, width, 3] are in camera axes, 0 if unknown. `turn` float64 [3, 3] is the rotation of the axes of the
-        last frame to those of this one, if it is known. The ground that was seen last is returned while there
-        is none, then an assumed one.
+        `points` float32 [height, width, 3] are in camera axes, 0 if unknown. `turn` float64 [3, 3] is the
+        rotation of the axes of the last frame to those of this one, if it is known. The ground that was seen
+        last is returned while there is none, then an assumed one.
         """
         last = self._ground
         if last is not None and turn is not None:
@@ -135,11 +134,8 @@ class GroundFinder:
         if ground is None or not is_level or not heights_m[0] <= ground.height_m <= heights_m[1]:
             return None
         inliers = np.abs(low @ ground.up + ground.height_m) < _tolerance_m(low)
-        return (
-            ground
-            if np.count_nonzero(inliers) >= max(_MIN_POINTS, _MIN_FRACTION * points[..., 0].size)
-            else None
-        )
+        min_inliers = max(_MIN_POINTS, _MIN_FRACTION * points[..., 0].size)
+        return ground if np.count_nonzero(inliers) >= min_inliers else None
 
     def _planes(
         self, low: Float64s, expected_up: Float64s, tilt_deg: float, heights_m: tuple[float, float]
@@ -175,7 +171,7 @@ def _level_points(points: Float32s, up: Float64s, min_below_m: float) -> Float64
 
 def _tolerance_m(points: Float64s) -> Float64s:
     """Return how far a point of the ground may lie from its plane: the noise grows with the square."""
-    return _TOLERANCE_M + _NOISE_PER_M * points[:, 2] ** 2
+    return np.asarray(_TOLERANCE_M + _NOISE_PER_M * points[:, 2] ** 2)
 
 
 def _refined(points: Float64s, ground: Ground) -> Ground | None:

@@ -1,9 +1,9 @@
-"""The situation around a wearer, frame after frame: `Guide` applies the chain of the package to each picture.
+"""The situation around a wearer, frame after frame: `Guide` applies the chain of the package to pictures.
 
-A direction is *near* if a surface is nearer than `GuideSpec.warn_m` in two of the last three frames, *free* if at
-least half of it is seen or remembered and has no such surface, and else *unknown*: unknown is never free. A
-picture of which less than a quarter is known is *blind*: a depth camera returns nothing for what is nearer than
-its shortest range, so a blind picture may be a wall.
+A direction is *near* if a surface is nearer than `GuideSpec.warn_m` in two of the last three frames, *free* if
+at least half of it is seen or remembered and has no such surface, and else *unknown*: unknown is never free. A
+picture of which less than a quarter is known is *blind*: a depth camera returns nothing for what is nearer
+than its shortest range, so a blind picture may be a wall.
 """
 
 from __future__ import annotations
@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 
 MIN_KNOWN: Final = 0.25
 MIN_SEEN: Final = 0.5
+_REMEMBERED_HEIGHT_M: Final = 0.25
+"""Lower surfaces are not remembered as obstacles: a raised floor, and an error of the height."""
 HOLD_S: Final = 1.0
 """How long a step is shown after it left the picture, without poses."""
 _MAX_JUMP_M: Final = 0.5
@@ -240,7 +242,7 @@ class _Track:
         """Add a picture to the memory; returns False while there is no ground to which it refers."""
         if self._memory is None or not ground.is_seen:
             return False
-        wearer_from_camera = np.eye(4)
+        wearer_from_camera: Float64s = np.eye(4)
         wearer_from_camera[:3, :3] = ground.wearer_from_camera
         wearer_from_camera[1, 3] = ground.height_m
         if self._anchor_from_world is None:
@@ -258,7 +260,7 @@ class _Track:
 
         assert self._memory is not None and self.wearer_from_anchor is not None
         points, has_moved = self._memory.surface_points(self.wearer_from_anchor, now_s)
-        is_near = in_the_way(points, self._spec.head_m)
+        is_near = (points[:, 1] > _REMEMBERED_HEIGHT_M) & (points[:, 1] < self._spec.head_m)
         is_near &= np.hypot(points[:, 0], points[:, 2]) < min(RANGE_M, self._spec.warn_m + 0.3)
         known = self._memory.known_bins(self.wearer_from_anchor, now_s)
         # what moves is not where it was: there, nothing is known

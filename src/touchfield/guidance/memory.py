@@ -1,17 +1,18 @@
 """The world around the wearer that left the picture: the causal world of live senders
 (`touchfield.sources.depth.fused_scene`), in a box that moves along.
 
-A camera sees about 60 of 360 degrees. With the poses of the camera, its pictures are fused into the lattice of
-a `FusedVolume` of 5 x 2.5 x 5 m, which keeps a surface until a later picture looks through it, and knows where
-rays have passed. Here all bricks of the box exist, so that free space differs from unknown space. What was not
-in the picture for `GuideSpec.memory_s` is unknown again, since somebody may have come.
+A camera sees about 60 of 360 degrees. With the poses of the camera, its pictures are fused into the lattice
+of a `FusedVolume` of 5 x 2.5 x 5 m, which keeps a surface until a later picture looks through it, and knows
+where rays have passed. Here all bricks of the box exist, so that free space differs from unknown space. What
+was not in the picture for `GuideSpec.memory_s` is unknown again, since somebody may have come.
 """
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float32s, Float64s, Int64s
 from touchfield.guidance.directions import BIN_DEG, BINS, azimuths_deg, bins_of
@@ -68,8 +69,8 @@ class Memory:
     def surface_points(self, wearer_from_anchor: Float64s, now_s: float) -> tuple[Float32s, Bools]:
         """Return the points of remembered surfaces and which of them have moved.
 
-        They are float32 [n, 3] in the wearer's frame, and bool [n]. What lies below the wearer is floor: heights
-        are above that.
+        They are float32 [n, 3] in the wearer's frame, and bool [n]. What lies below the wearer is floor:
+        heights are above that.
         """
         if self._volume is None:
             return np.empty((0, 3), np.float32), np.empty(0, np.bool_)
@@ -96,7 +97,7 @@ class Memory:
         is_known = ((free[:, _BODY_ROWS] > 0).any(axis=1) | has_surface) & is_recent
         angles = np.radians((np.arange(BINS) + 0.5) * BIN_DEG - 180.0)
         rays = np.stack([np.sin(angles), np.zeros(BINS), np.cos(angles)], 1)
-        places = (rays[:, None] * _RAY_M[:, None]).reshape(-1, 3)
+        places = np.asarray(rays[:, None] * _RAY_M[:, None], np.float64).reshape(-1, 3)
         anchor = _moved(places, np.linalg.inv(wearer_from_anchor))
         index = np.rint(self._volume.grid.to_index(anchor)).astype(np.int64)
         index = np.clip(index, 0, np.array(self._volume.grid.shape) - 1)
@@ -134,13 +135,19 @@ class Memory:
         sources = self._bricks + moved
         is_shared = ((sources >= 0) & (sources < _BRICKS)).all(axis=1)
         rows = np.ravel_multi_index(tuple(sources[is_shared].T), _BRICKS)
-        for new, old in zip(after.samples, before.samples, strict=True):
+        for new, old in zip(_arrays(after), _arrays(before), strict=True):
             new[is_shared] = old[rows]
         seen_s = np.full_like(self._seen_s, -np.inf)
         x, z = (np.arange(n) + BRICK * int(m) for n, m in zip(seen_s.shape, moved[[0, 2]], strict=True))
         valid_x, valid_z = ((a >= 0) & (a < n) for a, n in zip((x, z), seen_s.shape, strict=True))
         seen_s[np.ix_(valid_x, valid_z)] = self._seen_s[np.ix_(x[valid_x], z[valid_z])]
         self._seen_s = seen_s
+
+
+def _arrays(volume: FusedVolume) -> tuple[NDArray[Any], ...]:
+    """Return the state of the samples, an array for each quantity [bricks, ...]."""
+    arrays: tuple[NDArray[Any], ...] = tuple(volume.samples)  # type: ignore[arg-type]
+    return arrays
 
 
 def _standing_m(points: Float32s) -> float:
@@ -150,13 +157,13 @@ def _standing_m(points: Float32s) -> float:
     return float(np.median(below)) if len(below) >= _MIN_FLOOR_SAMPLES else 0.0
 
 
-def _dense(samples: np.ndarray) -> np.ndarray:
+def _dense(samples: NDArray[Any]) -> NDArray[Any]:
     """Return samples [bricks, 512] as a lattice [x, y, z]."""
     nx, ny, nz = _BRICKS
     bricks = samples.reshape(nx, ny, nz, BRICK, BRICK, BRICK)
     return bricks.transpose(0, 3, 1, 4, 2, 5).reshape(nx * BRICK, ny * BRICK, nz * BRICK)
 
 
-def _moved(points: np.ndarray, pose: Float64s) -> Float32s:
+def _moved(points: NDArray[Any], pose: Float64s) -> Float32s:
     """Return points [n, 3] moved by a pose [4, 4], float32."""
     return np.asarray(points @ pose[:3, :3].T + pose[:3, 3], np.float32)

@@ -1,8 +1,7 @@
-"""Patterns of an array of actuators for a situation, so that each can be told from the others by where and how it
-vibrates.
+"""Patterns of an array of actuators for a situation: they differ by where and how the actuators vibrate.
 
-surface     The column of the direction, all rows but the lowest, without a pause: from 0.25 at the distance of
-            `GuideSpec.warn_m` to 0.5 at 0.5 m, and with the time to contact up to 1.
+surface     The column of the direction, all rows but the lowest, without a pause: from 0.25 at the distance
+            of `GuideSpec.warn_m` to 0.5 at 0.5 m, and with the time to contact up to 1.
 drop        The lowest row in front, 5 pulses a second.
 step up     The lowest row in front, 2 pulses a second.
 unknown     The column of the direction, one row above the lowest, a weak tick every 2 s; if no ground is

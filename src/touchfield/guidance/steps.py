@@ -2,8 +2,7 @@
 
 A *step up* is a surface from the least height of a step to `MAX_STEP_M` above the ground. A *drop* (a step
 down, a kerb, a hole) is seen where the ray of a pixel goes through the plane of the ground and meets something
-lower, or, at a wide edge, where the near ground ends: the place where the ray goes through the plane is where
-the ground is missing.
+lower: there the ground is missing.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from touchfield.arrays import Bools, Float32s
+from touchfield.arrays import Bools, Float32s, Int64s
 from touchfield.guidance.ground import Ground
 
 HALF_WIDTH_M: Final = 0.35
@@ -68,7 +67,7 @@ def _drop_m(ground: Ground, rays: Float32s, depth_m: Float32s, points: Float32s,
     return _nearest_m(crossings, through, np.zeros((_CELLS, _SIDE_CELLS), np.int64))
 
 
-def _cells(points: Float32s, is_selected: Bools) -> np.ndarray:
+def _cells(points: Float32s, is_selected: Bools) -> Int64s:
     """Count points in cells of 10 cm ahead and four columns across the way, int64 [30, 4]."""
     selected = points[is_selected]
     ahead = np.clip((selected[:, 2] / _CELL_M).astype(np.int64), 0, _CELLS - 1)
@@ -77,7 +76,7 @@ def _cells(points: Float32s, is_selected: Bools) -> np.ndarray:
     return np.bincount(cells, minlength=_CELLS * _SIDE_CELLS).reshape(_CELLS, _SIDE_CELLS)
 
 
-def _nearest_m(points: Float32s, is_selected: Bools, excluded: np.ndarray) -> float:
+def _nearest_m(points: Float32s, is_selected: Bools, excluded: Int64s) -> float:
     """Return the distance of the nearest cells that are wide enough and below nothing tall."""
     counts = _cells(points, is_selected)
     counts[:-1] += counts[1:]

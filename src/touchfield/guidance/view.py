@@ -1,7 +1,7 @@
 """Points of a depth picture, on every few pixels, and what of the picture is known.
 
-A picture is reduced to about 160 x 120 pixels: at 2 m these are 1.5 cm apart, and a frame is evaluated in a few
-milliseconds. Pixels are selected and not averaged, since a mean across an edge is a surface that is not there.
+A picture is reduced to about 160 x 120 pixels: at 2 m these are 1.5 cm apart, and a frame is evaluated in a
+few milliseconds. Pixels are selected and not averaged: a mean across an edge is a surface that is not there.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class DepthView:
 
 
 def known_points(view: DepthView, reduced_m: Float32s) -> tuple[Float32s, Bools]:
-    """Return the points of the known pixels, float32 [known, 3] in camera axes, and which pixels these are."""
+    """Return the points of the known pixels, float32 [known, 3], camera axes, and which pixels these are."""
     depth = reduced_m.reshape(-1)
     is_known = depth > 0
     return view.rays[is_known] * depth[is_known, None], is_known

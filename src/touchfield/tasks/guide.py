@@ -3,9 +3,9 @@
     frames (a thread) -> `Guide` (this thread) -> drives (a thread) -> device, log
 
 It is no mobility aid and replaces no cane. What is not known is never shown as free: without a new frame for
-`GuideSpec.timeout_s`, for a blind frame, and for one that reaches the actuators more than `MAX_DELAY_S` after it
-arrived, the warning pattern is shown for at least `WARNING_S`. The thread of the drives does not wait for the
-others, so that it warns while they hang; if the whole program hangs or dies, the device switches off by itself.
+`GuideSpec.timeout_s`, for a blind frame, and for one that reaches the actuators more than `MAX_DELAY_S` after
+it arrived, the warning pattern is shown for at least `WARNING_S`. The thread of the drives does not wait for
+the others, so that it warns while they hang; if the program hangs or dies, the device switches off by itself.
 """
 
 from __future__ import annotations
@@ -461,8 +461,8 @@ def columns(shape: tuple[int, int, int]) -> tuple[str, ...]:
     """Return the columns of a log for an array [panels, rows, columns].
 
     Seconds, frame (-1 before the first), reason of the warning or empty; for each direction its state
-    (unknown, free, near), distance and time to contact; distances of step and drop; height of the camera above
-    the ground, empty if it is assumed; and the drives, 0 to 1.
+    (unknown, free, near), distance and time to contact; distances of step and drop; height of the camera
+    above the ground, empty if it is assumed; and the drives, 0 to 1.
     """
     names = [name.replace(" ", "_") for name in DIRECTIONS]
     drives = [f"drive_{p}_{r}_{c}" for p in range(shape[0]) for r in range(shape[1]) for c in range(shape[2])]

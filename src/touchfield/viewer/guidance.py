@@ -31,7 +31,8 @@ class GuidanceRows(NamedTuple):
 def draw_guidance(path: Path, rows: GuidanceRows, names: Sequence[str], warn_m: float, title: str) -> None:
     """Draw the rows as a PNG: a line for each direction, the distances of steps and drops, and the warnings.
 
-    Surfaces are red, darker the nearer; unknown directions are grey. Raises `MissingExtra` without matplotlib.
+    Surfaces are red, darker the nearer; unknown directions are grey. Raises `MissingExtra` if matplotlib is
+    not installed.
     """
     figure = titled_figure("the picture of the guidance", title, 9.0, 5.2)
     from matplotlib.colors import LinearSegmentedColormap, to_rgb
