@@ -53,7 +53,7 @@ def in_the_way(points: Float32s, head_m: float) -> Bools:
 
 
 def nearest_m(points: Float32s, min_points: Float64s) -> Float64s:
-    """Return the distance of the nearest surface in each direction, metres, float64 [8]; inf if there is none.
+    """Return the distance of the nearest surface in each direction, metres, float64 [8]; inf without one.
 
     `points` float32 [n, 3] are those `in_the_way`. `min_points` float64 [50] is the least number of points of
     a surface by its distance, in steps of 10 cm (`min_points_of`).

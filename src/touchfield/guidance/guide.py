@@ -1,8 +1,8 @@
 """The situation around a wearer, frame after frame: `Guide` applies the chain of the package to pictures.
 
-A direction is *near* if a surface is nearer than `GuideSpec.warn_m` in two of the last three frames, *free* if
-at least half of it is seen or remembered and has no such surface, and else *unknown*: unknown is never free. A
-picture of which less than a quarter is known is *blind*: a depth camera returns nothing for what is nearer
+A direction is *near* if a surface is nearer than `GuideSpec.warn_m` in two of the last three frames, *free*
+if at least half of it is seen or remembered and has no such surface, and else *unknown*: unknown is never
+free. A picture of which less than a quarter is known is *blind*: a depth camera returns nothing for what is nearer
 than its shortest range, so a blind picture may be a wall.
 """
 

@@ -1,8 +1,8 @@
 """Steps and holes of the ground ahead, within the width of the wearer.
 
 A *step up* is a surface from the least height of a step to `MAX_STEP_M` above the ground. A *drop* (a step
-down, a kerb, a hole) is seen where the ray of a pixel goes through the plane of the ground and meets something
-lower: there the ground is missing.
+down, a kerb, a hole) is seen where the ray of a pixel goes through the plane of the ground and meets
+something lower: there the ground is missing.
 """
 
 from __future__ import annotations
