@@ -18,13 +18,12 @@ _SOURCE: Final = (
     "Folder or file of depth pictures (docs/depth-sequences.md); or camera:N (a depth camera, by OpenCV), "
     "watch:FOLDER (pictures that are put there), - (PNG pictures on standard input)."
 )
+_READ: Final = (
+    "depth_scale", "intrinsics", "poses", "pose_form", "depth_encoding", "topic", "source_rate_hz",
+)  # fmt: skip
 _SCENE: Final = (
     *rows("Scene", ("as", str | None, None, "Kind of the source, where it is not recognised.")),
-    *rows_of(
-        SourceOptions,
-        "Scene",
-        *("depth_scale", "intrinsics", "poses", "pose_form", "depth_encoding", "topic", "source_rate_hz"),
-    ),
+    *rows_of(SourceOptions, "Scene", *_READ),
 )
 
 
@@ -46,7 +45,7 @@ def guide(
     check_results((source,), log, plot=plot)
     spec = GuideSpec(**fields_of(GuideSpec, options))
     settings = GuideRun(**fields_of(GuideRun, options), guide=spec)
-    read = SourceOptions(kind=options["as"], world="frames", **fields_of(SourceOptions, options))
+    read = SourceOptions(kind=options["as"], world="frames", **{name: options[name] for name in _READ})
     shown = Rows()
     figures, notes = run(
         source,

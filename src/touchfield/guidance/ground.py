@@ -1,10 +1,9 @@
 """Finds the plane of the ground in the points of a depth picture, and with it the wearer's frame.
 
-Points whose surface is nearly level are selected. Planes through three random ones are scored by the area of
-the points near them, less that of the points below (RANSAC; Fischler and Bolles 1981); the best is refined by
-least squares. A plane is the ground if it is nearly level and at a height that fits: what the last frame and
-the poses predict, or else how the wearer carries the camera (`GuideSpec`). Without any ground for
-`MAX_LOST_S` the search starts anew.
+Points whose surface is nearly level are selected. Planes through three random ones are scored by the points
+near them, less those below (RANSAC; Fischler and Bolles 1981); the best is refined by least squares. A plane is
+the ground if it is nearly level and at a height that fits: what the last frame and the poses predict, or else
+how the wearer carries the camera (`GuideSpec`). Without any ground for `MAX_LOST_S` the search starts anew.
 
 The wearer's frame has x to the right, y up and z forward, where the camera looks (left-handed axes); its
 origin is the point of the ground below the camera.
@@ -125,9 +124,9 @@ class GroundFinder:
             return None
         above_m = some @ ups.T + heights
         tolerance_m = _tolerance_m(some)[:, None]
-        area = (some[:, 2] ** 2)[:, None]  # of a pixel, but for the angle at which it is seen
-        scores = ((np.abs(above_m) < tolerance_m) * area).sum(axis=0)
-        scores -= _BELOW_WEIGHT * ((above_m < -2 * tolerance_m) * area).sum(axis=0)
+        weight = 1 / some[:, 2:]  # the wearer stands on the nearest of two grounds
+        scores = ((np.abs(above_m) < tolerance_m) * weight).sum(axis=0)
+        scores -= _BELOW_WEIGHT * ((above_m < -2 * tolerance_m) * weight).sum(axis=0)
         best = int(np.argmax(scores))
         ground = _refined(low, Ground(ups[best], float(heights[best])))
         is_level = ground is not None and ground.up @ expected_up >= math.cos(math.radians(tilt_deg))

@@ -2,8 +2,8 @@
 
 A direction is *near* if a surface is nearer than `GuideSpec.warn_m` in two of the last three frames, *free*
 if at least half of it is seen or remembered and has no such surface, and else *unknown*: unknown is never
-free. A picture of which less than a quarter is known is *blind*: a depth camera returns nothing for what is nearer
-than its shortest range, so a blind picture may be a wall.
+free. A picture of which less than a quarter is known is *blind*: a depth camera returns nothing for what is
+nearer than its shortest range, so a blind picture may be a wall.
 """
 
 from __future__ import annotations
@@ -135,7 +135,10 @@ class Guide:
         reduced = self.view.reduced_m(depth_m)
         points, is_known = known_points(self.view, reduced)
         known_fraction = float(is_known.mean())
+        jumps = self.pose_jumps
         turn = self._track.turn(pose)
+        if self.pose_jumps > jumps:
+            self._forget()
         if known_fraction < MIN_KNOWN:
             return self._blind(time_s, known_fraction)
         grid = (self.view.rays * reduced.reshape(-1, 1)).reshape(*self.view.size_px, 3)
@@ -177,6 +180,12 @@ class Guide:
         self._ahead.append(ahead)
         middle = [sorted(values)[min(1, len(values) - 1)] for values in zip(*self._ahead, strict=True)]
         return GroundAhead(*middle)
+
+    def _forget(self) -> None:
+        """Forget the last frames, which were seen from elsewhere."""
+        self._near.clear()
+        self._ahead.clear()
+        self._held = _HeldSteps()
 
     def _blind(self, time_s: float, known_fraction: float) -> Situation:
         """Return the situation of a picture in which hardly anything is known."""

@@ -242,7 +242,8 @@ def _array_of(run: GuideRun) -> tuple[Device, ArrayDevice | None]:
             return profile, None
         kind = next((kind for kind in array_kinds() if kind.profile == named.name), None)
         if kind is None:
-            drivers = ", ".join(kind.form for kind in array_kinds())
+            forces = [kind for kind in array_kinds() if device(str(kind.profile)).shows == "force"]
+            drivers = ", ".join(kind.form for kind in forces)
             hint = f"Name the driver, with --profile {named.name}; or add --offline."
             raise InvalidArgument("--device", f"{text}, a profile without a driver of its own", drivers, hint)
         text = kind.name
@@ -268,6 +269,7 @@ def _run_offline(
     show: Callable[[float, Shown], None],
 ) -> None:
     """Evaluate each frame; the delay is the time of the evaluation."""
+    _warm(evaluate, sequence)
     limit_s = math.inf if run.seconds is None else run.seconds
     for number in range(sequence.frame_count):
         time_s = number / sequence.rate_hz
