@@ -96,4 +96,4 @@ def seen_bins(azimuth_deg: Float32s, is_known: Bools, is_useful: Bools) -> Bools
 
 def seen_fraction(bins: Bools) -> Float64s:
     """Return the fraction of each direction that is seen, float64 [8]."""
-    return bins.reshape(8, BINS_PER_SECTOR).mean(axis=1)
+    return np.asarray(bins.reshape(8, BINS_PER_SECTOR).mean(axis=1))

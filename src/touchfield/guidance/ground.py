@@ -1,9 +1,10 @@
 """Finds the plane of the ground in the points of a depth picture, and with it the wearer's frame.
 
 Points whose surface is nearly level are selected. Planes through three random ones are scored by the points
-near them, less those below (RANSAC; Fischler and Bolles 1981); the best is refined by least squares. A plane is
-the ground if it is nearly level and at a height that fits: what the last frame and the poses predict, or else
-how the wearer carries the camera (`GuideSpec`). Without any ground for `MAX_LOST_S` the search starts anew.
+near them, less those below (RANSAC; Fischler and Bolles 1981); the best is refined by least squares. A plane
+is the ground if it is nearly level and at a height that fits: what the last frame and the poses predict, or
+else how the wearer carries the camera (`GuideSpec`). Without any ground for `MAX_LOST_S` the search starts
+anew.
 
 The wearer's frame has x to the right, y up and z forward, where the camera looks (left-handed axes); its
 origin is the point of the ground below the camera.

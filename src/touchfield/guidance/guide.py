@@ -258,7 +258,7 @@ class _Track:
             self._anchor_from_world = wearer_from_camera @ np.linalg.inv(pose)
         anchor_from_camera = self._anchor_from_world @ pose
         self.wearer_from_anchor = wearer_from_camera @ np.linalg.inv(anchor_from_camera)
-        position_m = np.linalg.inv(self.wearer_from_anchor)[:3, 3]
+        position_m = np.asarray(np.linalg.inv(self.wearer_from_anchor)[:3, 3], np.float64)
         self._memory.add(reduced_m, anchor_from_camera, position_m)
         self._memory.mark_seen(self.wearer_from_anchor, bins, now_s)
         return True

@@ -98,7 +98,7 @@ class Memory:
         angles = np.radians((np.arange(BINS) + 0.5) * BIN_DEG - 180.0)
         rays = np.stack([np.sin(angles), np.zeros(BINS), np.cos(angles)], 1)
         places = np.asarray(rays[:, None] * _RAY_M[:, None], np.float64).reshape(-1, 3)
-        anchor = _moved(places, np.linalg.inv(wearer_from_anchor))
+        anchor = _moved(places, np.asarray(np.linalg.inv(wearer_from_anchor)))
         index = np.rint(self._volume.grid.to_index(anchor)).astype(np.int64)
         index = np.clip(index, 0, np.array(self._volume.grid.shape) - 1)
         known = is_known[index[:, 0], index[:, 2]].reshape(BINS, -1)
@@ -111,7 +111,7 @@ class Memory:
         if self._volume is None:
             return np.zeros((self._seen_s.size, 3), np.float32)
         x, z = np.meshgrid(self._volume.grid.axis_m(0), self._volume.grid.axis_m(2), indexing="ij")
-        columns = np.stack([x.reshape(-1), np.zeros(x.size), z.reshape(-1)], 1)
+        columns: Float64s = np.stack([x.reshape(-1), np.zeros(x.size), z.reshape(-1)], 1)
         return _moved(columns, wearer_from_anchor)
 
     def _centred(self, position_m: Float64s) -> FusedVolume:
@@ -146,7 +146,7 @@ class Memory:
 
 def _arrays(volume: FusedVolume) -> tuple[NDArray[Any], ...]:
     """Return the state of the samples, an array for each quantity [bricks, ...]."""
-    arrays: tuple[NDArray[Any], ...] = tuple(volume.samples)  # type: ignore[arg-type]
+    arrays: tuple[NDArray[Any], ...] = tuple(volume.samples)
     return arrays
 
 
