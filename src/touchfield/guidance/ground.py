@@ -166,7 +166,7 @@ def _level_points(points: Float32s, up: Float64s, min_below_m: float) -> Float64
     is_low &= middle @ up.astype(np.float32) < -min_below_m
     normals = np.cross(down[is_low], along[is_low]).astype(np.float64)
     cosines = normals @ up / np.maximum(np.linalg.norm(normals, axis=1), 1e-9)
-    return middle[is_low][np.abs(cosines) > _LEVEL_COSINE].astype(np.float64)
+    return np.asarray(middle[is_low][np.abs(cosines) > _LEVEL_COSINE], np.float64)
 
 
 def _tolerance_m(points: Float64s) -> Float64s:
