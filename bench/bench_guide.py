@@ -11,9 +11,10 @@ errors of 5 mm and 0.2 degrees, and 1 % of the frames are blind.
 *in view*: of the obstacles with at least 15 of these pixels and their nearest visible point within 2 m, the
 share of frames in which the direction (one of eight) of that point is near, at its distance or nearer.
 *remembered*: the same for the nearest point of obstacles that stood still and left the picture within 10 s.
-*shown free* is the share of these that are free, which must never happen; the rest is unknown. A *false
-alarm* starts where a direction becomes near and no surface lies within 2.3 m in it, by up to 3 degrees and
-0.1 s. The baseline is the smallest depth in the columns of each direction, without removal of the ground.
+*shown free* is the share of these that are free, which must never happen; the rest is unknown. *Surfaces* are
+the directions, of all eight, with any surface within 1.8 m, the walls and what was never seen included. A
+*false alarm* starts where a direction becomes near and no surface lies within 2.3 m in it, by up to 3 degrees
+and 0.1 s. The baseline is the smallest depth in the columns of each direction, with the ground.
 
 Delay: pictures of 640 x 480 in a folder, shown at 30 Hz, and a device that receives OSC on this machine. TUM
 and ICL-NUIM (optional inputs): shares of the states; for ICL, whose depth is exact, also with the noise of a
@@ -44,6 +45,7 @@ import corridor_makers as makers
 
 SIZE, CAMERA = makers.REDUCED, makers.kinect(makers.REDUCED)
 RATE_HZ, RANGE_M, FAR_M, MIN_PIXELS = makers.RATE_HZ, 2.0, 2.3, 15
+CLOSE_M = 1.8
 REMEMBERED_FRAMES = round(9.5 * RATE_HZ)
 WINDOW = 3
 """Frames by which an alarm may outlast what caused it: 0.1 s."""
@@ -58,6 +60,7 @@ class Tally:
     def __init__(self) -> None:
         self.counts: dict[str, list[int]] = {}
         self.false_alarms = 0
+        self.surfaces = np.zeros(3, int)  # directions with a surface within 1.8 m: all, near, free
         self._was_false = np.zeros(8, bool)
 
     def add(self, name: str, state: State, is_found: bool) -> None:
@@ -161,8 +164,15 @@ class Walk:
         wide = np.concatenate([plan[-NEIGHBOURS_DEG:], plan, plan[:NEIGHBOURS_DEG]])
         truth = np.array([wide[45 * s : 45 * s + 45 + 2 * NEIGHBOURS_DEG].min() for s in range(8)])
         self._truths = [*self._truths[-WINDOW:], truth]
+        inside = slice(NEIGHBOURS_DEG, 45 - NEIGHBOURS_DEG)
+        has_surface = plan.reshape(8, 45)[:, inside].min(axis=1) < CLOSE_M
         for name, (states, _) in found.items():
-            self.tallies[name].add_alarms(states == State.NEAR, np.min(self._truths, axis=0))
+            tally = self.tallies[name]
+            tally.add_alarms(states == State.NEAR, np.min(self._truths, axis=0))
+            tally.surfaces += [
+                np.count_nonzero(has_surface & is_state)
+                for is_state in (states >= 0, states == State.NEAR, states == State.FREE)
+            ]
 
     def add_ground(self, situation: Situation, pose: np.ndarray) -> None:
         """Count steps up and drops from 0.8 to 1.9 m ahead, and those reported where there is none."""
@@ -201,6 +211,7 @@ def corridors(count: int, seconds: float) -> Figures:
             for key, cases in walk.tallies[name].counts.items():
                 totals[key] = totals.get(key, np.zeros(3, int)) + cases
         alarms = sum(walk.tallies[name].false_alarms for walk in walks)
+        surfaces = np.sum([walk.tallies[name].surfaces for walk in walks], axis=0)
         figures[name] = {
             **{key: share(totals[key], 1) for key in sorted(totals)},
             **{
@@ -208,6 +219,8 @@ def corridors(count: int, seconds: float) -> Figures:
                 for key in ("in view", "remembered")
                 if key in totals
             },
+            "surfaces, near": share(surfaces, 1),
+            "surfaces, shown free": share(surfaces, 2),
             "in view, frames": int(totals["in view"][0]) if "in view" in totals else 0,
             "false alarms a minute": alarms / minutes,
         }
@@ -320,6 +333,8 @@ def bars(figures: Figures) -> list[Bar]:
         at_least("obstacles in view within 2 m in the right direction", figure(walk, "in view"), 0.95),
         at_least("the same without poses", figure(alone, "in view"), 0.95),
         at_most("obstacles in view that are shown free", figure(walk, "in view, shown free"), 0.01),
+        at_most("surfaces that are shown free, with poses", figure(walk, "surfaces, shown free"), 0.01),
+        at_most("the same without poses", figure(alone, "surfaces, shown free"), 0.01),
         at_most("false alarms, with poses", figure(walk, "false alarms a minute"), 1.0, "/min"),
         at_most("false alarms, without poses", figure(alone, "false alarms a minute"), 1.0, "/min"),
         at_least("drops from 0.8 to 1.9 m ahead", figure(figures, "corridor", "drop", "found"), 0.95),

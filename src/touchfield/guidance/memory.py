@@ -2,9 +2,9 @@
 (`touchfield.sources.depth.fused_scene`), in a box that moves along.
 
 A camera sees about 60 of 360 degrees. With the poses of the camera, its pictures are fused into the lattice
-of a `FusedVolume` of 5 x 2.5 x 5 m, which keeps a surface until a later picture looks through it, and knows
-where rays have passed. Here all bricks of the box exist, so that free space differs from unknown space. What
-was not in the picture for `GuideSpec.memory_s` is unknown again, since somebody may have come.
+of a `FusedVolume` of 7.7 x 2.6 x 7.7 m, which keeps a surface until a later picture looks through it, and
+knows where rays have passed. Here all bricks of the box exist, so that free space differs from unknown space.
+What was not in the picture for `GuideSpec.memory_s` is unknown again, since somebody may have come.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from touchfield.sources.depth.kernels.planes import surface_planes
 from touchfield.sources.laws import ForceProfile
 
 SPACING_M: Final = 0.08
-_BRICKS: Final = (8, 4, 8)
+_BRICKS: Final = (12, 4, 12)
 _FLOOR_M: Final = -0.4  # lowest sample: a hole in the ground
 _BRICK_M: Final = SPACING_M * BRICK
 _WALL: Final = ForceProfile(((-2 * SPACING_M, SPACING_M, 1.0, 0.0),))
@@ -34,7 +34,7 @@ MIN_SAMPLES: Final = np.full(50, 3.0)
 """Least number of samples of a surface, at any distance (`directions.nearest_m`)."""
 _BODY_ROWS: Final = slice(9, 24)  # samples from 0.3 to 1.5 m above the ground
 _RAY_M: Final = np.arange(0.3, 2.01, SPACING_M)
-_MIN_KNOWN: Final = 0.85
+_MIN_KNOWN: Final = 0.95
 _FEET_M, _MAX_RAISED_M, _MIN_FLOOR_SAMPLES = 0.4, 0.45, 8
 
 
@@ -107,7 +107,7 @@ class Memory:
         return np.asarray((known & before).sum(axis=1) >= _MIN_KNOWN * counted)
 
     def _columns(self, wearer_from_anchor: Float64s) -> Float32s:
-        """Return the positions of all columns of the lattice, float32 [64 * 64, 3], wearer's frame."""
+        """Return the positions of all columns of the lattice, float32 [n, 3], wearer's frame."""
         if self._volume is None:
             return np.zeros((self._seen_s.size, 3), np.float32)
         x, z = np.meshgrid(self._volume.grid.axis_m(0), self._volume.grid.axis_m(2), indexing="ij")

@@ -60,5 +60,5 @@ def draw_guidance(path: Path, rows: GuidanceRows, names: Sequence[str], warn_m: 
         ("warning", _WARNING),
     ):
         top.plot([], [], "s", color=colour, label=label)
-    top.legend(loc="upper right", fontsize=8)
+    top.legend(loc="upper left", fontsize=8)
     write_png(figure, path)
