@@ -233,7 +233,7 @@ class _Track:
         self._view, self._spec = view, spec
         self._pose: Float64s | None = None
         self._anchor_from_world: Float64s | None = None
-        self._memory = None if spec.memory_s == 0 else _memory_of(view, spec)
+        self._memory: Memory | None = None  # made with the first pose, since it needs compiled kernels
 
     def turn(self, pose: Float64s | None) -> Float64s | None:
         """Return the rotation of the last frame's camera axes to those of this pose; None if unknown."""
@@ -243,14 +243,18 @@ class _Track:
         if np.linalg.norm(pose[:3, 3] - last[:3, 3]) > _MAX_JUMP_M:
             self.jumps += 1
             self._anchor_from_world = self.wearer_from_anchor = None
-            self._memory = None if self._memory is None else _memory_of(self._view, self._spec)
+            self._memory = None
             return None
         return np.asarray(pose[:3, :3].T @ last[:3, :3])
 
     def add(self, reduced_m: Float32s, pose: Float64s, ground: Ground, bins: Bools, now_s: float) -> bool:
         """Add a picture to the memory; returns False while there is no ground to which it refers."""
-        if self._memory is None or not ground.is_seen:
+        if self._spec.memory_s == 0 or not ground.is_seen:
             return False
+        if self._memory is None:
+            from touchfield.guidance.memory import Memory
+
+            self._memory = Memory(self._view, self._spec.memory_s)
         wearer_from_camera: Float64s = np.eye(4)
         wearer_from_camera[:3, :3] = ground.wearer_from_camera
         wearer_from_camera[1, 3] = ground.height_m
@@ -275,9 +279,3 @@ class _Track:
         # what moves is not where it was: there, nothing is known
         known[np.unique(bins_of(azimuths_deg(points[is_near & has_moved])))] = False
         return nearest_m(points[is_near & ~has_moved], MIN_SAMPLES), known
-
-
-def _memory_of(view: DepthView, spec: GuideSpec) -> Memory:
-    from touchfield.guidance.memory import Memory  # needs compiled kernels
-
-    return Memory(view, spec.memory_s)
