@@ -238,6 +238,8 @@ class _Track:
     def turn(self, pose: Float64s | None) -> Float64s | None:
         """Return the rotation of the last frame's camera axes to those of this pose; None if unknown."""
         last, self._pose = self._pose, pose
+        if pose is None:
+            self.wearer_from_anchor = None
         if pose is None or last is None:
             return None
         if np.linalg.norm(pose[:3, 3] - last[:3, 3]) > _MAX_JUMP_M:
@@ -254,7 +256,7 @@ class _Track:
         if self._memory is None:
             from touchfield.guidance.memory import Memory
 
-            self._memory = Memory(self._view, self._spec.memory_s)
+            self._memory = Memory(self._view, self._spec.memory_s, self._spec.warn_m)
         wearer_from_camera: Float64s = np.eye(4)
         wearer_from_camera[:3, :3] = ground.wearer_from_camera
         wearer_from_camera[1, 3] = ground.height_m

@@ -33,7 +33,6 @@ _IJK: Final = np.indices((BRICK,) * 3).reshape(3, -1).T  # [512, 3]
 MIN_SAMPLES: Final = np.full(50, 3.0)
 """Least number of samples of a surface, at any distance (`directions.nearest_m`)."""
 _BODY_ROWS: Final = slice(9, 24)  # samples from 0.3 to 1.5 m above the ground
-_RAY_M: Final = np.arange(0.3, 2.01, SPACING_M)
 _MIN_KNOWN: Final = 0.95
 _FEET_M, _MAX_RAISED_M, _MIN_FLOOR_SAMPLES = 0.4, 0.45, 8
 
@@ -41,10 +40,12 @@ _FEET_M, _MAX_RAISED_M, _MIN_FLOOR_SAMPLES = 0.4, 0.45, 8
 class Memory:
     """Surfaces and free space around the wearer, in axes with y up.
 
-    `view` is the reduced camera, `memory_s` the time after which what is not in the picture is forgotten.
+    `view` is the reduced camera, `memory_s` the time after which what is not in the picture is forgotten, and
+    `warn_m` the distance up to which a direction must be known to be free, at most 3.5 m.
     """
 
-    def __init__(self, view: DepthView, memory_s: float) -> None:
+    def __init__(self, view: DepthView, memory_s: float, warn_m: float) -> None:
+        self._ray_m = np.arange(0.3, warn_m + 0.01, SPACING_M)
         self._view, self._memory_s = view, memory_s
         self._step_per_m: float | None = None
         self._bricks = np.stack(np.unravel_index(np.arange(np.prod(_BRICKS)), _BRICKS), 1).astype(np.int32)
@@ -88,7 +89,7 @@ class Memory:
         return placed, samples.changes[rows, inner] > 0
 
     def known_bins(self, wearer_from_anchor: Float64s, now_s: float) -> Bools:
-        """Return the directions of 5 degrees that are known up to 2 m or to a surface, bool [72]."""
+        """Return the directions of 5 degrees that are known up to `warn_m` or to a surface, bool [72]."""
         if self._volume is None:
             return np.zeros(BINS, np.bool_)
         surface, free = (_dense(a) for a in (self._volume.samples.has_surface, self._volume.samples.free))
@@ -97,7 +98,7 @@ class Memory:
         is_known = ((free[:, _BODY_ROWS] > 0).any(axis=1) | has_surface) & is_recent
         angles = np.radians((np.arange(BINS) + 0.5) * BIN_DEG - 180.0)
         rays = np.stack([np.sin(angles), np.zeros(BINS), np.cos(angles)], 1)
-        places = np.asarray(rays[:, None] * _RAY_M[:, None], np.float64).reshape(-1, 3)
+        places = np.asarray(rays[:, None] * self._ray_m[:, None], np.float64).reshape(-1, 3)
         anchor = _moved(places, np.asarray(np.linalg.inv(wearer_from_anchor)))
         index = np.rint(self._volume.grid.to_index(anchor)).astype(np.int64)
         index = np.clip(index, 0, np.array(self._volume.grid.shape) - 1)

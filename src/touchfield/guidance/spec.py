@@ -33,7 +33,7 @@ class GuideSpec:
 
     def __post_init__(self) -> None:
         require_kinds(self, first_column=SIDES)
-        require_between(0.5, 4.0, warn_m=self.warn_m)
+        require_between(0.5, 3.5, warn_m=self.warn_m)  # the box of the memory reaches 3.8 m
         require_between(0.5, 30.0, contact_s=self.contact_s)
         require_between(0.04, 0.5, step_m=self.step_m)
         require_between(0.5, 3.0, head_m=self.head_m)
