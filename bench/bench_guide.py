@@ -27,6 +27,8 @@ import math
 import resource
 import socket
 import sys
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import process_time
@@ -35,6 +37,7 @@ from typing import Any
 import numpy as np
 
 from machine import SHARED, Bar, Figures, at_least, at_most, bench, figure
+from touchfield.compute.threads import worker_count
 from touchfield.guidance import Guide, GuideSpec, Situation
 from touchfield.guidance.guide import State
 from touchfield.sources.options import SourceOptions
@@ -102,10 +105,13 @@ class Walk:
         self._was_false_ground = [False, False]
         self.processor_s = dict.fromkeys(self.guides, 0.0)
 
-    def run(self) -> None:
-        """Walk to the end."""
-        for number in range(self.frames):
-            self.step(number, number / RATE_HZ)
+    @classmethod
+    def walked(cls, seed: int, seconds: float) -> Walk:
+        """Return a corridor whose end is reached."""
+        walk = cls(seed, seconds)
+        for number in range(walk.frames):
+            walk.step(number, number / RATE_HZ)
+        return walk
 
     def step(self, number: int, time_s: float) -> None:
         """Evaluate one frame."""
@@ -200,9 +206,9 @@ def nearest_visible(exact: np.ndarray, is_body: np.ndarray, pose: np.ndarray) ->
 
 def corridors(count: int, seconds: float) -> Figures:
     """Walk through `count` corridors; return shares of all of them."""
-    walks = [Walk(seed, seconds) for seed in range(1, count + 1)]
-    for walk in walks:
-        walk.run()
+    seeds = range(1, count + 1)
+    with ProcessPoolExecutor(min(count, worker_count()), get_context("spawn")) as pool:
+        walks = list(pool.map(Walk.walked, seeds, count * [seconds]))
     minutes = count * seconds / 60
     figures: Figures = {"minutes": minutes}
     for name in walks[0].tallies:
