@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TextIO
 
 import numpy as np
 
@@ -205,11 +205,11 @@ def guide(
     evaluate, counts = Guide(k, *size, run.guide), Counts()
     notes = (NOTICE, *sequence.notes, *patterns.notes, *_pose_notes(sequence, run.guide))
     with ExitStack() as stack:
-        write = stack.enter_context(_log(log, patterns.shape)) if log is not None else None
+        rows = stack.enter_context(_log(log, patterns.shape)) if log is not None else None
 
         def show(time_s: float, shown: Shown) -> None:
-            if write is not None:
-                write(time_s, shown)
+            if rows is not None:
+                rows.add(time_s, shown)
             on_shown(time_s, shown)
 
         if run.offline:
@@ -218,6 +218,8 @@ def guide(
             assert driver is not None
             notes += _run_live(sequence, evaluate, patterns, counts, run, driver, show, on_note)
     counts.pose_jumps = evaluate.pose_jumps
+    if rows is not None and rows.left_out:
+        notes += (f"{rows.left_out} rows after the first {MAX_ROWS} are not in the log.",)
     figures = {"device": run.device, "profile": profile.name, "has_poses": sequence.poses is not None}
     return {**figures, **counts.summary()}, tuple(dict.fromkeys(notes))
 
@@ -228,7 +230,11 @@ def open_sequence(source: str | Path, options: SourceOptions) -> DepthSequence:
     if not isinstance(scene, DepthScene):
         found = "a source that is no sequence of depth pictures"
         raise SourceError(str(source), found, "a depth folder, a bag, camera:N, watch:FOLDER or -")
-    return scene.sequence
+    sequence = scene.sequence
+    if sequence.has_wrong_poses:
+        sequence.poses = None
+        sequence.notes += ("The poses are not used, since they and the depth disagree (--pose-form).",)
+    return sequence
 
 
 def _array_of(run: GuideRun) -> tuple[Device, ArrayDevice | None]:
@@ -307,7 +313,7 @@ def _run_live(
         output.start()
         feed.start()
         try:
-            _evaluate_frames(feed, evaluate, output, counts, run.seconds)
+            _evaluate_frames(feed, evaluate, output, counts, run.seconds, on_note)
         except KeyboardInterrupt:
             notes.append("interrupted: the guidance ends here")
         finally:
@@ -315,6 +321,7 @@ def _run_live(
                 output.stop_after(FAREWELL_S)
             output.close()
             feed.close()
+        output.raise_error()
     finally:
         driver.close()
     counts.frames, counts.dropped, counts.unreadable = feed.received, feed.dropped, feed.unreadable
@@ -335,13 +342,18 @@ def _warm(evaluate: Guide, sequence: DepthSequence) -> None:
 
 
 def _evaluate_frames(
-    feed: Feed, evaluate: Guide, output: Output, counts: Counts, seconds: float | None
+    feed: Feed, evaluate: Guide, output: Output, counts: Counts, seconds: float | None, on_note: OnNote
 ) -> None:
     """Evaluate the newest frame until the source or the time ends; raises the error of the device."""
     end_s = math.inf if seconds is None else time.monotonic() + seconds
+    noted: tuple[str, ...] = ()
     while not feed.is_over and time.monotonic() < end_s:
         frame = feed.take(_MAX_PERIOD_S)
         output.raise_error()
+        if output.notes != noted:  # such as a vest that is switched off
+            noted = output.notes
+            for note in noted:
+                on_note(note)
         if frame is None:
             continue
         if frame.depth_m.shape != evaluate.shape:  # of another camera: not seen, which warns
@@ -385,6 +397,11 @@ class Output:
         with self._changed:
             self._posted, self._is_new = (situation, frame, arrived_s), True
             self._changed.notify_all()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes of the device."""
+        return self._driver.notes
 
     def raise_error(self) -> None:
         """Raise the error of the device, if it has failed."""
@@ -474,20 +491,30 @@ def columns(shape: tuple[int, int, int]) -> tuple[str, ...]:
     )  # fmt: skip
 
 
+class _Log:
+    """Writes rows to a file, at most `MAX_ROWS`; counts those `left_out`."""
+
+    def __init__(self, file: TextIO, shape: tuple[int, int, int]) -> None:
+        self._rows, self._count = csv.writer(file, lineterminator="\n"), 0
+        self._rows.writerow(columns(shape))
+
+    def add(self, time_s: float, shown: Shown) -> None:
+        """Write a row."""
+        self._count += 1
+        if self._count <= MAX_ROWS:
+            self._rows.writerow(_row(time_s, shown))
+
+    @property
+    def left_out(self) -> int:
+        """Number of rows that were not written."""
+        return max(0, self._count - MAX_ROWS)
+
+
 @contextmanager
-def _log(path: Path, shape: tuple[int, int, int]) -> Iterator[Callable[[float, Shown], None]]:
-    """Yield a function that writes a row; the file appears when the block ends."""
+def _log(path: Path, shape: tuple[int, int, int]) -> Iterator[_Log]:
+    """Yield a log; the file appears when the block ends."""
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-        rows, count = csv.writer(file, lineterminator="\n"), 0
-        rows.writerow(columns(shape))
-
-        def write(time_s: float, shown: Shown) -> None:
-            nonlocal count
-            count += 1
-            if count <= MAX_ROWS:
-                rows.writerow(_row(time_s, shown))
-
-        yield write
+        yield _Log(file, shape)
 
 
 def _row(time_s: float, shown: Shown) -> list[object]:
