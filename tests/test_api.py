@@ -30,6 +30,7 @@ PACKAGES = (
         "devices",
         "exchange",
         "filters",
+        "guidance",
         "maps",
         "measure",
         "medium",

@@ -13,7 +13,8 @@ The names in ``__all__`` are the ones that most programs need. Everything else i
 which is imported when it is first used: ``tf.medium`` (grids, fields, media), ``tf.sources``, ``tf.devices``,
 ``tf.perception``, ``tf.filters``, ``tf.measure``, ``tf.reduction``, ``tf.codec``, ``tf.container``,
 ``tf.pipeline`` (figure 4 of the paper), ``tf.render`` (the receiver), ``tf.viewer``, ``tf.network``,
-``tf.exchange``, ``tf.study``, ``tf.tasks`` (what each command does), ``tf.cli``. After Moustakas and Lalos,
+``tf.exchange``, ``tf.guidance``, ``tf.study``, ``tf.tasks`` (what each command does), ``tf.cli``. After
+Moustakas and Lalos,
 *An information-theoretic treatment of passive haptic media*.
 """
 
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
         container as container,
         exchange as exchange,
         filters as filters,
+        guidance as guidance,
         maps as maps,
         measure as measure,
         medium as medium,
@@ -99,6 +101,7 @@ _PACKAGES = frozenset(
             "devices",
             "exchange",
             "filters",
+            "guidance",
             "maps",
             "measure",
             "medium",

@@ -159,6 +159,7 @@ TASKS = {
         "cli.play:read_materials",
         "cli.play:read_deformation",
     ),
+    "guide": ("tasks.guide:guide", "tasks.guide:Rows"),
     "serve": ("network.server:serve",),
     "live": (
         "tasks.live:open_sender",
@@ -185,6 +186,7 @@ TASKS = {
 
 RESULTS: dict[str, Any] = {
     "play": Stub(is_starved=False, error=None),
+    "guide": ({}, ()),
     "read_medium": SimpleNamespace(medium=SimpleNamespace(grid=SimpleNamespace(shape=(64, 32, 16)))),
     "open_sender": (Stub(name="fine"), Stub(name="fine sender")),
     "coarse_layer": (Stub(name="coarse"), Stub(name="coarse sender")),

@@ -142,6 +142,7 @@ COMMANDS: Final = {
     "info": "decode",
     **dict.fromkeys(("view", "compare"), "view"),
     "play": "play",
+    "guide": "guide",
     **dict.fromkeys(("serve", "live", "mux", "demux"), "broadcast"),
     "measure": "view",
     "study": "study",
@@ -154,7 +155,7 @@ COMMANDS: Final = {
 """Module of each command, in the order of the help. Importing the module registers the command."""
 
 
-_FILELESS: Final = ("index", "live", "play", "serve")
+_FILELESS: Final = ("guide", "index", "live", "play", "serve")
 
 
 def load_commands(arguments: Sequence[str] = ()) -> typer.Typer:

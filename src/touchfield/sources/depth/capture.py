@@ -175,7 +175,8 @@ class OpencvCamera(Pictures):
 class CapturedSequence(DepthSequence):
     """Depth of captured pictures (see the module).
 
-    `frame_count` is an upper bound.
+    `frame_count` is an upper bound. `arrived_s` is the time of the monotonic clock at which the picture shown
+    last arrived, and `passed_over` counts pictures that a newer one replaced before they were shown.
 
     Raises `SourceError` if no first picture arrives, or it holds no depth.
     """
@@ -194,6 +195,7 @@ class CapturedSequence(DepthSequence):
         self._frames: dict[int, Float32s] = {}
         self._error: SourceError | None = None
         self._is_closed = False
+        self.arrived_s, self.passed_over = time.monotonic(), 0
         Thread(target=self._run, daemon=True, name="touchfield-capture").start()
         first = self._newest()
         if first is None:
@@ -245,7 +247,7 @@ class CapturedSequence(DepthSequence):
         with self._condition:
             if self._pictures.in_order or not self._frames:
                 self._condition.wait_for(lambda: self._pending or self._error, TIMEOUT_S)
-            picture = self._pending.popleft() if self._pending else None
+            self.arrived_s, picture = self._pending.popleft() if self._pending else (self.arrived_s, None)
             self._condition.notify_all()
         return picture
 
@@ -256,7 +258,8 @@ class CapturedSequence(DepthSequence):
                 with self._condition:
                     if self._pictures.in_order:  # a queue of two, then the writer waits
                         self._condition.wait_for(lambda: len(self._pending) < 2 or self._is_closed)
-                    self._pending.append(picture)
+                    self.passed_over += len(self._pending) == self._pending.maxlen
+                    self._pending.append((time.monotonic(), picture))
                     self._condition.notify_all()
         except Exception as error:  # including those of drivers: a waiting consumer must be notified
             with self._condition:

@@ -1,0 +1,189 @@
+"""Finds the plane of the ground in the points of a depth picture, and with it the wearer's frame.
+
+Points whose surface is nearly level are selected. Planes through three random ones are scored by the points
+near them, less those below (RANSAC; Fischler and Bolles 1981); the best is refined by least squares. A plane
+is the ground if it is nearly level and at a height that fits: what the last frame and the poses predict, or
+else how the wearer carries the camera (`GuideSpec`). Without any ground for `MAX_LOST_S` the search starts
+anew.
+
+The wearer's frame has x to the right, y up and z forward, where the camera looks (left-handed axes); its
+origin is the point of the ground below the camera.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from touchfield.arrays import Float32s, Float64s
+from touchfield.guidance.spec import GuideSpec
+
+MAX_LOST_S: Final = 1.0
+"""How long the last ground is used without a new one; a person falls from the predicted height later."""
+
+_HEIGHTS_M: Final = (0.4, 2.3)  # of a camera that a person wears
+_FREE_TILT_DEG, _NEXT_TILT_DEG = 30.0, 8.0  # from what is expected at the start, and from frame to frame
+_HEIGHT_STEP_M: Final = 0.07  # between frames: a wearer bobs by 2 to 3 cm, and a step is 10 to 20 cm high
+_STATED_HEIGHT_M: Final = 0.15
+_PLANES, _SCORED_POINTS = 96, 1200
+_MIN_POINTS, _MIN_FRACTION, _MIN_SPREAD_M = 40, 0.03, 0.12
+_MAX_GROUND_M: Final = 4.5  # farther away the noise of a depth camera is larger than a step
+_BELOW_WEIGHT: Final = 0.6
+_BASELINE_PX: Final = 3  # on both sides of a pixel, for its normal
+_LEVEL_COSINE: Final = math.cos(math.radians(35.0))
+_FOLLOW: Final = 0.1  # weight of a new height in the expected one
+_TOLERANCE_M, _NOISE_PER_M = 0.02, 0.006
+
+
+@dataclass(frozen=True)
+class Ground:
+    """A plane of the ground: unit vector `up` in camera axes, float64 [3], and the camera's height above it.
+
+    `age_s` is the time since it was seen; `is_seen` is False for one that is only assumed from the options.
+    """
+
+    up: Float64s
+    height_m: float
+    age_s: float = 0.0
+    is_seen: bool = True
+
+    @property
+    def wearer_from_camera(self) -> Float64s:
+        """The axes of the wearer in those of the camera, float64 [3, 3], a row each: right, up, forward."""
+        forward = np.array([0.0, 0.0, 1.0]) - self.up[2] * self.up
+        if np.linalg.norm(forward) < 0.2:  # straight down: forward is where the top of the picture is
+            forward = -np.array([0.0, 1.0, 0.0]) + self.up[1] * self.up
+        forward /= np.linalg.norm(forward)
+        return np.stack([np.cross(forward, self.up), self.up, forward])
+
+    def to_wearer(self, points: Float32s) -> Float32s:
+        """Convert points [n, 3] in camera axes to the wearer's frame, metres, float32 [n, 3]."""
+        moved = points @ self.wearer_from_camera.T.astype(np.float32)
+        moved[:, 1] += np.float32(self.height_m)
+        return moved
+
+
+class GroundFinder:
+    """Finds the ground frame after frame."""
+
+    def __init__(self, spec: GuideSpec) -> None:
+        pitch = math.radians(spec.pitch_deg)
+        self._level = np.array([0.0, -math.cos(pitch), -math.sin(pitch)])
+        self._stated_m = spec.camera_height_m
+        self._ground: Ground | None = None
+        self._seen_s = -math.inf
+        self._expected_m: float | None = None
+        self._random = np.random.default_rng(0)
+
+    def find(self, points: Float32s, now_s: float, turn: Float64s | None = None) -> Ground:
+        """Return the ground of a frame at the time `now_s`.
+
+        `points` float32 [height, width, 3] are in camera axes, 0 if unknown. `turn` float64 [3, 3] is the
+        rotation of the axes of the last frame to those of this one, if it is known. The ground that was seen
+        last is returned while there is none, then an assumed one.
+        """
+        last = self._ground
+        if last is not None and turn is not None:
+            last = Ground(turn @ last.up, last.height_m, last.age_s)
+        is_lost = last is None or now_s - self._seen_s > MAX_LOST_S
+        if last is None or is_lost:
+            self._expected_m = None
+            found = self._search(points, self._level, _FREE_TILT_DEG, self._free_heights())
+        else:
+            middle_m = self._expected_m or last.height_m
+            heights = (middle_m - _HEIGHT_STEP_M, middle_m + _HEIGHT_STEP_M)
+            found = self._search(points, last.up, _NEXT_TILT_DEG, heights)
+        if found is not None:
+            self._ground, self._seen_s = found, now_s
+            before_m = found.height_m if self._expected_m is None else self._expected_m
+            self._expected_m = before_m + _FOLLOW * (found.height_m - before_m)
+            return found
+        if last is not None and not is_lost:
+            self._ground = Ground(last.up, last.height_m, now_s - self._seen_s)
+            return self._ground
+        self._ground = None
+        return Ground(self._level, self._stated_m or 1.3, math.inf, is_seen=False)
+
+    def _free_heights(self) -> tuple[float, float]:
+        if self._stated_m is None:
+            return _HEIGHTS_M
+        return self._stated_m - _STATED_HEIGHT_M, self._stated_m + _STATED_HEIGHT_M
+
+    def _search(
+        self, points: Float32s, expected_up: Float64s, tilt_deg: float, heights_m: tuple[float, float]
+    ) -> Ground | None:
+        """Return the best plane near `expected_up` whose height is within `heights_m`, or None."""
+        low = _level_points(points, expected_up, 0.5 * heights_m[0])
+        if len(low) < _MIN_POINTS:
+            return None
+        some = low[self._random.integers(0, len(low), min(len(low), _SCORED_POINTS))]
+        ups, heights = self._planes(low, expected_up, tilt_deg, heights_m)
+        if not len(ups):
+            return None
+        above_m = some @ ups.T + heights
+        tolerance_m = _tolerance_m(some)[:, None]
+        weight = 1 / some[:, 2:]  # the wearer stands on the nearest of two grounds
+        scores = ((np.abs(above_m) < tolerance_m) * weight).sum(axis=0)
+        scores -= _BELOW_WEIGHT * ((above_m < -2 * tolerance_m) * weight).sum(axis=0)
+        best = int(np.argmax(scores))
+        ground = _refined(low, Ground(ups[best], float(heights[best])))
+        is_level = ground is not None and ground.up @ expected_up >= math.cos(math.radians(tilt_deg))
+        if ground is None or not is_level or not heights_m[0] <= ground.height_m <= heights_m[1]:
+            return None
+        inliers = np.abs(low @ ground.up + ground.height_m) < _tolerance_m(low)
+        min_inliers = max(_MIN_POINTS, _MIN_FRACTION * points[..., 0].size)
+        return ground if np.count_nonzero(inliers) >= min_inliers else None
+
+    def _planes(
+        self, low: Float64s, expected_up: Float64s, tilt_deg: float, heights_m: tuple[float, float]
+    ) -> tuple[Float64s, Float64s]:
+        """Return the planes through three random points that are level and high enough."""
+        a, b, c = low[self._random.integers(0, len(low), (3, _PLANES))]
+        ups = np.cross(b - a, c - a)
+        lengths = np.linalg.norm(ups, axis=1)
+        ups = ups[lengths > 1e-6] / lengths[lengths > 1e-6, None]
+        ups *= np.where(ups @ expected_up < 0, -1.0, 1.0)[:, None]
+        heights = -np.einsum("ij,ij->i", ups, a[lengths > 1e-6])
+        is_level = ups @ expected_up >= math.cos(math.radians(tilt_deg))
+        fits = is_level & (heights >= heights_m[0]) & (heights <= heights_m[1])
+        return ups[fits], heights[fits]
+
+
+def _level_points(points: Float32s, up: Float64s, min_below_m: float) -> Float64s:
+    """Return the points at least `min_below_m` below the camera whose surface is nearly level, [n, 3]."""
+    known = points[..., 2] > 0
+    s = _BASELINE_PX
+    along, down = (
+        points[s:-s, 2 * s :] - points[s:-s, : -2 * s],
+        points[2 * s :, s:-s] - points[: -2 * s, s:-s],
+    )
+    is_whole = known[s:-s, 2 * s :] & known[s:-s, : -2 * s] & known[2 * s :, s:-s] & known[: -2 * s, s:-s]
+    middle = points[s:-s, s:-s]
+    is_low = is_whole & known[s:-s, s:-s] & (middle[..., 2] < _MAX_GROUND_M)
+    is_low &= middle @ up.astype(np.float32) < -min_below_m
+    normals = np.cross(down[is_low], along[is_low]).astype(np.float64)
+    cosines = normals @ up / np.maximum(np.linalg.norm(normals, axis=1), 1e-9)
+    return np.asarray(middle[is_low][np.abs(cosines) > _LEVEL_COSINE], np.float64)
+
+
+def _tolerance_m(points: Float64s) -> Float64s:
+    """Return how far a point of the ground may lie from its plane: the noise grows with the square."""
+    return np.asarray(_TOLERANCE_M + _NOISE_PER_M * points[:, 2] ** 2)
+
+
+def _refined(points: Float64s, ground: Ground) -> Ground | None:
+    """Fit the plane to its inliers by least squares, twice; None if these do not determine it."""
+    for _ in range(2):
+        inliers = points[np.abs(points @ ground.up + ground.height_m) < _tolerance_m(points)]
+        if len(inliers) < _MIN_POINTS:
+            return None
+        centre = inliers.mean(axis=0)
+        values, vectors = np.linalg.eigh(np.cov((inliers - centre).T))
+        if values[1] < _MIN_SPREAD_M**2:  # points on a line, such as a skirting board
+            return None
+        up = vectors[:, 0] * np.sign(vectors[:, 0] @ ground.up)
+        ground = Ground(up, float(-(up @ centre)))
+    return ground
