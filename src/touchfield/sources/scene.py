@@ -21,6 +21,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium, PoseTrack
 from touchfield.medium.field import brick_keys, bricks_of, frozen
 from touchfield.medium.grid import CORNERS
+from touchfield.medium.updates import FieldUpdate
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.thin_walls import MinThickness, ThinWall
 
@@ -132,6 +133,13 @@ class Scene(ABC):
 
         `grid` and the distances of `profile` are in scene metres.
         """
+
+    def field_update(self, frame: int, grid: Grid, profile: ForceProfile) -> FieldUpdate | None:
+        """Return the field of one frame as a change of another one, if the scene makes it that way.
+
+        `FieldUpdate.field` is then the result of `field`, and several frames share a base. By default None.
+        """
+        return None
 
     @property
     def is_of_bodies(self) -> bool:
