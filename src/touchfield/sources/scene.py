@@ -168,6 +168,9 @@ class Scene(ABC):
         lattices than that. By default nothing changes.
         """
 
+    def skip_frame(self, frame: int) -> None:  # noqa: B027  (most scenes make frames in any order)
+        """Take notice that a live sender leaves out a frame. By default nothing changes."""
+
     def decoded_notes(
         self, field: ForceField, to_hand: Callable[[Float64s], Float64s], force_max_n: float
     ) -> tuple[str, ...]:

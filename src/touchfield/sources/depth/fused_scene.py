@@ -324,13 +324,16 @@ class _Causal(_World):
         if frame_count < self._frame_count:
             self._frame_count = 0
             self._reset()
-        volume = self._volume
-        for i in range(self._frame_count, frame_count):
+        volume, first = self._volume, self._frame_count
+        if self._planes.scene.sequence.is_captured:  # the pictures of frames that are left out are gone
+            first = frame_count - 1
+        for i in range(first, frame_count):
             volume.cover(*self._planes[i])
             volume.integrate(*self._planes[i])
-            if self._renewals[i]:
+            if self._renewals[self._frame_count : i + 1].any():
                 self._static = self._all()
-        self._frame_count, self._latest = frame_count, self._static
+            self._frame_count = i + 1
+        self._latest = self._static
         following = np.flatnonzero(np.count_nonzero(volume.samples.changes, axis=1) >= CHANGED_SAMPLES)
         if not self._renewals[frame_count - 1] and len(following):
             part = volume.field(volume.forces_n(following), following)
