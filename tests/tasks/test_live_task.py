@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import touchfield as tf
-from live_makers import HEAD, field, medium
+from live_makers import GRID as LIVE_GRID, HEAD, field, medium
 from touchfield.codec.touch.decoder import TouchDecoder
 from touchfield.medium import ForceField
 from touchfield.network.live import LiveSegment
@@ -56,7 +56,7 @@ def until(condition: Callable[[], bool]) -> None:
 
 
 def decoded(segment: LiveSegment) -> list[ForceField]:
-    return list(TouchDecoder(HEAD.grid, HEAD.coder_parameters).frames(segment.body, segment.frame_count))
+    return list(TouchDecoder(LIVE_GRID, HEAD.coder_parameters).frames(segment.body, segment.frame_count))
 
 
 def test_a_slow_coder_gets_the_newest_frame_and_repeats_the_others() -> None:
@@ -109,18 +109,17 @@ def test_a_source_that_is_too_slow_leaves_no_gap_in_the_stream() -> None:
     now, took, notes = [0.0], list[LiveSegment](), list[str]()
 
     def slow(index: int) -> ForceField:
+        until(lambda: len(took) >= index // 10)  # the coder keeps up
         now[0] += 0.045
         return field(index)
 
     def pause(seconds: float) -> None:
-        until(lambda: len(took) >= round(50 * now[0]) // 10)
         now[0] += seconds
 
     slow_medium = tf.HapticMedium(
-        grid=HEAD.grid, rate_hz=50.0, axes=HEAD.axes, frame_count=50, make_frame=slow
+        grid=LIVE_GRID, rate_hz=50.0, axes=HEAD.axes, frame_count=50, make_frame=slow
     )
     prepared, _ = open_sender(slow_medium, tf.EncodeSpec())
-    now[0] = 0.0
     sent = broadcast(prepared, took.append, LiveSpec(0.2), notes.append, lambda: now[0], pause)
     assert [segment.first_frame for segment in took] == [0, 10, 20, 30, 40]
     assert sent.frames + sent.left_out == 50 and 10 < sent.left_out < 40
