@@ -3,8 +3,8 @@
 Frames are coded in segments, which are sent to all receivers. The delay of a segment is its length plus the
 coding time of its last frame. The clock does not wait: while a frame is being coded for longer than a frame
 lasts, the next ones are not made but repeat it, and the first one that finds the coder idle shows the newest
-picture. A frame that would delay its segment by more than `MAX_DELAY_S` is not started. So one frame at a
-time is made or coded, on one core, and frames that are left out are counted.
+picture. A frame that would delay its segment by more than `MAX_DELAY_S` is not started. Without a coarse
+layer, one frame at a time is then made or coded, on one core. Frames that are left out are counted.
 
 Of rigid bodies, segments have only the poses (`touchfield.tasks.live_bodies`); a model of MuJoCo is simulated
 meanwhile. A coarse layer is a separate stream with the same frames on half the lattice, within a mask twice
