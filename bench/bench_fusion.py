@@ -44,6 +44,7 @@ from touchfield.devices.drivers.simulated import SimHand
 from touchfield.filters.resample import low_pass
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.trace import Trace
+from touchfield.medium.updates import FieldUpdate
 from touchfield.perception.hand_motion import MARGIN_S, in_band, points_on_surface
 from touchfield.pipeline import encode, prepare
 from touchfield.pipeline.decoding import open_file
@@ -77,13 +78,13 @@ def requested_lattice(scene: DepthScene, spec: EncodeSpec) -> tuple[Grid, ForceP
     """
     requests: list[tuple[Grid, ForceProfile]] = []
 
-    def record_request(frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
+    def record_request(frame: int, grid: Grid, profile: ForceProfile) -> FieldUpdate:
         requests.append((grid, profile))
-        return ForceField.empty(grid)
+        return FieldUpdate(ForceField.empty(grid), np.empty((0, 3), np.int32), ForceField.empty(grid))
 
-    field_method, scene.field = scene.field, record_request  # type: ignore[method-assign]
+    update_method, scene.field_update = scene.field_update, record_request  # type: ignore[method-assign]
     prepare(scene, spec).medium[0]
-    scene.field = field_method  # type: ignore[method-assign]
+    scene.field_update = update_method  # type: ignore[method-assign]
     return requests[0]
 
 

@@ -1377,6 +1377,8 @@ static int touch_code_best(touch_writer *w, const touch_source *frame, int is_in
     memset(&none, 0, sizeof none), memset(layer, 0, sizeof *layer);
     if (w->tries_base_layers && inter_fraction < good_inter) {
         if (!touch_fit_base_layer(w, frame, splines, layer, error)) return 0;
+        /* noise has no layer: effort "fast" looks for none in the rest of the segment */
+        if (!layer->bytes.size && !w->options.is_checked) w->tries_base_layers = 0;
         if (!(layer->fraction > inter_fraction)) layer->bytes.size = 0;
     }
     if (layer->bytes.size) references[count++] = &layer->units;

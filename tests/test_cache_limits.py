@@ -151,7 +151,7 @@ def test_fused_worlds_are_cached_for_sixteen_lattices(monkeypatch: pytest.Monkey
         def __init__(self, grid: Grid, *_: Any) -> None:
             started.append(grid)
 
-        def field(self, frame: int) -> int:
+        def update(self, frame: int) -> int:
             return frame
 
         def notes(self) -> tuple[str, ...]:
@@ -162,14 +162,14 @@ def test_fused_worlds_are_cached_for_sixteen_lattices(monkeypatch: pytest.Monkey
     grids = [Grid((4, 4, 4), (0.1,) * 3, (0.0, 0.0, float(i))) for i in range(20)]
     for _ in range(2):
         for grid in grids[:16]:
-            scene.field(0, grid, WALL)
+            scene.field_update(0, grid, WALL)
     assert started == grids[:16], "an array asks for as many slabs again and again"
     for grid in grids[16:]:
-        scene.field(0, grid, WALL)
+        scene.field_update(0, grid, WALL)
     assert len(scene._worlds) == 16
-    scene.field(0, grids[19], WALL)
+    scene.field_update(0, grids[19], WALL)
     assert started == grids
-    scene.field(0, grids[0], WALL)
+    scene.field_update(0, grids[0], WALL)
     assert started == [*grids, grids[0]]
 
 

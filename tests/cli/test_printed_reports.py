@@ -244,9 +244,7 @@ def test_broadcast_into_a_pipe_reports_what_it_sent(
     ]
     bound = sent.error_bound(opened[0])  # type: ignore[arg-type]
     bound_notes = [f"error bound: {bound['error_bound']}; largest error 0.250 of it"]
-    bound_notes += [
-        "error bound: it holds for the frames that were sent; 2 of 1236 frames were left out and never sent"
-    ]
+    bound_notes += ["error bound: it holds for the frames that were sent; 2 of 1236 frames were left out"]
     unproved = [f"error bound: {bound['error_bound_note']}"]
     assert notes[2:] == (bound_notes if ratio else unproved) and (bound["error_bound"] is None) == (
         ratio is None

@@ -39,7 +39,8 @@ from touchfield.sources.depth.capture import (
     open_capture,
 )
 from touchfield.sources.depth.depth_scene import DepthScene
-from touchfield.sources.depth.fused_scene import FusedScene
+from touchfield.sources.depth.fused_scene import FusedScene, FusedVolume
+from touchfield.sources.depth.kernels.planes import SurfacePlanes
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
 from touchfield.tasks.live import LiveSpec, broadcast, open_sender
@@ -189,6 +190,30 @@ def test_causal_fusion_of_a_pipe_equals_that_of_the_stored_sequence() -> None:
     for frame in range(6):
         now = captured.field(frame, grid, profile)
         assert now == stored.field(frame, grid, profile) and now.support_count
+
+
+def test_frames_that_are_left_out_take_pictures_of_a_pipe_and_are_not_fused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    sequence = piped(b"".join(png(i) for i in range(6)))
+    scene = FusedScene(sequence, "causal")
+    views = list[float]()
+    integrate = FusedVolume.integrate
+
+    def count_view(volume: FusedVolume, surface: SurfacePlanes, pose: np.ndarray) -> None:
+        views.append(float(surface.tiles[..., 0].max()))
+        integrate(volume, surface, pose)
+
+    monkeypatch.setattr(FusedVolume, "integrate", count_view)
+    grid = Grid.over_box((-0.4, -0.3, 0.7), (0.4, 0.3, 1.1), (32, 32, 32))
+    profile = ForceProfile(((-0.05, 0.0, 0.0, -18.0),))
+    first = scene.field(0, grid, profile)
+    for frame in (1, 2):
+        until(lambda: bool(sequence._pending))
+        scene.skip_frame(frame)
+    assert scene.field(3, grid, profile) != first
+    np.testing.assert_array_equal(sequence.depth_m(3), depth_mm(3) / np.float32(1000))
+    assert len(views) == 2 and views[1] > views[0]
 
 
 def test_a_capture_is_broadcast_until_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -291,7 +291,7 @@ class Drifting(_World):
     def _reset(self) -> None:
         raise NotImplementedError
 
-    def field(self, seen: int) -> None:  # type: ignore[override]
+    def update(self, seen: int) -> None:  # type: ignore[override]
         raise NotImplementedError
 
 

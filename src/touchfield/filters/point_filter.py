@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 from weakref import ref
 
 import numpy as np
@@ -17,14 +17,34 @@ import numpy as np
 from touchfield.arrays import Float64s
 from touchfield.filters.device_spec import DeviceFilter
 from touchfield.filters.limit import limit_forces
-from touchfield.filters.resample import low_pass, resample
+from touchfield.filters.resample import low_pass, resample, resample_update
 from touchfield.medium import ForceField
 from touchfield.medium.grid import Placement
+from touchfield.medium.updates import FieldUpdate, with_bricks
 
 if TYPE_CHECKING:
     from touchfield.sources.laws import ForceProfile
     from touchfield.sources.scene import Scene
     from touchfield.sources.shapes.analytic_scene import AnalyticScene
+
+_Source = TypeVar("_Source", ForceField, FieldUpdate)
+
+
+def _repeating(function: Callable[[_Source], ForceField]) -> Callable[[_Source], ForceField]:
+    """Return a function that repeats its latest result for the same object.
+
+    It keeps a weak reference: a fine field takes several times the memory of the result.
+    """
+    latest: tuple[ref[_Source], ForceField] | None = None
+
+    def repeated(source: _Source) -> ForceField:
+        nonlocal latest
+        last = latest
+        if last is None or last[0]() is not source:
+            last = latest = ref(source), function(source)
+        return last[1]
+
+    return repeated
 
 
 def point_frames(scene: Scene, mapping: DeviceFilter) -> Callable[[int], ForceField]:
@@ -38,17 +58,23 @@ def point_frames(scene: Scene, mapping: DeviceFilter) -> Callable[[int], ForceFi
     force_max_n = mapping.device.force_max_n
     scene.set_lattice(lattice, force_max_n)  # also for the notes of the source
     floor_n = force_max_n * spec.force_floor_share
-    # a weak reference: the fine field takes several times the memory of the result
-    latest: tuple[ref[ForceField], ForceField] | None = None
+
+    def filter_field(source: ForceField) -> ForceField:
+        return limit_forces(resample(source.on_grid(fine), grid, spec.low_pass), force_max_n, floor_n)
+
+    def filter_update(update: FieldUpdate) -> ForceField:
+        base = filtered(update.base)
+        if not len(update.bricks):
+            return base
+        bricks, part = resample_update(update.on_grid(fine), grid, spec.low_pass)
+        return with_bricks(base, bricks, limit_forces(part, force_max_n, floor_n))
+
+    filtered, updated = _repeating(filter_field), _repeating(filter_update)
 
     def frame(i: int) -> ForceField:
-        nonlocal latest
         scene.set_lattice(lattice, force_max_n)  # the scene may serve several media in turn
-        source, last = scene.field(i, requested, law), latest
-        if last is None or last[0]() is not source:
-            resampled = resample(source.on_grid(fine), grid, spec.low_pass)
-            last = latest = ref(source), limit_forces(resampled, force_max_n, floor_n)
-        return last[1]
+        update = scene.field_update(i, requested, law)
+        return filtered(scene.field(i, requested, law)) if update is None else updated(update)
 
     return frame
 

@@ -62,6 +62,7 @@ from touchfield.medium.field import (
 )
 from touchfield.medium.grid import CORNERS, ON_A_SAMPLE
 from touchfield.medium.samples import sample
+from touchfield.medium.updates import FieldUpdate
 
 MAX_WEIGHTS: Final = 1 << 24
 _SPLINE_KNOT: Final = 0.3189166986852232  # sinc(f T)^4 = 1/2 at f T = this
@@ -180,8 +181,31 @@ def resample(field: ForceField, grid: Grid, kernel: str = "spline") -> ForceFiel
     Raises `InvalidArgument` if there is no such kernel, or the target is too fine for a field of that size.
     """
     weights = grid_weights(field.grid, grid, low_pass(kernel))
-    reach = [_reach(axis_weight, bricks) for axis_weight, bricks in zip(weights, field.grid.brick_shape)]
-    bricks = bricks_within(grid, np.stack([row[field.bricks[:, a]] for a, row in enumerate(reach)], axis=1))
+    return _resample_to(_reached(field.grid, field.bricks, grid, weights), field, grid, weights)
+
+
+def resample_update(update: FieldUpdate, grid: Grid, kernel: str = "spline") -> tuple[Int32s, ForceField]:
+    """Resample a field where it differs from its base.
+
+    Returns the bricks of `grid` that may differ from those of the resampled base, int32 [m, 3], and a field
+    with these bricks, in the bits of ``resample(update.field, grid, kernel)``. Raises as `resample` does.
+    """
+    source = update.base.grid
+    weights = grid_weights(source, grid, low_pass(kernel))
+    bricks = _reached(source, update.bricks, grid, weights)
+    spans = [_samples_of(axis_weight, count) for axis_weight, count in zip(weights, source.shape)]
+    near = bricks_within(source, np.stack([row[bricks[:, a]] for a, row in enumerate(spans)], axis=1))
+    return bricks, _resample_to(bricks, update.between(near), grid, weights)
+
+
+def _reached(source: Grid, bricks: Int32s, grid: Grid, weights: Sequence[AxisWeights]) -> Int32s:
+    """Return the bricks of `grid` that bricks of the source may reach, int32 [n, 3], ascending."""
+    reach = [_reach(axis_weight, count) for axis_weight, count in zip(weights, source.brick_shape)]
+    return bricks_within(grid, np.stack([row[bricks[:, a]] for a, row in enumerate(reach)], axis=1))
+
+
+def _resample_to(bricks: Int32s, field: ForceField, grid: Grid, weights: Sequence[AxisWeights]) -> ForceField:
+    """Resample a field to some bricks of `grid`, int32 [n, 3], ascending."""
     source = field.grid.shape, brick_keys(field.grid, field.bricks), field.forces_n
     buffer = BrickBuffer()
     for start in range(0, len(bricks), BATCH_BRICKS):
@@ -213,6 +237,14 @@ def _reach(weights: AxisWeights, source_bricks: int) -> Int64s:
     start = np.searchsorted(highest, edges, side="left")
     stop = np.searchsorted(lowest, edges + BRICK - 1, side="right")
     return np.stack([start, stop], axis=1).astype(np.int64)
+
+
+def _samples_of(weights: AxisWeights, source_count: int) -> Int64s:
+    """Return the range of source bricks of which each target brick is made, int64 [target_bricks, 2]."""
+    last = np.minimum(np.arange(BRICK - 1, len(weights.first) + BRICK - 1, BRICK), len(weights.first) - 1)
+    stop = np.clip(weights.first[last] + weights.weights.shape[1], 0, source_count)
+    start = np.clip(weights.first[::BRICK], 0, source_count)
+    return np.stack([start // BRICK, -(-stop // BRICK)], axis=1).astype(np.int64)
 
 
 BORDERS: Final = ("zero", "cell")

@@ -92,6 +92,9 @@ class DepthSequence(ABC):
         Unknown pixels are 0. The array is C-contiguous.
         """
 
+    def skip_frame(self, frame: int) -> None:  # noqa: B027  (stored frames are read in any order)
+        """Take notice that a live sender leaves out a frame. By default nothing changes."""
+
     def key_frames(self) -> Sequence[int]:
         """Return the frames that hold all information: those that are not interpolated."""
         return range(self.frame_count)

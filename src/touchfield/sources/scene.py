@@ -21,6 +21,7 @@ from touchfield.errors import InvalidArgument
 from touchfield.medium import BRICK, ForceField, Grid, HapticMedium, PoseTrack
 from touchfield.medium.field import brick_keys, bricks_of, frozen
 from touchfield.medium.grid import CORNERS
+from touchfield.medium.updates import FieldUpdate
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.thin_walls import MinThickness, ThinWall
 
@@ -133,6 +134,13 @@ class Scene(ABC):
         `grid` and the distances of `profile` are in scene metres.
         """
 
+    def field_update(self, frame: int, grid: Grid, profile: ForceProfile) -> FieldUpdate | None:
+        """Return the field of one frame as a change of another one, if the scene makes it that way.
+
+        `FieldUpdate.field` is then the result of `field`, and several frames share a base. By default None.
+        """
+        return None
+
     @property
     def is_of_bodies(self) -> bool:
         """True if the scene consists of rigid bodies.
@@ -159,6 +167,9 @@ class Scene(ABC):
         Forces above `force_max_n` are clipped at the samples of the lattice. Fields may be requested on finer
         lattices than that. By default nothing changes.
         """
+
+    def skip_frame(self, frame: int) -> None:  # noqa: B027  (most scenes make frames in any order)
+        """Take notice that a live sender leaves out a frame. By default nothing changes."""
 
     def decoded_notes(
         self, field: ForceField, to_hand: Callable[[Float64s], Float64s], force_max_n: float

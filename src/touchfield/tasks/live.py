@@ -1,11 +1,15 @@
 """Sends a source live: makes, codes and sends its frames in real time.
 
 Frames are coded in segments, which are sent to all receivers. The delay of a segment is its length plus the
-coding time of its last frame. If making or coding frames is too slow, frames are left out and counted; the
-clock does not wait. Of rigid bodies, segments have only the poses (`touchfield.tasks.live_bodies`); a model
-of MuJoCo is simulated meanwhile. A coarse layer is a separate stream with the same frames on half the
-lattice, within a mask twice as wide, in a seventh of the bytes. (Coding the fine stream as the difference to
-the coarse one would take half as many bytes again as the fine stream alone.)
+coding time of its last frame. The clock does not wait: while a frame is being coded for longer than a frame
+lasts, the next ones are not made but repeat it, and the first one that finds the coder idle shows the newest
+picture. A frame that would delay its segment by more than `MAX_DELAY_S` is not started. Without a coarse
+layer, one frame at a time is then made or coded, on one core. Frames that are left out are counted.
+
+Of rigid bodies, segments have only the poses (`touchfield.tasks.live_bodies`); a model of MuJoCo is simulated
+meanwhile. A coarse layer is a separate stream with the same frames on half the lattice, within a mask twice
+as wide, in a seventh of the bytes. (Coding the fine stream as the difference to the coarse one would take
+half as many bytes again as the fine stream alone.)
 """
 
 from __future__ import annotations
@@ -19,7 +23,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain
 from queue import SimpleQueue
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from numpy.typing import ArrayLike
 
@@ -53,6 +57,14 @@ _WARM_POSES: Final = 64
 _MAX_PENDING: Final = 2
 """Maximum number of segments in progress at a time."""
 
+MAX_DELAY_S: Final = 0.1
+"""Time behind the end of a segment by which a frame that is started should be coded."""
+
+_MAKING_IS_LATE: Final = "frames cannot be made in time"
+
+_REPEAT: Final = object()
+"""In place of a frame: the frame before is repeated."""
+
 
 @dataclass(frozen=True)
 class LiveSpec:
@@ -77,8 +89,9 @@ class LiveSpec:
 class Sent:
     """Counts of a broadcast.
 
-    `left_out` counts frames that were too late to be made or coded, `coarse_left_out` those of the coarse
-    layer alone.
+    `left_out` counts frames that were too late to be made or coded, whether the frame before is repeated in
+    their place or nothing is sent; `coarse_left_out` counts those of the coarse layer. `frames` are the
+    others.
 
     `unbounded_segments` counts segments that state no error bound. Only `coarse_bytes` counts the coarse
     layer. `worst_mask_ratio` is the largest error of all voxels sent, in units of the error bound; None if
@@ -94,10 +107,10 @@ class Sent:
     unbounded_segments: int = 0
     coarse_left_out: int = 0
 
-    def add(self, segment: LiveSegment, max_error: MaxError | None) -> None:
-        """Count a segment that was sent."""
+    def add(self, segment: LiveSegment, max_error: MaxError | None, repeats: int = 0) -> None:
+        """Count a segment that was sent, of whose frames `repeats` only repeat the one before."""
         self.sent_bytes += len(segment.body) + len(segment.vibration or b"")
-        self.segments, self.frames = self.segments + 1, self.frames + segment.frame_count
+        self.segments, self.frames = self.segments + 1, self.frames + segment.frame_count - repeats
         if max_error is None:
             self.unbounded_segments += 1
         else:
@@ -123,7 +136,7 @@ class Sent:
         if not self.segments:
             keys = {"error_bound": None, "error_bound_note": "no error bound is proved: no segment was sent"}
         elif has_bound and self.left_out:
-            absent = f"{self.left_out} of {self.frames + self.left_out} frames were left out and never sent"
+            absent = f"{self.left_out} of {self.frames + self.left_out} frames were left out"
             keys["error_bound_note"] = f"it holds for the frames that were sent; {absent}"
         return {**keys, "promise_kept": True if has_bound else None}
 
@@ -234,7 +247,7 @@ def broadcast(
     else:
         lanes.append(_Layer(prepared, send, clock_s))
     if coarse is not None:
-        lanes.append(_Layer(*coarse, clock_s, _coarse))
+        lanes.append(_Layer(*coarse, clock_s, _coarse, "coding the coarse layer"))
     sent = lanes[0].sent
     try:
         for lane in lanes:  # load or compile code before the clock starts
@@ -247,13 +260,12 @@ def broadcast(
             rates = f"some {max_rate_hz:.2g} frames a second, and the medium has {rate_hz:g}"
             on_note(f"this machine makes {rates}: {hint}")
         on_start()
-        for first, frames, band in _timed_segments(prepared, make, spec, sent, on_note, clock_s, pause):
+        for first, ticks, band in _timed_segments(prepared, spec, sent, on_note, clock_s, pause):
             queues = [lane.start_segment(first, band if lane is lanes[0] else []) for lane in lanes]
             count, is_over = 0, False
             try:
-                for frame in frames:
-                    for queue in queues:
-                        queue.put(frame)
+                for tick in ticks:
+                    _put_frame(tick, prepared, make, list(zip(lanes, queues, strict=True)), on_note)
                     count += 1
             except CaptureEnd as error:
                 on_note(f"{error.where}: {error.found}")
@@ -261,9 +273,9 @@ def broadcast(
             finally:
                 for queue in queues:
                     queue.put(None)
-            for lane, work in zip(lanes, ("coding", "coding the coarse layer")):
+            for lane in lanes:
                 if lane.is_late:
-                    lane.sent.leave_out(count, f"{work} cannot keep up", on_note)
+                    lane.sent.leave_out(count, f"{lane.work} cannot keep up", on_note)
             if is_over:
                 break
     except KeyboardInterrupt:
@@ -280,6 +292,26 @@ def broadcast(
     return sent
 
 
+def _put_frame(
+    tick: _Tick,
+    prepared: Prepared,
+    make: Callable[[int], Any],
+    lanes: list[tuple[_Lane, SimpleQueue[Any]]],
+    on_note: Callable[[str], None],
+) -> None:
+    """Make a frame for the lanes that want it; the others repeat the one before and count it."""
+    period_s = 1 / prepared.medium.rate_hz
+    wanting = [lane for lane, _ in lanes if lane.wants_frame(tick, period_s)]
+    frame = make(tick.frame) if wanting else None
+    if frame is None and prepared.source is not None:
+        prepared.source.skip_frame(tick.frame)
+    for lane, queue in lanes:
+        queue.put(frame if lane in wanting else _REPEAT)
+        if lane not in wanting and not lane.is_late:  # of a late segment, all frames are counted
+            reason = _MAKING_IS_LATE if tick.late_s > period_s else f"{lane.work} cannot keep up"
+            lane.sent.leave_out(1, reason, on_note)
+
+
 def _frames_of(prepared: Prepared, on_note: Callable[[str], None]) -> Callable[[int], Any]:
     """Return the function that makes a frame: a field, or the poses of bodies."""
     if isinstance(prepared, PreparedBodies):
@@ -287,15 +319,30 @@ def _frames_of(prepared: Prepared, on_note: Callable[[str], None]) -> Callable[[
     return prepared.medium.__getitem__
 
 
+class _Tick(NamedTuple):
+    """A frame of a segment that is due.
+
+    `late_s` is the time since it was due, `left_s` that until its segment should be sent.
+    """
+
+    frame: int
+    is_first: bool
+    late_s: float
+    left_s: float
+
+
 class _Lane(ABC):
     """Frames in, segments out, coded in a thread of its own.
 
-    `is_late` is True if the latest segment is skipped.
+    `is_late` is True if the latest segment is skipped. `work` describes the lane in notes.
     """
 
-    def __init__(self, send: Send, clock_s: Callable[[], float]) -> None:
-        self.sent, self.is_late = Sent(), False
+    def __init__(self, send: Send, clock_s: Callable[[], float], work: str = "coding") -> None:
+        self.sent, self.is_late, self.work = Sent(), False, work
         self._send, self._clock_s = send, clock_s
+        self._queue: SimpleQueue[Any] = SimpleQueue()
+        self._latest_s: deque[float] = deque(maxlen=3)  # seconds that frames took, without repetitions
+        self._is_coding, self._repeats = False, 0
         self._pending: deque[Future[None]] = deque()
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="touchfield-live")
 
@@ -307,30 +354,63 @@ class _Lane(ABC):
     def _encode(self, frames: Iterator[Any]) -> tuple[int, bytes, MaxError | None]:
         """Code frames as they come; return their number, the body of their segment and its largest error."""
 
+    def wants_frame(self, tick: _Tick, period_s: float) -> bool:
+        """Return False if the frame before should be repeated in place of the frame of `tick`.
+
+        The first frame of a segment is never left out.
+        """
+        if self.is_late or tick.is_first:
+            return not self.is_late
+        if tick.late_s > period_s:
+            return False
+        frame_s = min(self._latest_s) if len(self._latest_s) == self._latest_s.maxlen else 0.0
+        if frame_s <= period_s:
+            return True
+        self._check_pending()
+        is_idle = not self._is_coding and self._queue.empty() and len(self._pending) == 1
+        return is_idle and frame_s <= tick.left_s
+
+    def _check_pending(self) -> None:
+        """Forget the segments that are sent; raises the error of one that is not."""
+        while self._pending and self._pending[0].done():
+            self._pending.popleft().result()
+
     def start_segment(self, first: int, band: list[VibrationFrame]) -> SimpleQueue[Any]:
         """Start a segment; return the queue for its frames and a final None.
 
         Raises the error of an earlier segment.
         """
-        while self._pending and self._pending[0].done():
-            self._pending.popleft().result()
-        queue: SimpleQueue[Any] = SimpleQueue()
+        self._check_pending()
+        self._queue = SimpleQueue()
         self.is_late = len(self._pending) >= _MAX_PENDING
         if not self.is_late:
-            self._pending.append(self._pool.submit(self._deliver, first, queue, band))
-        return queue
+            self._pending.append(self._pool.submit(self._deliver, first, self._queue, band))
+        return self._queue
 
     def _deliver(self, first: int, queue: SimpleQueue[Any], band: list[VibrationFrame]) -> None:
         """Code and send the frames of a queue.
 
         Sends nothing if the queue has no frame, because the source has ended.
         """
-        count, body, max_error = self._encode(iter(queue.get, None))
+        self._repeats = 0
+        count, body, max_error = self._encode(self._frames(queue))
         if not count:
             return
         segment = LiveSegment(first, count, body, encode_vibration(band) if band else None)
         self._send(segment)
-        self.sent.add(segment, max_error)
+        self.sent.add(segment, max_error, self._repeats)
+
+    def _frames(self, queue: SimpleQueue[Any]) -> Iterator[Any]:
+        """Yield the frames of a queue; a repetition is the same object again."""
+        frame = None
+        while (item := queue.get()) is not None:
+            self._is_coding, start_s = True, time.perf_counter()
+            frame = frame if item is _REPEAT else item
+            self._repeats += item is _REPEAT
+            yield frame
+            if item is not _REPEAT:
+                self._latest_s.append(time.perf_counter() - start_s)
+            self._is_coding = False
 
     def close(self) -> None:
         """Wait for the pending segments; raises their error."""
@@ -348,20 +428,29 @@ class _Layer(_Lane):
         send: Send,
         clock_s: Callable[[], float],
         make: Callable[[ForceField], ForceField] = lambda frame: frame,
+        work: str = "coding",
     ) -> None:
-        super().__init__(send, clock_s)
+        super().__init__(send, clock_s, work)
         self._make, self._encoder = make, TouchEncoder(prepared.medium.grid, prepared.coding)
         self._force_max_n = prepared.device.force_max_n
         self._key_frame: ForceField | None = None
 
     def _encode(self, frames: Iterator[Any]) -> tuple[int, bytes, MaxError | None]:
-        fields = map(self._make, frames)
+        fields = self._fields(frames)
         first_field = next(fields, None)
         if first_field is None:
             return 0, b"", None
         self._key_frame = self._encoder.key_frame(first_field, self._key_frame)  # of a static world
         coded = self._encoder.encode_segment(chain([first_field], fields), self._key_frame, self._force_max_n)
         return len(coded.frames), coded.body, coded.max_error
+
+    def _fields(self, frames: Iterator[Any]) -> Iterator[ForceField]:
+        """Yield the field of each frame, and the same one where a frame is repeated."""
+        latest: Any = None
+        for frame in frames:
+            if frame is not latest:
+                field, latest = self._make(frame), frame
+            yield field
 
     def warm(self, frame: Any) -> float:
         start_s, frames = self._clock_s(), [self._make(frame)] * 2
@@ -370,11 +459,14 @@ class _Layer(_Lane):
 
 
 class _BodiesLayer(_Lane):
-    """The poses of rigid bodies."""
+    """The poses of rigid bodies, which are coded once a segment is complete."""
 
     def __init__(self, bodies: LiveBodies, send: Send, clock_s: Callable[[], float]) -> None:
         super().__init__(send, clock_s)
         self._bodies = bodies
+
+    def wants_frame(self, tick: _Tick, period_s: float) -> bool:
+        return not self.is_late
 
     def _encode(self, frames: Iterator[Any]) -> tuple[int, bytes, MaxError | None]:
         poses = list(frames)
@@ -391,14 +483,13 @@ class _BodiesLayer(_Lane):
 
 def _timed_segments(
     prepared: Prepared,
-    make: Callable[[int], Any],
     spec: LiveSpec,
     sent: Sent,
     on_note: Callable[[str], None],
     clock_s: Callable[[], float],
     pause: Callable[[float], None],
-) -> Iterator[tuple[int, Iterator[Any], list[VibrationFrame]]]:
-    """Yield each segment at its time; ``make(i)`` makes frame i of the medium.
+) -> Iterator[tuple[int, Iterator[_Tick], list[VibrationFrame]]]:
+    """Yield each segment at its time.
 
     Each item is the index of the first frame, an iterator of the frames in real time, and the vibrations.
     """
@@ -414,23 +505,26 @@ def _timed_segments(
         last = min(last, max(1, round(spec.seconds * medium.rate_hz)))
     start_s = clock_s()
 
-    def frames(first: int, band: list[VibrationFrame]) -> Iterator[Any]:
-        for i in range(first, min(first + length, last)):
+    def ticks(first: int, band: list[VibrationFrame]) -> Iterator[_Tick]:
+        stop = min(first + length, last)
+        for i in range(first, stop):
             early_s = start_s + (i + 1) / medium.rate_hz - clock_s()
             if early_s > 0:
                 pause(early_s)
             if medium.vibration is not None:
                 band.append(medium.vibration(i % count))
-            yield make(i % count)
+            late_s = max(0.0, -early_s)
+            left_s = (stop - i - 1) / medium.rate_hz + MAX_DELAY_S - late_s
+            yield _Tick(i % count, i == first, late_s, left_s)
 
     first = 0
     while first < last:
         late_s = clock_s() - start_s - (first + 1) / medium.rate_hz
         if late_s > 2 * length / medium.rate_hz:
             missed = min(int(late_s * medium.rate_hz), last - first)
-            sent.leave_out(missed, "frames cannot be made in time", on_note)
+            sent.leave_out(missed, _MAKING_IS_LATE, on_note)
             first += missed
             continue
         band: list[VibrationFrame] = []
-        yield first, frames(first, band), band
+        yield first, ticks(first, band), band
         first += length

@@ -145,6 +145,26 @@ def test_a_box_moves_before_a_static_wall(moving: rooms.Room) -> None:
     assert early == fields[0]
 
 
+class WholeFields(FusedScene):
+    """A fused world that does not state what its fields have in common."""
+
+    def field(self, frame: int, grid: Grid, profile: ForceProfile) -> ForceField:
+        return super().field_update(frame, grid, profile).field
+
+    def field_update(self, frame: int, grid: Grid, profile: ForceProfile) -> None:  # type: ignore[override]
+        return None
+
+
+@pytest.mark.parametrize("world", ["fused", "causal"])
+def test_a_moving_world_is_filtered_where_it_differs_to_the_same_bits(moving: rooms.Room, world: str) -> None:
+    medium = prepare(FusedScene(moving, world), nw=5).medium
+    whole = prepare(WholeFields(moving, world), nw=5).medium
+    fields = {i: medium[i] for i in (0, 1, 2, 5, 6, 7, 3)}
+    for i, field in fields.items():
+        assert field == whole[i], i
+    assert fields[1] != fields[5] != fields[6]
+
+
 @pytest.mark.parametrize(("frames", "key_frames"), [((2, 5), range(2, 5)), ((7, None), range(7, 10))])
 def test_a_world_is_fused_from_the_requested_frames(
     standing: rooms.Room, frames: tuple[int, int | None], key_frames: range

@@ -2,8 +2,9 @@
 
 A captured sequence has no known end. Each frame shows the newest picture, so that a consumer that keeps up
 gets current data: pictures that arrive faster than frames are requested are skipped, and while a picture is
-late the last one is repeated. Pictures on standard input are shown one by one, and their writer waits. A
-recent frame is the same when it is requested again; older frames are gone.
+late the last one is repeated. Pictures on standard input are shown one by one, and their writer waits; a
+frame that is left out takes a picture, too. A recent frame is the same when it is requested again; older
+frames are gone.
 """
 
 from __future__ import annotations
@@ -235,6 +236,13 @@ class CapturedSequence(DepthSequence):
             while len(self._frames) > _CACHED_FRAMES:
                 del self._frames[next(iter(self._frames))]
         return self._frames[frame]
+
+    def skip_frame(self, frame: int) -> None:
+        """See `DepthSequence.skip_frame`: of pictures in order, the next one is not shown if it is there."""
+        with self._condition:
+            if self._pictures.in_order and self._pending:
+                self._pending.popleft()
+                self._condition.notify_all()
 
     def close(self) -> None:
         """Stop capturing."""

@@ -169,6 +169,10 @@ class DepthScene(MovingScene):
         """Return the force field of one frame at the points of `grid`; see the module."""
         return plane_forces(self.planes(frame), self.pose(frame), grid, profile)
 
+    def skip_frame(self, frame: int) -> None:
+        """See `Scene.skip_frame`: pictures that are shown in order lose one, so that they stay in time."""
+        self.sequence.skip_frame(frame)
+
     def _depth_m(self, frame: int) -> Float32s:
         sequence = self.sequence
         require_frame(frame, self.frame_count)

@@ -39,6 +39,7 @@ from touchfield.compute.threads import Progress
 from touchfield.errors import require_one_of
 from touchfield.medium import ForceField, Grid
 from touchfield.medium.budget import require_memory
+from touchfield.medium.updates import FieldUpdate
 from touchfield.sources.camera import noise_step_per_m, require_frame
 from touchfield.sources.depth.depth_scene import RAY_LIMIT, DepthScene, force_bricks, query_of
 from touchfield.sources.depth.kernels import fusion as kernels
@@ -165,16 +166,20 @@ class FusedVolume:
         if is_marked.any():
             kernels.mark(bricks_in_view(self.bricks, query), self.bricks, view, self._rules, out)
 
-    def forces_n(self) -> Float32s:
-        """Return the forces, newtons, float32 [n, 8, 8, 8, 3], in the order of `bricks`."""
+    def forces_n(self, rows: Int64s | None = None) -> Float32s:
+        """Return the forces of the bricks `rows`, newtons, float32 [n, 8, 8, 8, 3]; by default of all."""
         pieces = self.profile.table().astype(np.float32)
-        return kernels.brick_forces(self.samples, pieces, self.grid.shape, self.bricks)
+        samples, bricks = self.samples, self.bricks
+        if rows is not None:
+            samples, bricks = samples.rows(rows), bricks[rows]
+        return kernels.brick_forces(samples, pieces, self.grid.shape, bricks)
 
-    def field(self, forces_n: Float32s) -> ForceField:
-        """Return the force field with these forces of `bricks`."""
-        order = np.lexsort(self.bricks.T[::-1])
+    def field(self, forces_n: Float32s, rows: Int64s | None = None) -> ForceField:
+        """Return the force field with these forces of the bricks `rows`; by default of all."""
+        bricks = self.bricks if rows is None else self.bricks[rows]
+        order = np.lexsort(bricks.T[::-1])
         order = order[np.asarray(forces_n.any(axis=(1, 2, 3, 4)))[order]]
-        return ForceField(self.grid, self.bricks[order], forces_n[order])
+        return ForceField(self.grid, bricks[order], forces_n[order])
 
     def _view(self, query: Query, is_selected: Bools) -> tuple[View, float | None]:
         """Return a view, with pixels at selected samples marked, and its residual, metres."""
@@ -216,6 +221,10 @@ class FusedScene(DepthScene):
         The first request for a lattice and profile processes all frames; in a causal world, the frames up to
         `frame`.
         """
+        return self.field_update(frame, grid, profile).field
+
+    def field_update(self, frame: int, grid: Grid, profile: ForceProfile) -> FieldUpdate:
+        """See `Scene.field_update`: the base is the static world, and what moves replaces bricks of it."""
         require_frame(frame, self.frame_count)
         with self._lock:
             world = self._worlds.get((grid, profile))
@@ -228,7 +237,7 @@ class FusedScene(DepthScene):
                 while len(self._worlds) >= _MAX_WORLDS:
                     del self._worlds[next(iter(self._worlds))]
                 self._worlds[grid, profile] = world
-            return world.field(max(1, int(np.searchsorted(self._planes.keys, frame, side="right"))))
+            return world.update(max(1, int(np.searchsorted(self._planes.keys, frame, side="right"))))
 
     def late_notes(self) -> tuple[str, ...]:
         """See `Scene.late_notes`: the moving fraction, and whether the poses drift."""
@@ -254,6 +263,11 @@ class _Planes:
         return planes, self.scene.pose(frame)
 
 
+def _unchanged(field: ForceField) -> FieldUpdate:
+    """Return the update that replaces nothing of a field."""
+    return FieldUpdate(field, np.empty((0, 3), np.int32), ForceField.empty(field.grid))
+
+
 class _World(ABC):
     """A world on one lattice after a number of key frames."""
 
@@ -268,7 +282,7 @@ class _World(ABC):
         """Return to the state before the first frame."""
 
     @abstractmethod
-    def field(self, frame_count: int) -> ForceField:
+    def update(self, frame_count: int) -> FieldUpdate:
         """Return the world after the first `frame_count` frames."""
 
     def notes(self) -> tuple[str, ...]:
@@ -296,31 +310,34 @@ class _Causal(_World):
         keys = self._planes.keys
         self._renewals = np.asarray(np.diff((keys - keys[0]) // period, prepend=-1) > 0)
         self._volume = FusedVolume(*self._arguments, FIRST_WEIGHT)
-        self._static_forces_n = self._volume.forces_n()
-        self._latest = self._static_field = self._volume.field(self._static_forces_n)
+        self._latest = self._static = self._all()
 
-    def field(self, frame_count: int) -> ForceField:
+    def _all(self) -> FieldUpdate:
+        """Return the world as it is now; nothing is replaced."""
+        volume = self._volume
+        return _unchanged(volume.field(volume.forces_n()))
+
+    def update(self, frame_count: int) -> FieldUpdate:
         """Return the world after `frame_count` frames, renewed where it changes."""
         if frame_count == self._frame_count:
             return self._latest
         if frame_count < self._frame_count:
             self._frame_count = 0
             self._reset()
-        volume = self._volume
-        for i in range(self._frame_count, frame_count):
+        volume, first = self._volume, self._frame_count
+        if self._planes.scene.sequence.is_captured:  # the pictures of frames that are left out are gone
+            first = frame_count - 1
+        for i in range(first, frame_count):
             volume.cover(*self._planes[i])
             volume.integrate(*self._planes[i])
-            if self._renewals[i]:
-                self._static_forces_n = volume.forces_n()
-                self._static_field = volume.field(self._static_forces_n)
-        self._frame_count, self._latest = frame_count, self._static_field
-        is_following = np.count_nonzero(volume.samples.changes, axis=1) >= CHANGED_SAMPLES
-        if not self._renewals[frame_count - 1] and is_following.any():
-            forces = volume.forces_n()
-            forces[~is_following] = 0.0
-            static = np.flatnonzero(~is_following[: len(self._static_forces_n)])
-            forces[static] = self._static_forces_n[static]
-            self._latest = volume.field(forces)
+            if self._renewals[self._frame_count : i + 1].any():
+                self._static = self._all()
+            self._frame_count = i + 1
+        self._latest = self._static
+        following = np.flatnonzero(np.count_nonzero(volume.samples.changes, axis=1) >= CHANGED_SAMPLES)
+        if not self._renewals[frame_count - 1] and len(following):
+            part = volume.field(volume.forces_n(following), following)
+            self._latest = FieldUpdate(self._static.base, volume.bricks[following], part)
         return self._latest
 
 
@@ -337,39 +354,39 @@ class _Fused(_World):
         for i in range(count):
             self._volume.integrate(*planes[i])
             report(count + i + 1, 2 * count)
-        self._forces_n = self._volume.forces_n()
-        self._static_field = self._volume.field(self._forces_n)
+        forces_n = self._volume.forces_n()
+        self._static = _unchanged(self._volume.field(forces_n))
         is_changed = self._volume.samples.changes > 0
         self._is_moving = np.zeros(is_changed.shape, np.bool_)
         for i in range(count if is_changed.any() else 0):
             self._volume.mark_patches(*planes[i], is_changed, self._is_moving)
         self._rows = np.flatnonzero(self._is_moving.any(axis=1))
+        self._moving_forces_n = forces_n[self._rows]
         super().__init__(grid, profile, step_per_m, planes)
 
     def _reset(self) -> None:
         self._part = FusedVolume(*self._arguments)
         self._part.add(self._volume.bricks[self._rows])
 
-    def field(self, frame_count: int) -> ForceField:
+    def update(self, frame_count: int) -> FieldUpdate:
         """Return the static world with its moving parts after the first `frame_count` frames."""
         if not len(self._rows):
-            return self._static_field
+            return self._static
         if frame_count < self._frame_count:
             self._frame_count = 0
             self._reset()
         for i in range(self._frame_count, frame_count):
             self._part.integrate(*self._planes[i])
         self._frame_count = frame_count
-        forces = self._forces_n.copy()
         is_moving = self._is_moving[self._rows].reshape(-1, 8, 8, 8, 1)
-        forces[self._rows] = np.where(is_moving, self._part.forces_n(), forces[self._rows])
-        return self._volume.field(forces)
+        forces_n = np.where(is_moving, self._part.forces_n(), self._moving_forces_n)
+        return FieldUpdate(self._static.base, self._part.bricks, self._part.field(forces_n))
 
     def notes(self) -> tuple[str, ...]:
         if not len(self._rows):
             return super().notes()
-        has_force = self._forces_n.any(axis=-1).reshape(-1, 512)
-        fraction = float((self._is_moving & has_force).sum()) / max(1, int(has_force.sum()))
+        is_moving = self._is_moving[self._rows] & self._moving_forces_n.any(axis=-1).reshape(-1, 512)
+        fraction = np.count_nonzero(is_moving) / max(1, self._static.base.support_count)
         if self._planes.scene.sequence.has_wrong_poses:
             reason = "differs between the frames, since poses and depth disagree, and follows the frames"
         else:

@@ -69,6 +69,10 @@ class Samples(NamedTuple):
         """Return the samples of the first bricks, as views."""
         return Samples(*(array[:count] for array in self))  # type: ignore[arg-type]
 
+    def rows(self, rows: Int64s) -> Samples:
+        """Return copies of the samples of some bricks, `rows` int64 [n]."""
+        return Samples(*(array[rows] for array in self))  # type: ignore[arg-type]
+
     def copy_from(self, other: Samples) -> None:
         """Copy the state of `other`, which has the same number of bricks."""
         for array, source in zip(self, other, strict=True):
