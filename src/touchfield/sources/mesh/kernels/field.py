@@ -99,12 +99,7 @@ def _descend(start, stop, cells, starts, ids, table, lattice, shape, size, limit
             nearest = np.sqrt(tri.nearest_to_centre(tiles, count, s)[1])
             max_square = min(nearest + 2 * radius, limit + radius) * np.float32(1 + 1e-5) + _SLACK
             max_square = max_square * max_square
-            child_count = 0
-            for c in range(count):
-                if tri.square_of(tiles, c, s) <= max_square:
-                    keep[first + c] |= 1 << s
-                    child_count += 1
-            counts[cell, s] = child_count
+            counts[cell, s] = tri.keep_near(tiles, count, s, max_square, keep[first : first + count])
 
 
 @kernel
@@ -140,6 +135,13 @@ def _force(table, normals, t, x, y, z, is_inside, rule, pieces):
     return scale * dx, scale * dy, scale * dz
 
 
+@inner(forceinline=True)
+def _local_of(local, q):
+    """Return the position in a brick of sample q of a block: four groups of 2 x 2 x 4 samples."""
+    i, j = ((q >> 5) << 1) | ((q >> 3) & 1), (((q >> 4) & 1) << 1) | ((q >> 2) & 1)
+    return local[0] + i, local[1] + j, local[2] + (q & 3)
+
+
 @inner
 def _open_block(block, corner, local, shape, steps, limits, is_closed, winding):
     """Set the positions of a block's 64 samples and their squared search radii (negative: no search).
@@ -148,7 +150,7 @@ def _open_block(block, corner, local, shape, steps, limits, is_closed, winding):
     """
     max_square = np.float32(-1.0)
     for s in range(64):
-        i, j, k = local[0] + (s >> 4), local[1] + ((s >> 2) & 3), local[2] + (s & 3)
+        i, j, k = _local_of(local, s)
         block[tri.X + s], block[tri.Y + s], block[tri.Z + s] = i * steps[0], j * steps[1], k * steps[2]
         span = limits[0]
         if is_closed and winding[(i << 6) | (j << 3) | k] == 0:
@@ -163,7 +165,7 @@ def _open_block(block, corner, local, shape, steps, limits, is_closed, winding):
 
 
 @inner
-def _search_block(block, s, max_square, count, tiles, radius):
+def _search_block(block, s, max_square, count, tiles, centres, radius, half, heights, is_near, selected):
     """Find the nearest triangle of each sample of a block.
 
     Returns False if none is near enough.
@@ -178,10 +180,16 @@ def _search_block(block, s, max_square, count, tiles, radius):
     for q in range(64):
         max_square = max(max_square, block[tri.D + q])
     reach = min(np.sqrt(max_square) + radius, nearest + 2 * radius) * margin + _SLACK
-    reach = reach * reach
-    for c in range(count):
-        if tri.square_of(tiles, c, s) <= reach and c != best:
-            tri.sweep_block(tiles, c, block)
+    direction = tri.direction_from(tiles, best, centres, s)
+    tri.heights_above(block, centres, s, direction, heights)
+    found = tri.select_near(tiles, count, s, reach*reach, centres, (direction, heights), half, is_near, selected)
+    for n in range(found):
+        c, groups = selected[n, 0], selected[n, 1]
+        if c == best:
+            continue
+        for group in range(4):
+            if (groups >> group) & 1:
+                tri.sweep_group(tiles, c, block, 16 * group)
     return True
 
 
@@ -204,6 +212,8 @@ def _fill_bricks(start, stop, candidates, surface, frame, events, rule, pieces, 
     radius = tri.set_centres(centres, 4, steps)
     reach = 7.0 * math.sqrt(steps[0] ** 2 + steps[1] ** 2 + steps[2] ** 2)
     tiles = tri.tiles_for(start, stop, spans[:, 0], spans[:, 1])
+    half = steps32[0],steps32[1],np.float32(.5)*steps32[0],np.float32(.5)*steps32[1],np.float32(1.5)*steps32[2]; heights=np.empty(4,np.float32)
+    is_near=np.empty(32,np.int32); selected=np.empty((len(tiles)//1280*32+1,2),np.int32)
     winding = np.zeros(512, np.int32)
     corner, local = np.empty(3, np.int64), np.empty(3, np.int64)
     low = np.empty(3)
@@ -220,12 +230,13 @@ def _fill_bricks(start, stop, candidates, surface, frame, events, rule, pieces, 
         for s in range(8):
             local[0], local[1], local[2] = (s >> 2) * 4, ((s >> 1) & 1) * 4, (s & 1) * 4
             max_square = _open_block(block, corner, local, shape, steps32, limits, is_closed, winding)
-            if max_square < _0 or not _search_block(block, s, max_square, count, tiles, radius):
+            if max_square < _0 or not _search_block(
+                block, s, max_square, count, tiles, centres, radius, half, heights, is_near, selected):
                 continue
             for q in range(64):
                 if block[tri.ID + q] < _0:
                     continue
-                i, j, k = local[0] + (q >> 4), local[1] + ((q >> 2) & 3), local[2] + (q & 3)
+                i, j, k = _local_of(local, q)
                 x, y, z = _sample_position(bricks, b, i, j, k, lattice)
                 t = ids[first + int(block[tri.ID + q])]
                 is_inside = winding[(i << 6) | (j << 3) | k] != 0

@@ -32,6 +32,7 @@ _FIELDS = 32 * _LANES  # of a triangle relative to a cell: 7 heights, 3 half len
 _TILE = _FIELDS + 8 * _LANES  # and its squared distances to eight centres
 _FLAT = 1e-12  # height over length below which a triangle is a line
 _0 = np.float32(0)
+_NEAR = np.float32(0.05)
 _HUGE = np.float32(1e20)  # exceeds any squared distance
 _FACE, _VERTEX, _EDGE = 0, 1, 4  # columns of the table of pseudo-normals
 
@@ -206,15 +207,164 @@ def set_centres(block, half, steps):
     return np.float32(0.5 * (half - 1) * diagonal)
 
 
-@inner
+@inner(fastmath=_FAST)
 def nearest_to_centre(tiles, count, s):
-    """Return the index of the triangle nearest to centre s, and its squared distance."""
+    """Return the index of the triangle nearest to centre s, the first of several, and its squared distance."""
     best, min_square = 0, square_of(tiles, 0, s)
-    for c in range(1, count):
-        square = square_of(tiles, c, s)
-        if square < min_square:
-            best, min_square = c, square
+    for first in range(0, count, _LANES):
+        squares = _squares_of_tile(tiles, first, s)
+        lanes = min(_LANES, count - first)
+        nearer = 0  # a sum, unlike a minimum, is vectorised
+        for c in range(lanes):
+            nearer += squares[c] < min_square
+        if nearer == 0:
+            continue
+        for c in range(lanes):
+            if squares[c] < min_square:
+                best, min_square = first + c, squares[c]
     return best, min_square
+
+
+@inner(forceinline=True)
+def _squares_of_tile(tiles, first, s):
+    """Return the squared distances to centre s of the tile that starts with triangle `first`."""
+    at = first // _LANES * _TILE + _FIELDS + s * _LANES
+    return tiles[at : at + _LANES]
+
+
+@inner(fastmath=_FAST, forceinline=True)
+def _offset(p, x, y, z):
+    """Return the vector to (x, y, z) from the nearest point of the triangle that `_localise` wrote to p."""
+    h = p[0] + p[10] * x + p[11] * y + p[12] * z
+    q0 = p[1] + p[13] * x + p[14] * y + p[15] * z
+    q1 = p[2] + p[16] * x + p[17] * y + p[18] * z
+    q2 = p[3] + p[19] * x + p[20] * y + p[21] * z
+    a0 = p[4] + p[22] * x + p[23] * y + p[24] * z
+    a1 = p[5] + p[25] * x + p[26] * y + p[27] * z
+    a2 = p[6] + p[28] * x + p[29] * y + p[30] * z
+    s0, s1, s2 = max(abs(a0) - p[7], _0), max(abs(a1) - p[8], _0), max(abs(a2) - p[9], _0)
+    first, second, third = q0 * q0 + s0 * s0, q1 * q1 + s1 * s1, q2 * q2 + s2 * s2
+    is_inside = max(q0, max(q1, q2)) <= _0
+    is_second = second < first and not is_inside
+    is_third = third < min(first, second) and not is_inside
+    q, s, a = (q1, s1, a1) if is_second else (q0, s0, a0)
+    q, s, a = (q2, s2, a2) if is_third else (q, s, a)
+    q, s = _0 if is_inside else q, s if a > _0 else -s
+    mx, my, mz = (p[16], p[17], p[18]) if is_second else (p[13], p[14], p[15])
+    mx, my, mz = (p[19], p[20], p[21]) if is_third else (mx, my, mz)
+    ex, ey, ez = (p[25], p[26], p[27]) if is_second else (p[22], p[23], p[24])
+    ex, ey, ez = (p[28], p[29], p[30]) if is_third else (ex, ey, ez)
+    return h * p[10] + q * mx + s * ex, h * p[11] + q * my + s * ey, h * p[12] + q * mz + s * ez
+
+
+@inner(fastmath=_FAST)
+def direction_from(tiles, c, centres, s):
+    """Return the unit vector to centre s from the nearest point of triangle c; 0 if that is the centre."""
+    at = c // _LANES * _TILE
+    p = _load(tiles[at : at + _TILE], c % _LANES)
+    x, y, z = _offset(p, centres[X + s], centres[Y + s], centres[Z + s])
+    length = np.sqrt(x * x + y * y + z * z)
+    scale = np.float32(1) / length if length > _NEAR else _0
+    return x * scale, y * scale, z * scale
+
+
+@inner(fastmath=_FAST)
+def heights_above(block, centres, s, direction, heights):
+    """Write the lowest height, over the centre of each group of a block, of a plane above the distances found.
+
+    `direction` is the gradient of the four planes.
+    """
+    gx, gy, gz = direction
+    for group in range(4):
+        height, first = -_HUGE, 16 * group
+        # the mean of opposite corners is the centre
+        along = gx * (block[X + first] + block[X + first + 15])
+        along += gy * (block[Y + first] + block[Y + first + 15])
+        along += gz * (block[Z + first] + block[Z + first + 15])
+        along *= np.float32(0.5)
+        for q in range(first, first + 16):
+            slope = gx * block[X + q] + gy * block[Y + q] + gz * block[Z + q]
+            square = block[D + q]
+            height = max(height, np.sqrt(max(square, _0)) - slope if square >= _0 else -_HUGE)
+        heights[group] = (height + along) * np.float32(1 + 1e-5) + np.float32(1e-3)
+
+
+@inner(fastmath=_FAST)
+def _mark_near(tile, squares, lanes, max_square, centre, planes, box, near):
+    """Set a bit for each of four boxes in which a triangle of a tile may be below a plane."""
+    x, y, z = centre
+    (gx, gy, gz), heights = planes
+    ox, oy, hx, hy, hz = box
+    h0, h1, h2, h3 = heights[0], heights[1], heights[2], heights[3]
+    for c in range(lanes):
+        vx, vy, vz = _offset(_load(tile, c), x, y, z)
+        square = vx * vx + vy * vy + vz * vz
+        distance = np.sqrt(square)
+        spread = abs(vx - gx * distance) * hx + abs(vy - gy * distance) * hy + abs(vz - gz * distance) * hz
+        rest, ax, ay = square - spread, vx * ox, vy * oy
+        boxes = np.int32(rest - ax - ay <= distance * h0)
+        boxes |= np.int32(rest - ax + ay <= distance * h1) << np.int32(1)
+        boxes |= np.int32(rest + ax - ay <= distance * h2) << np.int32(2)
+        boxes |= np.int32(rest + ax + ay <= distance * h3) << np.int32(3)
+        boxes = np.int32(15) if distance <= _NEAR else boxes
+        near[c] = boxes if squares[c] <= max_square else np.int32(0)
+
+
+@inner(fastmath=_FAST)
+def select_near(tiles, count, s, max_square, centres, planes, box, near, selected):
+    """List the triangles of a cell that may be nearest to a sample of a box around centre s.
+
+    They are at most sqrt(max_square) from the centre, and somewhere nearer than `plane`.  A distance to a triangle is convex, so
+    that it is nowhere below its tangent plane at the centre.
+    """
+    found = 0
+    centre = centres[X + s], centres[Y + s], centres[Z + s]
+    for first in range(0, count, _LANES):
+        squares = _squares_of_tile(tiles, first, s)
+        lanes = min(_LANES, count - first)
+        some = 0
+        for c in range(lanes):
+            some += squares[c] <= max_square
+        if some == 0:
+            continue
+        at = first // _LANES * _TILE
+        _mark_near(tiles[at : at + _FIELDS], squares, (lanes + 7) // 8 * 8, max_square, centre, planes, box, near)
+        for c in range(lanes):
+            selected[found, 0], selected[found, 1] = first + c, near[c]
+            found += near[c] != 0
+    return found
+
+
+@inner(fastmath=_FAST)
+def keep_near(tiles, count, s, max_square, keep):
+    """Set bit s of `keep` for each triangle at most sqrt(max_square) from centre s; return their number."""
+    found, bit = 0, np.uint8(1 << s)
+    for first in range(0, count, _LANES):
+        squares, kept = _squares_of_tile(tiles, first, s), keep[first : first + _LANES]
+        some = 0
+        for c in range(min(_LANES, count - first)):
+            is_near = squares[c] <= max_square
+            kept[c] |= bit if is_near else np.uint8(0)
+            some += is_near
+        found += some
+    return found
+
+
+@inner(fastmath=_FAST)
+def sweep_group(tiles, c, block, first):
+    """Like `sweep_block`, for the 16 samples from `first` on."""
+    at = (c // _LANES) * _TILE
+    p = _load(tiles[at : at + _TILE], c % _LANES)
+    number = np.float32(c)
+    unity = p[31]
+    xs, ys, zs = block[X + first : X + first + 16], block[Y + first : Y + first + 16], block[Z + first : Z + first + 16]
+    squares, ids = block[D + first : D + first + 16], block[ID + first : ID + first + 16]
+    for s in range(16):
+        square = _square_distance(p, xs[s], ys[s], zs[s])
+        previous, previous_id = squares[s], ids[s]
+        is_nearer = square < previous
+        ids[s] = (number if is_nearer else previous_id) * unity
+        squares[s] = (square if is_nearer else previous) * unity
 
 
 @inner
