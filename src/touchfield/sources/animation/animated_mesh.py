@@ -3,6 +3,8 @@ at the frames of the medium.
 
 Models are evaluated at the rate of the medium.
 
+While the field of a frame is computed, a thread makes the surface of the next one.
+
 Frame i shows the time i / rate_hz, for all such times before the end of the animation; the end itself is
 excluded, so that a looping animation does not show its first frame twice. Triangles and welded vertices are
 determined once (`touchfield.sources.mesh.surface.weld_in_motion`); a frame is the same surface with other
@@ -16,14 +18,16 @@ from __future__ import annotations
 
 import copy
 import math
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from touchfield.arrays import Bools, Float64s, Int32s
+from touchfield.compute.threads import worker_count
 from touchfield.errors import InvalidArgument, SourceError, require_positive
 from touchfield.medium import ForceField, Grid, PoseTrack
 from touchfield.medium.pose_track import checked_rotation
@@ -90,6 +94,7 @@ class AnimatedMeshScene(MovingScene):
         self._motion: tuple[Float64s, Float64s] | None = None
         self._block = lru_cache(maxsize=2)(self._poses)  # a frame may lie at the edge of its block
         self._latest: tuple[int, MeshScene] | None = None
+        self._upcoming: tuple[int, Future[MeshScene]] | None = None  # the frame after it
         self._motions_m: Float64s | None = None  # of the triangles, outwards, of `thickened`
         self._min_thickness: MinThickness | None = None
         with np.errstate(all="ignore"):
@@ -191,10 +196,21 @@ class AnimatedMeshScene(MovingScene):
     def _scene(self, frame: int) -> MeshScene:
         latest = self._latest
         if latest is None or latest[0] != frame:
-            scene = self._static_scene(self._at_frame(frame))
-            scene = scene if self._motions_m is None else scene.grown(self._motions_m)
+            upcoming, self._upcoming = self._upcoming, None
+            is_ready = upcoming is not None and upcoming[0] == frame
+            scene = upcoming[1].result() if upcoming is not None and is_ready else self._make_scene(frame)
+            if latest is not None and frame == latest[0] + 1 < self.frame_count - 1 and worker_count() > 1:
+                # much of a surface is made by one core, which the field before it leaves free
+                self._upcoming = frame + 1, _lookahead_pool().submit(self._make_scene, frame + 1)
             self._latest = latest = frame, scene
         return latest[1]
+
+    def _make_scene(self, frame: int) -> MeshScene:
+        """Return the mesh of a frame, ready for its field."""
+        scene = self._static_scene(self._at_frame(frame))
+        scene = scene if self._motions_m is None else scene.grown(self._motions_m)
+        scene.prepare_field()
+        return scene
 
     def _at_frame(self, frame: int) -> RepairedSurface:
         """Return the surface of a frame; parts that an animated scale has mirrored are turned over."""
@@ -334,7 +350,7 @@ class AnimatedMeshScene(MovingScene):
     def _copy(self) -> AnimatedMeshScene:
         """Return this scene without its cached positions."""
         other = copy.copy(self)
-        other._latest = other._box = None
+        other._latest = other._upcoming = other._box = None
         return other
 
     def _forget_parts(self) -> None:
@@ -359,6 +375,12 @@ class AnimatedMeshScene(MovingScene):
         other._motion = matrix @ turn, matrix @ shift + np.asarray(shift_m, np.float64)
         other._forget_parts()
         return other
+
+
+@cache
+def _lookahead_pool() -> ThreadPoolExecutor:
+    """The thread that makes the surface of the next frame."""
+    return ThreadPoolExecutor(1, thread_name_prefix="touchfield-animation")
 
 
 # -- names and files ---------------------------------------------------------------------------------------
