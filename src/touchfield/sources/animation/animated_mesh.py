@@ -35,7 +35,7 @@ from touchfield.sources.animation.rigid_parts import (
     RigidPart,
     outer_area_m2,
     rigid_parts,
-    split_at_vertices,
+    separate_parts,
 )
 from touchfield.sources.camera import require_frame
 from touchfield.sources.gltf.document import contents
@@ -116,7 +116,7 @@ class AnimatedMeshScene(MovingScene):
             rest = self._in_metres(model.at_rest(), "at rest")
             self._vertex_ids = np.arange(len(rest))  # vertices of the model that remain after welding
             poses = np.stack([rest, *map(self.vertices_m, sample_frames)])
-            self._vertex_ids, triangles = split_at_vertices(*weld_in_motion(poses, model.triangles))
+            self._vertex_ids, triangles = separate_parts(*weld_in_motion(poses, model.triangles))
             self._repaired = close_holes(Surface(rest[self._vertex_ids], triangles, self.name), holes)
         scene = self._static_scene(self._repaired)
         self.is_closed = scene.is_closed

@@ -244,7 +244,7 @@ def _heights(points, count, normal, base, out):
 
 @inner
 def _span_on_line(points, count, heights, along, tiny):
-    """Return the interval along a direction in which a convex polygon meets a plane.
+    """Return the interval along a direction (x, y, z) in which a convex polygon meets a plane.
 
     The interval is empty if low > high.
     """
@@ -273,10 +273,11 @@ def _meet(piece, count, normal, other, other_normal, tiny, h, g):
     low, high = _heights(other, 3, normal, piece[0], g)
     if low > tiny or high < -tiny or (low >= -tiny and high <= tiny):
         return False
-    along = np.empty(3)
-    for c in range(3):
-        d, e = (c + 1) % 3, (c + 2) % 3
-        along[c] = normal[d] * other_normal[e] - normal[e] * other_normal[d]
+    along = (  # numbers, as an array takes longer to allocate than the rest of the test
+        normal[1] * other_normal[2] - normal[2] * other_normal[1],
+        normal[2] * other_normal[0] - normal[0] * other_normal[2],
+        normal[0] * other_normal[1] - normal[1] * other_normal[0],
+    )
     a0, a1 = _span_on_line(piece, count, h, along, tiny)
     b0, b1 = _span_on_line(other, 3, g, along, tiny)
     return min(a1, b1) - max(a0, b0) > tiny * np.sqrt(along[0] ** 2 + along[1] ** 2 + along[2] ** 2)
