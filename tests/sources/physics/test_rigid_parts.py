@@ -182,7 +182,7 @@ def test_links_that_share_the_edge_of_their_hinge_are_bodies(tmp_path: Path) -> 
 
 def test_links_that_share_a_face_stay_one_part() -> None:
     # at the four edges of the face, it is not defined which triangles belong together
-    positions = np.concatenate([CUBE, CUBE + [1, 0, 0]])
+    positions = np.concatenate([CUBE, CUBE + np.array([1, 0, 0])])
     _, ids = np.unique(positions, axis=0, return_inverse=True)
     triangles = ids.reshape(-1)[np.concatenate([CUBE_FACES, CUBE_FACES + 8])].astype(np.int32)
     kept, faces = separate_parts(np.arange(12), triangles)

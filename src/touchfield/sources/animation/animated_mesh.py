@@ -55,6 +55,7 @@ _NODE_POSES: Final = 1 << 17  # node matrices of a block of times: about 50 MB w
 _SAMPLE_TIMES: Final = 16  # number of times at which vertices must coincide to be welded
 _OVERLAP_TIMES: Final = 5  # number of times at which the overlap of bodies is measured
 _LARGEST: Final = 1e15
+_MAX_LOOKAHEAD_TRIANGLES: Final = 1 << 20  # the next surface of as many takes 0.4 GB
 _MAX_HIDDEN: Final = 0.45
 """Largest fraction of the surface of bodies that may lie inside other bodies.
 
@@ -95,6 +96,7 @@ class AnimatedMeshScene(MovingScene):
         self._block = lru_cache(maxsize=2)(self._poses)  # a frame may lie at the edge of its block
         self._latest: tuple[int, MeshScene] | None = None
         self._upcoming: tuple[int, Future[MeshScene]] | None = None  # the frame after it
+        self._field_frame = -1  # the latest whose field was requested
         self._motions_m: Float64s | None = None  # of the triangles, outwards, of `thickened`
         self._min_thickness: MinThickness | None = None
         with np.errstate(all="ignore"):
@@ -196,21 +198,35 @@ class AnimatedMeshScene(MovingScene):
     def _scene(self, frame: int) -> MeshScene:
         latest = self._latest
         if latest is None or latest[0] != frame:
-            upcoming, self._upcoming = self._upcoming, None
-            is_ready = upcoming is not None and upcoming[0] == frame
-            scene = upcoming[1].result() if upcoming is not None and is_ready else self._make_scene(frame)
-            if latest is not None and frame == latest[0] + 1 < self.frame_count - 1 and worker_count() > 1:
-                # much of a surface is made by one core, which the field before it leaves free
-                self._upcoming = frame + 1, _lookahead_pool().submit(self._make_scene, frame + 1)
+            upcoming = self._upcoming
+            if upcoming is not None and upcoming[0] == frame:
+                scene = upcoming[1].result()
+            else:
+                scene = self._make_scene(frame)
             self._latest = latest = frame, scene
+            self._upcoming = None
         return latest[1]
 
     def _make_scene(self, frame: int) -> MeshScene:
-        """Return the mesh of a frame, ready for its field."""
         scene = self._static_scene(self._at_frame(frame))
-        scene = scene if self._motions_m is None else scene.grown(self._motions_m)
-        scene.prepare_field()
-        return scene
+        return scene if self._motions_m is None else scene.grown(self._motions_m)
+
+    def _look_ahead(self, frame: int) -> None:
+        """Let a thread make the surface of the next frame, if frames are requested one after the other.
+
+        Much of that runs on one core, and the field of this frame leaves the others some time.
+        """
+        is_next, self._field_frame = frame == self._field_frame + 1, frame
+        is_small = len(self._repaired.surface.triangles) <= _MAX_LOOKAHEAD_TRIANGLES
+        if not (is_next and is_small and frame + 1 < self.frame_count and worker_count() > 1):
+            return
+
+        def make() -> MeshScene:
+            scene = self._make_scene(frame + 1)
+            scene.prepare_field()
+            return scene
+
+        self._upcoming = frame + 1, _lookahead_pool().submit(make)
 
     def _at_frame(self, frame: int) -> RepairedSurface:
         """Return the surface of a frame; parts that an animated scale has mirrored are turned over."""
@@ -265,6 +281,8 @@ class AnimatedMeshScene(MovingScene):
         coordinate is not finite there.
         """
         scene = self._scene(frame)
+        if self._upcoming is None:
+            self._look_ahead(frame)
         if profile.surface_damping_n_s_per_m > 0 and scene.velocities_m_s is None:
             scene.velocities_m_s = self.velocities_m_s(frame)
         return scene.field(0, grid, profile)

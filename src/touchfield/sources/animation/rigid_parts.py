@@ -4,8 +4,8 @@ For the object representation, bodies are the connected parts whose vertices mov
 of the motion (a node, a joint that carries the whole part, several that move alike) does not matter: the
 motion is fitted to the vertices, frame by frame, and the part is rigid if no vertex is farther from the fit
 than 1e-5 of its extent. Parts that move alike are one body. Closed links that meet in a vertex or an edge, as
-at the pivot or the hinge of a joint, are separate parts. Source of the fit: W. Kabsch, A solution for the best rotation to relate
-two sets of vectors, Acta Cryst. A32, 1976.
+at the pivot or the hinge of a joint, are separate parts. Source of the fit: W. Kabsch, A solution for the
+best rotation to relate two sets of vectors, Acta Cryst. A32, 1976.
 """
 
 from __future__ import annotations
