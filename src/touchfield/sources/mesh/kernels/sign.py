@@ -273,7 +273,7 @@ def _meet(piece, count, normal, other, other_normal, tiny, h, g):
     low, high = _heights(other, 3, normal, piece[0], g)
     if low > tiny or high < -tiny or (low >= -tiny and high <= tiny):
         return False
-    along = (  # numbers, as an array takes longer to allocate than the rest of the test
+    along = (  # numbers: an array would have to be allocated
         normal[1] * other_normal[2] - normal[2] * other_normal[1],
         normal[2] * other_normal[0] - normal[0] * other_normal[2],
         normal[0] * other_normal[1] - normal[1] * other_normal[0],
