@@ -9,7 +9,8 @@ overlap at their joints. It is encoded as objects, which is the default, and as 
 before. The smooth rig is a tube whose vertices follow two joints each, so that every frame has a new field.
 It is timed to the fields on the device's lattice of 128^3 samples, step by step, and to the file. All are
 coded at the default effort; the smooth rig also without the base layer, whose fit takes most of its time.
-Processor seconds are given besides wall seconds, which other work on the machine lengthens.
+Processor seconds are given besides wall seconds, which other work on the machine lengthens, and the
+fraction of all cores' time that is used ("cores_busy"); other work on the machine lowers it.
 
 The running fox of the Khronos samples, if it is there, is encoded with all its frames. Its bytes have a bar
 of half of what they were on 29 November 2026.
@@ -57,9 +58,9 @@ FOX_BYTES = 1902.1
 
 
 def clocked(call: Callable[[], Any], frames: int) -> dict[str, float]:
-    """Return wall and processor seconds, and frames per second by each.
+    """Return wall and processor seconds, frames per second by each, and how busy all cores are.
 
-    The rate by processor time is that of all cores without other work.
+    The rate by processor time is that of all cores without other work, all of them busy.
     """
     began, spent = time.perf_counter(), time.process_time()
     call()
@@ -69,6 +70,8 @@ def clocked(call: Callable[[], Any], frames: int) -> dict[str, float]:
         "processor_s": spent,
         "frames_per_s": frames / took,
         "frames_per_s_undisturbed": frames * worker_count() / spent,
+        "processor_ms_per_frame": 1e3 * spent / frames,
+        "cores_busy": spent / (took * worker_count()),
     }
 
 
@@ -81,7 +84,6 @@ def parts_of_a_frame(path: Path) -> dict[str, float]:
     calls: dict[str, Callable[[int], Any]] = {
         "joints and skin": lambda i: scene.vertices_m(frames[i]),
         "surface on its vertices": lambda i: surfaces[0].with_vertices(surfaces[i].vertices_m),
-        "pseudo-normals": lambda i: surfaces[i].pseudo_normals(),
         "search for overlaps": lambda i: union_of(surfaces[i]),
         "all, with distance, sign and device filter": lambda i: medium[frames[i]],
     }

@@ -226,6 +226,38 @@ def test_the_field_of_a_frame_is_that_of_the_posed_mesh(tmp_path: Path) -> None:
         np.testing.assert_allclose(dense(scene.field(frame, grid, law(0.2))), dense(expected), atol=1e-5)
 
 
+@pytest.mark.parametrize("damping", [0.0, 3.0])
+def test_fields_in_order_are_those_of_frames_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damping: float
+) -> None:
+    """In order, a thread makes each surface ahead; alone, none does."""
+    monkeypatch.setenv("TOUCHFIELD_THREADS", "2")
+    path = spinning(CUBE, CUBE_FACES).save(tmp_path / "a.gltf")
+    scene = AnimatedMeshScene(path, rate_hz=12)
+    grid = grid_around(scene)
+    in_order = [scene.field(frame, grid, law(0.2, damping)) for frame in range(scene.frame_count)]
+    for frame in (11, 3, 3, 0):
+        alone = AnimatedMeshScene(path, rate_hz=12).field(frame, grid, law(0.2, damping))
+        again = scene.field(frame, grid, law(0.2, damping))
+        for field in (alone, again):
+            np.testing.assert_array_equal(field.bricks, in_order[frame].bricks)
+            np.testing.assert_array_equal(field.forces_n, in_order[frame].forces_n)
+
+
+def test_a_frame_that_overflows_is_reported_when_its_field_is_requested(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TOUCHFIELD_THREADS", "2")
+    values, times = [[0, 0, 0], [1e30, 0, 0], [0, 0, 0], [0, 0, 0]], [0, 0.09, 0.11, 1]
+    scene = AnimatedMeshScene(moving_cube(values, times, "STEP").save(tmp_path / "a.gltf"))
+    grid = Grid.over_box(np.full(3, -0.5), np.full(3, 1.5), (12, 12, 12))
+    before = [dense(scene.field(frame, grid, law(0.2))) for frame in (4, 5)]
+    with pytest.raises(SourceError, match=r"NaN or infinite at 0\.1 s"):
+        scene.field(6, grid, law(0.2))
+    for field in (*before, dense(scene.field(7, grid, law(0.2)))):
+        np.testing.assert_array_equal(field, before[0])
+
+
 def test_a_moved_scene_has_the_field_of_its_new_position(tmp_path: Path) -> None:
     """Also for the frame whose surface was computed last, before the move."""
     scene = AnimatedMeshScene(spinning(CUBE, CUBE_FACES).save(tmp_path / "a.gltf"))

@@ -172,6 +172,16 @@ def test_a_law_without_forces_outside_has_the_same_field_inside(origin: tuple[fl
     np.testing.assert_array_equal(only.forces_n, both.forces_n)
 
 
+@pytest.mark.parametrize("steps", [(1, 1, 1), (4, 1, 2)])
+def test_a_fine_mesh_keeps_its_distances_deep_inside(steps: tuple[int, int, int]) -> None:
+    """There many triangles are almost equally near: the centre of a sphere, the axis of an ellipsoid."""
+    sphere = trimesh.creation.icosphere(subdivisions=2)
+    for scale in ([1, 1, 1], [1, 0.4, 0.4]):
+        mesh = sphere.vertices * scale + 0.013, sphere.faces
+        shape = tuple(5 * step + 3 for step in steps)
+        check_against_brute_force(mesh, grid_around(mesh[0], shape), 1.1)
+
+
 @settings(max_examples=10)
 @given(st.integers(0, 2**32 - 1))
 def test_slivers_and_flat_triangles_keep_their_distances(seed: int) -> None:

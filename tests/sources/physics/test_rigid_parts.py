@@ -14,6 +14,7 @@ from touchfield.pipeline.encoding import encode
 from touchfield.pipeline.preparation import prepare
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.animation.animated_mesh import AnimatedMeshScene
+from touchfield.sources.animation.rigid_parts import separate_parts
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.physics.body_scene import BodyScene
 
@@ -162,6 +163,30 @@ def test_links_that_share_the_vertex_of_their_joint_are_bodies(tmp_path: Path) -
     assert len(bodies) == 3 and scene.is_of_bodies and all(body.is_rigid for body in bodies)
     assert [len(body.scene.surface.vertices_m) for body in bodies] == [6, 6, 6]  # type: ignore[attr-defined]
     assert not scene.overlap_note
+
+
+def test_links_that_share_the_edge_of_their_hinge_are_bodies(tmp_path: Path) -> None:
+    gltf = Gltf()
+    mesh = gltf.mesh(CUBE, CUBE_FACES)
+    for n in range(3):  # in a diagonal row: each turns about the edge that it shares with the one before
+        children = {"children": [n + 1]} if n < 2 else {}
+        gltf.put("nodes", mesh=mesh, translation=[float(n > 0), float(n > 0), 0], **children)
+        gltf.animate(n, "rotation", [0, 1], [[0, 0, 0, 1], [0, 0, np.sin(0.1 * n), np.cos(0.1 * n)]])
+    gltf.put("scenes", nodes=[0])
+    scene = AnimatedMeshScene(gltf.save(tmp_path / "a.gltf"), rate_hz=8)
+    assert scene.is_of_bodies and len(scene.bodies()) == 3
+    corners = [body.scene.surface.vertices_m for body in scene.bodies()]  # type: ignore[attr-defined]
+    assert [len(own) for own in corners] == [8, 8, 8]
+    assert not scene.overlap_note
+
+
+def test_links_that_share_a_face_stay_one_part() -> None:
+    # at the four edges of the face, it is not defined which triangles belong together
+    positions = np.concatenate([CUBE, CUBE + np.array([1, 0, 0])])
+    _, ids = np.unique(positions, axis=0, return_inverse=True)
+    triangles = ids.reshape(-1)[np.concatenate([CUBE_FACES, CUBE_FACES + 8])].astype(np.int32)
+    kept, faces = separate_parts(np.arange(12), triangles)
+    assert np.array_equal(kept, np.arange(12)) and np.array_equal(faces, triangles)
 
 
 def test_a_robot_is_encoded_as_links_within_the_error_bound(tmp_path: Path) -> None:

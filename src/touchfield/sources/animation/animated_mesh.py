@@ -3,6 +3,8 @@ at the frames of the medium.
 
 Models are evaluated at the rate of the medium.
 
+While the field of a frame is computed, a thread makes the surface of the next one.
+
 Frame i shows the time i / rate_hz, for all such times before the end of the animation; the end itself is
 excluded, so that a looping animation does not show its first frame twice. Triangles and welded vertices are
 determined once (`touchfield.sources.mesh.surface.weld_in_motion`); a frame is the same surface with other
@@ -16,14 +18,16 @@ from __future__ import annotations
 
 import copy
 import math
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from touchfield.arrays import Bools, Float64s, Int32s
+from touchfield.compute.threads import worker_count
 from touchfield.errors import InvalidArgument, SourceError, require_positive
 from touchfield.medium import ForceField, Grid, PoseTrack
 from touchfield.medium.pose_track import checked_rotation
@@ -31,7 +35,7 @@ from touchfield.sources.animation.rigid_parts import (
     RigidPart,
     outer_area_m2,
     rigid_parts,
-    split_at_vertices,
+    separate_parts,
 )
 from touchfield.sources.camera import require_frame
 from touchfield.sources.gltf.document import contents
@@ -51,6 +55,7 @@ _NODE_POSES: Final = 1 << 17  # node matrices of a block of times: about 50 MB w
 _SAMPLE_TIMES: Final = 16  # number of times at which vertices must coincide to be welded
 _OVERLAP_TIMES: Final = 5  # number of times at which the overlap of bodies is measured
 _LARGEST: Final = 1e15
+_MAX_LOOKAHEAD_TRIANGLES: Final = 1 << 20  # the next surface of as many takes 0.4 GB
 _MAX_HIDDEN: Final = 0.45
 """Largest fraction of the surface of bodies that may lie inside other bodies.
 
@@ -90,6 +95,8 @@ class AnimatedMeshScene(MovingScene):
         self._motion: tuple[Float64s, Float64s] | None = None
         self._block = lru_cache(maxsize=2)(self._poses)  # a frame may lie at the edge of its block
         self._latest: tuple[int, MeshScene] | None = None
+        self._upcoming: tuple[int, Future[MeshScene]] | None = None  # the frame after it
+        self._field_frame = -1  # the latest whose field was requested
         self._motions_m: Float64s | None = None  # of the triangles, outwards, of `thickened`
         self._min_thickness: MinThickness | None = None
         with np.errstate(all="ignore"):
@@ -111,7 +118,7 @@ class AnimatedMeshScene(MovingScene):
             rest = self._in_metres(model.at_rest(), "at rest")
             self._vertex_ids = np.arange(len(rest))  # vertices of the model that remain after welding
             poses = np.stack([rest, *map(self.vertices_m, sample_frames)])
-            self._vertex_ids, triangles = split_at_vertices(*weld_in_motion(poses, model.triangles))
+            self._vertex_ids, triangles = separate_parts(*weld_in_motion(poses, model.triangles))
             self._repaired = close_holes(Surface(rest[self._vertex_ids], triangles, self.name), holes)
         scene = self._static_scene(self._repaired)
         self.is_closed = scene.is_closed
@@ -191,10 +198,35 @@ class AnimatedMeshScene(MovingScene):
     def _scene(self, frame: int) -> MeshScene:
         latest = self._latest
         if latest is None or latest[0] != frame:
-            scene = self._static_scene(self._at_frame(frame))
-            scene = scene if self._motions_m is None else scene.grown(self._motions_m)
+            upcoming = self._upcoming
+            if upcoming is not None and upcoming[0] == frame:
+                scene = upcoming[1].result()
+            else:
+                scene = self._make_scene(frame)
             self._latest = latest = frame, scene
+            self._upcoming = None
         return latest[1]
+
+    def _make_scene(self, frame: int) -> MeshScene:
+        scene = self._static_scene(self._at_frame(frame))
+        return scene if self._motions_m is None else scene.grown(self._motions_m)
+
+    def _look_ahead(self, frame: int) -> None:
+        """Let a thread make the surface of the next frame, if frames are requested one after the other.
+
+        Much of that runs on one core, and the field of this frame leaves the others some time.
+        """
+        is_next, self._field_frame = frame == self._field_frame + 1, frame
+        is_small = len(self._repaired.surface.triangles) <= _MAX_LOOKAHEAD_TRIANGLES
+        if not (is_next and is_small and frame + 1 < self.frame_count and worker_count() > 1):
+            return
+
+        def make() -> MeshScene:
+            scene = self._make_scene(frame + 1)
+            scene.prepare_field()
+            return scene
+
+        self._upcoming = frame + 1, _lookahead_pool().submit(make)
 
     def _at_frame(self, frame: int) -> RepairedSurface:
         """Return the surface of a frame; parts that an animated scale has mirrored are turned over."""
@@ -249,6 +281,8 @@ class AnimatedMeshScene(MovingScene):
         coordinate is not finite there.
         """
         scene = self._scene(frame)
+        if self._upcoming is None:
+            self._look_ahead(frame)
         if profile.surface_damping_n_s_per_m > 0 and scene.velocities_m_s is None:
             scene.velocities_m_s = self.velocities_m_s(frame)
         return scene.field(0, grid, profile)
@@ -334,7 +368,7 @@ class AnimatedMeshScene(MovingScene):
     def _copy(self) -> AnimatedMeshScene:
         """Return this scene without its cached positions."""
         other = copy.copy(self)
-        other._latest = other._box = None
+        other._latest = other._upcoming = other._box = None
         return other
 
     def _forget_parts(self) -> None:
@@ -359,6 +393,12 @@ class AnimatedMeshScene(MovingScene):
         other._motion = matrix @ turn, matrix @ shift + np.asarray(shift_m, np.float64)
         other._forget_parts()
         return other
+
+
+@cache
+def _lookahead_pool() -> ThreadPoolExecutor:
+    """The thread that makes the surface of the next frame."""
+    return ThreadPoolExecutor(1, thread_name_prefix="touchfield-animation")
 
 
 # -- names and files ---------------------------------------------------------------------------------------

@@ -3,9 +3,9 @@
 For the object representation, bodies are the connected parts whose vertices move as one rigid body. The cause
 of the motion (a node, a joint that carries the whole part, several that move alike) does not matter: the
 motion is fitted to the vertices, frame by frame, and the part is rigid if no vertex is farther from the fit
-than 1e-5 of its extent. Parts that move alike are one body. Links that meet in a single vertex, as at the
-pivot of a joint, are separate parts. Source of the fit: W. Kabsch, A solution for the best rotation to relate
-two sets of vectors, Acta Cryst. A32, 1976.
+than 1e-5 of its extent. Parts that move alike are one body. Closed links that meet in a vertex or an edge, as
+at the pivot or the hinge of a joint, are separate parts. Source of the fit: W. Kabsch, A solution for the
+best rotation to relate two sets of vectors, Acta Cryst. A32, 1976.
 """
 
 from __future__ import annotations
@@ -25,28 +25,49 @@ _RIGID: Final = 1e-5
 _SAMPLE_TIMES: Final = 16  # number of frames that reject most deforming parts early
 
 
-def split_at_vertices(vertex_ids: Int64s, triangles: Int32s) -> tuple[Int64s, Int32s]:
-    """Give the parts of a closed surface that meet in single vertices each a vertex of their own.
+def separate_parts(vertex_ids: Int64s, triangles: Int32s) -> tuple[Int64s, Int32s]:
+    """Give the closed parts of a surface that meet in vertices or edges vertices of their own.
 
-    Two links of a robot often share the vertex at the pivot of their joint, and are still two bodies. An open
-    surface stays as it is: its holes are closed across such vertices.
+    Two links of a robot often share the vertex at the pivot of their joint, or the edge of their hinge, and
+    are still two bodies. Triangles that meet at an edge stay together if they are two, or if they are more
+    and their part would be open there without the others. An open surface stays as it is: its holes are
+    closed across such vertices.
 
     `vertex_ids` int64 [n]: what each vertex is; `triangles` int32 [m, 3]. Returns both, with vertices
     repeated.
     """
+    edges = Edges.of(triangles, len(vertex_ids))
+    if edges.unbalanced_count:
+        return vertex_ids, triangles
+    edge_of = edges.edge_of
+    is_joined = np.bincount(edge_of.reshape(-1))[edge_of] == 2
+    part_of = _connected_over(edge_of, is_joined)
+    if not is_joined.all():
+        at_edge = part_of[:, None].astype(np.int64) * (int(edge_of.max()) + 1) + edge_of
+        group = np.unique(at_edge, return_inverse=True)[1].reshape(-1)
+        direction = np.where(triangles < np.roll(triangles, -1, axis=1), 1, -1)
+        is_open = np.bincount(group, direction.reshape(-1)) != 0
+        part_of = _connected_over(edge_of, is_joined | is_open[group].reshape(-1, 3))
+    part_count = int(part_of.max()) + 1
+    keys = triangles.astype(np.int64) * part_count + part_of[:, None]
+    used, faces = np.unique(keys, return_inverse=True)
+    return vertex_ids[used // part_count], faces.reshape(-1, 3).astype(np.int32)
+
+
+def _connected_over(edge_of: Int64s, is_joined: Bools) -> Int32s:
+    """Return the connected part of each triangle, int32 [m].
+
+    `is_joined` bool [m, 3]: whether an edge joins the triangle to the others that it joins.
+    """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    edges, count = Edges.of(triangles, len(vertex_ids)), len(triangles)
-    if edges.unbalanced_count:
-        return vertex_ids, triangles
-    nodes = count + int(edges.edge_of.max()) + 1
-    links = np.repeat(np.arange(count), 3), count + edges.edge_of.reshape(-1)
-    graph = coo_array((np.ones(3 * count, np.int8), links), shape=(nodes, nodes))
-    part_count, part_of = connected_components(graph, directed=False)
-    keys = triangles.astype(np.int64) * part_count + part_of[:count, None]
-    used, faces = np.unique(keys, return_inverse=True)
-    return vertex_ids[used // part_count], faces.reshape(-1, 3).astype(np.int32)
+    count, (triangle, side) = len(edge_of), np.nonzero(is_joined)
+    nodes = count + int(edge_of.max()) + 1
+    links = triangle, count + edge_of[triangle, side]
+    graph = coo_array((np.ones(len(triangle), np.int8), links), shape=(nodes, nodes))
+    parts: Int32s = connected_components(graph, directed=False)[1][:count]
+    return parts
 
 
 def outer_area_m2(surface: Surface) -> float:

@@ -138,7 +138,7 @@ class MeshScene(Scene):
         """Return this mesh with triangles moved outwards along their normals, by motions float64 [m]."""
         other = copy.copy(self)
         other.surface = grow(self.surface, self._normals[:, 0], motions_m)
-        for name in ("_active", "_union", "_rim_table", "_normals"):
+        for name in ("_active_table", "_union", "_rim_table", "_normals"):
             other.__dict__.pop(name, None)
         return other
 
@@ -152,7 +152,7 @@ class MeshScene(Scene):
         other.surface = self.surface.with_vertices(
             self.surface.vertices_m @ matrix.T + np.asarray(shift_m, np.float64)
         )
-        for name in ("_active", "_union", "_rim_table"):
+        for name in ("_active_table", "_union", "_rim_table"):
             other.__dict__.pop(name, None)
         if np.array_equal(other.surface.triangles, self.surface.triangles):
             other._normals = self._normals @ matrix.T
@@ -192,8 +192,13 @@ class MeshScene(Scene):
             faces, vertices, union = self.surface.triangles, self.surface.vertices_m, self._union
             faces = faces if union is None else faces[np.concatenate([union.uncut, union.parents])]
             motion = field.Motion(faces, vertices, self.velocities_m_s, profile.surface_damping_n_s_per_m)
-        bricks, forces = field.mesh_forces(self._active, events, grid, band, _UNSURE * reach, motion, rim)
+        surface = self._active_table, self._active_normals
+        bricks, forces = field.mesh_forces(surface, events, grid, band, _UNSURE * reach, motion, rim)
         return ForceField(grid, bricks, forces)
+
+    def prepare_field(self) -> None:
+        """Compute what every field of this mesh needs, whatever its grid and its force law."""
+        _ = self._active_table
 
     def _band(self, profile: ForceProfile) -> Band:
         from touchfield.sources.mesh.kernels.field import CLOSED, LIDDED, ONE_SIDED, TWO_SIDED, Band
@@ -221,19 +226,24 @@ class MeshScene(Scene):
         return union_of(self.surface) if self.is_closed else None
 
     @cached_property
-    def _active(self) -> tuple[Float64s, Float64s]:
-        """The table of the triangles that exert forces, and their normals."""
+    def _active_table(self) -> Float64s:
+        """The table of the triangles that exert forces."""
         from touchfield.sources.mesh.kernels.triangle import triangle_table
 
         table, union = triangle_table(self.surface.vertices_m, self.surface.triangles), self._union
         if union is None:
-            return table, self._normals
+            return table
         corners = union.corners_m.reshape(-1, 3)
         pieces = triangle_table(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3))
-        normals = np.repeat(self._normals[union.parents, :1], 7, axis=1)
-        return np.concatenate([table[union.uncut], pieces]), np.concatenate(
-            [self._normals[union.uncut], normals]
-        )
+        return np.concatenate([table[union.uncut], pieces])
+
+    def _active_normals(self) -> Float64s:
+        """Return the pseudo-normals of the triangles that exert forces, float64 [m, 7, 3]."""
+        union = self._union
+        if union is None:
+            return self._normals
+        pieces = np.repeat(self._normals[union.parents, :1], 7, axis=1)
+        return np.concatenate([self._normals[union.uncut], pieces])
 
     @cached_property
     def _rim_table(self) -> Float64s:

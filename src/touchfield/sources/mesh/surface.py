@@ -107,6 +107,8 @@ class Surface:
             raise SourceError(name, "no triangle with three different corners", "at least one triangle")
         faces, self.duplicate_count = without_duplicates(faces)
         self._name, self._used = name, np.unique(faces)
+        # empty until it is asked for; the frames of a moving mesh share the list
+        self._part_of: list[Int32s] = []
         self.triangles = np.take_along_axis(faces, from_longest(vertices[faces]), axis=1)
         self.edges = Edges.of(self.triangles, len(vertices))
         self.is_closed = self.edges.unbalanced_count == 0 and not _is_double_sheet(self.triangles)
@@ -148,18 +150,21 @@ class Surface:
         return Surface(self.vertices_m, triangles, self._name)
 
     def part_of_vertex(self) -> Int32s:
-        """Return the connected part of each vertex, int32 [n].
+        """Return the connected part of each vertex, int32 [n], read-only.
 
         An unused vertex is a part of its own.
         """
-        from scipy.sparse import coo_array
-        from scipy.sparse.csgraph import connected_components
+        if not self._part_of:
+            from scipy.sparse import coo_array
+            from scipy.sparse.csgraph import connected_components
 
-        tail, head = self.triangles.reshape(-1), np.roll(self.triangles, -1, axis=1).reshape(-1)
-        count = len(self.vertices_m)
-        graph = coo_array((np.ones(len(tail), np.int8), (tail, head)), shape=(count, count))
-        parts: Int32s = connected_components(graph, directed=False)[1]
-        return parts
+            tail, head = self.triangles.reshape(-1), np.roll(self.triangles, -1, axis=1).reshape(-1)
+            count = len(self.vertices_m)
+            graph = coo_array((np.ones(len(tail), np.int8), (tail, head)), shape=(count, count))
+            parts: Int32s = connected_components(graph, directed=False)[1]
+            parts.flags.writeable = False
+            self._part_of.append(parts)
+        return self._part_of[0]
 
     def volume_m3(self) -> float:
         """Return the signed volume of a closed mesh, negative if its triangles face inwards."""

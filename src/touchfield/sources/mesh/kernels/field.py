@@ -16,6 +16,7 @@ point lies on the rim itself, the sample lies beside the surface and there is no
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -99,12 +100,7 @@ def _descend(start, stop, cells, starts, ids, table, lattice, shape, size, limit
             nearest = np.sqrt(tri.nearest_to_centre(tiles, count, s)[1])
             max_square = min(nearest + 2 * radius, limit + radius) * np.float32(1 + 1e-5) + _SLACK
             max_square = max_square * max_square
-            child_count = 0
-            for c in range(count):
-                if tri.square_of(tiles, c, s) <= max_square:
-                    keep[first + c] |= 1 << s
-                    child_count += 1
-            counts[cell, s] = child_count
+            counts[cell, s] = tri.keep_near(tiles, count, s, max_square, keep[first : first + count])
 
 
 @kernel
@@ -121,7 +117,10 @@ def _distribute(start, stop, starts, ids, keep, offsets, out):
 # -- a brick -----------------------------------------------------------------------------------------------
 @inner(forceinline=True)
 def _force(table, normals, t, x, y, z, is_inside, rule, pieces):
-    """Return the force at (x, y, z), given its nearest triangle t."""
+    """Return the force at (x, y, z), given its nearest triangle t.
+
+    Its x is NaN if the direction is that of a normal, and there are no normals.
+    """
     sidedness, half_wall, tiny = rule
     dx, dy, dz, edge, along = tri.nearest(table, t, x, y, z)
     distance = math.sqrt(dx * dx + dy * dy + dz * dz)
@@ -134,10 +133,19 @@ def _force(table, normals, t, x, y, z, is_inside, rule, pieces):
     is_inside = is_inside and sidedness != TWO_SIDED
     amplitude = amplitude_at(-distance if is_inside else distance - half_wall, pieces)
     if distance <= tiny:
+        if len(normals) == 0:
+            return np.nan, 0.0, 0.0
         f = tri.feature(table, t, edge, along)
         return amplitude * normals[t, f, 0], amplitude * normals[t, f, 1], amplitude * normals[t, f, 2]
     scale = amplitude / (-distance if is_inside else distance)
     return scale * dx, scale * dy, scale * dz
+
+
+@inner(forceinline=True)
+def _local_of(local, q):
+    """Return the position in a brick of sample q of a block: four groups of 2 x 2 x 4 samples."""
+    i, j = ((q >> 5) << 1) | ((q >> 3) & 1), (((q >> 4) & 1) << 1) | ((q >> 2) & 1)
+    return local[0] + i, local[1] + j, local[2] + (q & 3)
 
 
 @inner
@@ -148,7 +156,7 @@ def _open_block(block, corner, local, shape, steps, limits, is_closed, winding):
     """
     max_square = np.float32(-1.0)
     for s in range(64):
-        i, j, k = local[0] + (s >> 4), local[1] + ((s >> 2) & 3), local[2] + (s & 3)
+        i, j, k = _local_of(local, s)
         block[tri.X + s], block[tri.Y + s], block[tri.Z + s] = i * steps[0], j * steps[1], k * steps[2]
         span = limits[0]
         if is_closed and winding[(i << 6) | (j << 3) | k] == 0:
@@ -163,11 +171,12 @@ def _open_block(block, corner, local, shape, steps, limits, is_closed, winding):
 
 
 @inner
-def _search_block(block, s, max_square, count, tiles, radius):
+def _search_block(block, s, max_square, count, tiles, centres, radius, steps, scratch):
     """Find the nearest triangle of each sample of a block.
 
-    Returns False if none is near enough.
+    `scratch` is as `_search_scratch` allocates it. Returns False if no triangle is near enough.
     """
+    heights, groups, selected = scratch
     best, nearest = tri.nearest_to_centre(tiles, count, s)
     nearest = np.sqrt(nearest)
     margin = np.float32(1 + 1e-5)
@@ -178,19 +187,41 @@ def _search_block(block, s, max_square, count, tiles, radius):
     for q in range(64):
         max_square = max(max_square, block[tri.D + q])
     reach = min(np.sqrt(max_square) + radius, nearest + 2 * radius) * margin + _SLACK
-    reach = reach * reach
-    for c in range(count):
-        if tri.square_of(tiles, c, s) <= reach and c != best:
+    gradient = tri.gradient_of(tiles, best, centres, s)
+    tri.raise_planes(block, gradient, heights)
+    planes = gradient, heights
+    found = tri.select_near(tiles, count, s, reach * reach, centres, planes, steps, groups, selected)
+    for n in range(found):
+        c, bits = selected[n, 0], selected[n, 1]
+        if c == best:
+            continue
+        if bits == tri.ALL_GROUPS:
             tri.sweep_block(tiles, c, block)
+            continue
+        for group in range(4):
+            if (bits >> group) & 1:
+                tri.sweep_group(tiles, c, block, group)
     return True
 
 
+@inner
+def _search_scratch(spans):
+    """Allocate heights, groups and a list of triangles for the searches of some bricks."""
+    max_count = 0
+    for b in range(len(spans)):
+        max_count = max(max_count, spans[b, 1] - spans[b, 0])
+    return np.empty(4, np.float32), np.empty(32, np.int32), np.empty((max_count + 1, 2), np.int32)
+
+
 @kernel
-def _fill_bricks(start, stop, candidates, surface, frame, events, rule, pieces, forces, has_force, owners):
+def _fill_bricks(
+    start, stop, candidates, surface, frame, events, rule, pieces, forces, has_force, owners, needs_normals
+):
     """Compute the forces of bricks.
 
     `rule` is sidedness, half wall, and the distance (metres) below which directions are inaccurate. `owners`
-    receives the nearest triangle of each sample with a force, unless it is empty.
+    receives the nearest triangle of each sample with a force, unless it is empty. `needs_normals` bool [1] is
+    set if normals are missing (empty) and a direction depends on them.
     """
     bricks, spans, ids, columns = candidates
     table, normals = surface
@@ -204,6 +235,7 @@ def _fill_bricks(start, stop, candidates, surface, frame, events, rule, pieces, 
     radius = tri.set_centres(centres, 4, steps)
     reach = 7.0 * math.sqrt(steps[0] ** 2 + steps[1] ** 2 + steps[2] ** 2)
     tiles = tri.tiles_for(start, stop, spans[:, 0], spans[:, 1])
+    scratch = _search_scratch(spans[start:stop])
     winding = np.zeros(512, np.int32)
     corner, local = np.empty(3, np.int64), np.empty(3, np.int64)
     low = np.empty(3)
@@ -220,16 +252,20 @@ def _fill_bricks(start, stop, candidates, surface, frame, events, rule, pieces, 
         for s in range(8):
             local[0], local[1], local[2] = (s >> 2) * 4, ((s >> 1) & 1) * 4, (s & 1) * 4
             max_square = _open_block(block, corner, local, shape, steps32, limits, is_closed, winding)
-            if max_square < _0 or not _search_block(block, s, max_square, count, tiles, radius):
+            if max_square < _0 or not _search_block(
+                block, s, max_square, count, tiles, centres, radius, steps32, scratch
+            ):
                 continue
             for q in range(64):
                 if block[tri.ID + q] < _0:
                     continue
-                i, j, k = local[0] + (q >> 4), local[1] + ((q >> 2) & 3), local[2] + (q & 3)
+                i, j, k = _local_of(local, q)
                 x, y, z = _sample_position(bricks, b, i, j, k, lattice)
                 t = ids[first + int(block[tri.ID + q])]
                 is_inside = winding[(i << 6) | (j << 3) | k] != 0
                 x, y, z = _force(table, normals, t, x, y, z, is_inside, rule, pieces)
+                if x != x and len(normals) == 0:
+                    needs_normals[0] = True
                 if x != 0.0 or y != 0.0 or z != 0.0:
                     forces[b, i, j, k, 0], forces[b, i, j, k, 1], forces[b, i, j, k, 2] = x, y, z
                     has_force[b] = True
@@ -386,7 +422,7 @@ class _Scratch:
 
 
 def mesh_forces(
-    surface: tuple[Float64s, Float64s],
+    surface: tuple[Float64s, Callable[[], Float64s]],
     events: Int64s,
     grid: Grid,
     band: Band,
@@ -397,8 +433,9 @@ def mesh_forces(
     """Compute the force field of a mesh.
 
     Returns bricks int32 [n, 3], ascending, and forces float32 [n, 8, 8, 8, 3] in newtons. `surface` is the
-    table of `triangle_table` and normals float64 [m, 7, 3]: outward pseudo-normals of each triangle's face,
-    vertices and edges. `events` are those of `crossings`, empty unless closed or lidded. At distances below
+    table of `triangle_table` and a function that returns normals float64 [m, 7, 3], m above 0: outward
+    pseudo-normals of each triangle's face, vertices and edges. It is called only if normals are needed.
+    `events` are those of `crossings`, empty unless closed or lidded. At distances below
     `tiny_m` metres, forces point along a pseudo-normal. `motion` adds the damping of a moving surface.
     Towards `rim`, the `triangle_table` of edges as degenerate triangles, the force fades over a distance
     equal to the reach of the force law. Candidates are computed in batches, of which only the bricks with a
@@ -423,16 +460,25 @@ def mesh_forces(
     width_m = max(band.inner_m, band.outer_m)
     first, last, rim_ids = _find_rim_edges(rim, lattice, shape, 2 * width_m, keys)
     buffer, scratch = BrickBuffer(), _Scratch(len(bricks), motion is not None or rim is not None)
+    table, normals_of = surface
+    # of a closed mesh, few samples need them: those on its surface
+    normals = np.zeros((0, 7, 3)) if band.sidedness in (CLOSED, TWO_SIDED) else normals_of()
     for start in range(0, len(bricks), BATCH_BRICKS):
         batch = slice(start, start + BATCH_BRICKS)
         near = bricks[batch]
-        forces, has_force, owners = scratch.cleared(len(near))
-        arguments = ((near, spans[batch], ids, columns[batch]), surface, (lattice, shape, limits), events)
-        for_chunks(_fill_bricks, len(near), *arguments, rule, band.pieces, forces, has_force, owners)
+        candidates = near, spans[batch], ids, columns[batch]
+        is_complete = False
+        while not is_complete:
+            forces, has_force, owners = scratch.cleared(len(near))
+            needs_normals, results = np.zeros(1, np.bool_), (forces, has_force, owners)
+            arguments = (candidates, (table, normals), (lattice, shape, limits), events, rule, band.pieces)
+            for_chunks(_fill_bricks, len(near), *arguments, *results, needs_normals)
+            is_complete = not needs_normals[0]
+            normals = normals if is_complete else normals_of()
         if motion is not None:
-            for_chunks(add_motion, len(near), near, owners, surface[0], lattice, *motion, forces)
+            for_chunks(add_motion, len(near), near, owners, table, lattice, *motion, forces)
         if rim is not None:
             edges = rim, (first[batch], last[batch], rim_ids), width_m
-            for_chunks(fade, len(near), near, owners, surface[0], lattice, *edges, forces, has_force)
+            for_chunks(fade, len(near), near, owners, table, lattice, *edges, forces, has_force)
         buffer.append(near, forces, has_force)
     return buffer.take()

@@ -33,6 +33,7 @@ _ROW_SHIFT = 21
 _DROPPED = np.iinfo(np.int64).max
 _MAX_CORNERS, _MAX_PIECES = 24, 96
 _PER_TRIANGLE = 32  # largest mean number of bins of a triangle
+_MOST_BINS = 512  # along an axis
 
 
 @inner(forceinline=True, error_model="numpy")  # no divisor is zero
@@ -171,16 +172,16 @@ def bricks_inside(events: Int64s, grid: Grid) -> Bools:
 
 # -- triangles in bins -------------------------------------------------------------------------------------
 class Bins(NamedTuple):
-    """Triangles by squares of the plane (y, z): square s has `ids[starts[s]:starts[s + 1]]`."""
+    """Triangles by bins of the plane (y, z): bin s has `ids[starts[s]:starts[s + 1]]`."""
 
-    frame: Float64s  # first y and z, widths along both, and number of squares along each
+    frame: Float64s  # first y and z, widths along both, and number of bins along both
     starts: Int64s
     ids: Int32s
 
 
 @inner
 def _bin(frame, value, axis):
-    return int(min(max(np.floor((value - frame[axis]) / frame[2 + axis]), 0.0), frame[4] - 1.0))
+    return int(min(max(np.floor((value - frame[axis]) / frame[2 + axis]), 0.0), frame[4 + axis] - 1.0))
 
 
 @kernel
@@ -194,7 +195,7 @@ def _put_in_bins(boxes, frame, slots, ids):
         z0, z1 = _bin(frame, boxes[t, 4], 1), _bin(frame, boxes[t, 5], 1)
         for y in range(y0, y1 + 1):
             for z in range(z0, z1 + 1):
-                s = y * int(frame[4]) + z
+                s = y * int(frame[5]) + z
                 if len(ids):
                     ids[slots[s]] = t
                 slots[s] += 1
@@ -212,11 +213,14 @@ def sorted_into_bins(boxes: Float64s) -> Bins:
     low, high = boxes[:, 0::2].min(axis=0), boxes[:, 1::2].max(axis=0)
     span = np.maximum((high - low)[1:], 1e-12 * max(float((high - low).max()), 1e-300))
     sizes = boxes[:, 3::2] - boxes[:, 2::2]
-    count = max(1, min(512, int(np.sqrt(len(boxes)))))
-    while count > 1 and float(((sizes / (span / count) + 1).prod(axis=1)).sum()) > _PER_TRIANGLE * len(boxes):
-        count //= 2
-    frame = np.array([low[1], low[2], span[0] / count, span[1] / count, count])
-    counts = np.zeros(count * count, np.int64)
+    # as wide as a triangle: narrower ones repeat pairs, wider ones test more of them
+    bins = np.clip(span / np.maximum(sizes.mean(axis=0), span / _MOST_BINS), 1, _MOST_BINS).astype(np.int64)
+    while bins.max() > 1 and (
+        bins.prod() > len(boxes) or ((sizes / (span / bins) + 1).prod(axis=1)).mean() > _PER_TRIANGLE
+    ):
+        bins[bins.argmax()] //= 2
+    frame = np.array([*low[1:], *(span / bins), *bins])
+    counts = np.zeros(bins.prod(), np.int64)
     _put_in_bins(boxes, frame, counts, np.empty(0, np.int32))
     starts = np.append(0, np.cumsum(counts))
     ids = np.empty(int(starts[-1]), np.int32)
@@ -240,7 +244,7 @@ def _heights(points, count, normal, base, out):
 
 @inner
 def _span_on_line(points, count, heights, along, tiny):
-    """Return the interval along a direction in which a convex polygon meets a plane.
+    """Return the interval along a direction (x, y, z) in which a convex polygon meets a plane.
 
     The interval is empty if low > high.
     """
@@ -269,10 +273,11 @@ def _meet(piece, count, normal, other, other_normal, tiny, h, g):
     low, high = _heights(other, 3, normal, piece[0], g)
     if low > tiny or high < -tiny or (low >= -tiny and high <= tiny):
         return False
-    along = np.empty(3)
-    for c in range(3):
-        d, e = (c + 1) % 3, (c + 2) % 3
-        along[c] = normal[d] * other_normal[e] - normal[e] * other_normal[d]
+    along = (  # numbers: an array would have to be allocated
+        normal[1] * other_normal[2] - normal[2] * other_normal[1],
+        normal[2] * other_normal[0] - normal[0] * other_normal[2],
+        normal[0] * other_normal[1] - normal[1] * other_normal[0],
+    )
     a0, a1 = _span_on_line(piece, count, h, along, tiny)
     b0, b1 = _span_on_line(other, 3, g, along, tiny)
     return min(a1, b1) - max(a0, b0) > tiny * np.sqrt(along[0] ** 2 + along[1] ** 2 + along[2] ** 2)
@@ -301,7 +306,14 @@ def _is_on_one_side(piece, corner, normal, tiny):
 
 
 @kernel
-def _pairs(start, stop, bins, boxes, corners, normals, triangles, tiny, max_pairs):
+def _first_bins(start, stop, boxes, frame, first_bins):
+    """Write the first bin of each triangle along y and along z."""
+    for t in range(start, stop):
+        first_bins[t, 0], first_bins[t, 1] = _bin(frame, boxes[t, 2], 0), _bin(frame, boxes[t, 4], 1)
+
+
+@kernel
+def _pairs(start, stop, bins, first_bins, boxes, corners, normals, triangles, tiny, max_pairs):
     """Find pairs (t, u) in which u cuts t, in a range of bins."""
     frame, starts, ids = bins
     pairs = np.empty((max_pairs, 2), np.int32)
@@ -309,18 +321,19 @@ def _pairs(start, stop, bins, boxes, corners, normals, triangles, tiny, max_pair
     h, g = np.empty(3), np.empty(3)
     for s in range(start, stop):
         first, last = starts[s], starts[s + 1]
+        y, z = s // int(frame[5]), s % int(frame[5])
         for a in range(first, last):
             box = boxes[ids[a]]
             x0, x1, y0, y1, z0, z1 = box[0], box[1], box[2], box[3], box[4], box[5]
+            y_bin, z_bin = first_bins[ids[a], 0], first_bins[ids[a], 1]
             for b in range(a + 1, last):
                 t, u = ids[a], ids[b]
+                if max(y_bin, first_bins[u, 0]) != y or max(z_bin, first_bins[u, 1]) != z:
+                    continue  # tested in another bin
                 if boxes[u, 0] > x1 + tiny or boxes[u, 1] < x0 - tiny or boxes[u, 2] > y1 + tiny:
                     continue
                 if boxes[u, 3] < y0 - tiny or boxes[u, 4] > z1 + tiny or boxes[u, 5] < z0 - tiny:
                     continue
-                y, z = max(y0, boxes[u, 2]), max(z0, boxes[u, 4])
-                if _bin(frame, y, 0) * int(frame[4]) + _bin(frame, z, 1) != s:
-                    continue  # tested in another bin
                 common, i, j = _common_vertices(triangles, t, u)
                 if common >= 2:
                     continue
@@ -350,7 +363,9 @@ def crossing_pairs(
     inner walls of these triangles still exert forces.
     """
     max_pairs = 8 * len(triangles) + 4096
-    arguments = (tuple(bins), boxes, corners, normals, triangles, tiny_m, max_pairs)
+    first_bins = np.empty((len(boxes), 2), np.int32)
+    for_chunks(_first_bins, len(boxes), boxes, bins.frame, first_bins, chunk=4096)
+    arguments = (tuple(bins), first_bins, boxes, corners, normals, triangles, tiny_m, max_pairs)
     pairs = np.concatenate(for_chunks(_pairs, len(bins.starts) - 1, *arguments, chunk=64))
     return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
 
@@ -435,10 +450,10 @@ def _winding(x, y, z, bins, vertices, triangles):
     """Return the winding number of a closed mesh at a point, up to its sign."""
     frame, starts, ids = bins
     if not (
-        frame[0] <= y <= frame[0] + frame[2] * frame[4] and frame[1] <= z <= frame[1] + frame[3] * frame[4]
+        frame[0] <= y <= frame[0] + frame[2] * frame[4] and frame[1] <= z <= frame[1] + frame[3] * frame[5]
     ):
         return 0
-    s = _bin(frame, y, 0) * int(frame[4]) + _bin(frame, z, 1)
+    s = _bin(frame, y, 0) * int(frame[5]) + _bin(frame, z, 1)
     total = 0
     for e in range(starts[s], starts[s + 1]):
         is_met, y0, x0, y1, x1 = line_at(vertices, triangles[ids[e]], z)

@@ -25,6 +25,9 @@ from touchfield.medium.field import frozen
 X, Y, Z, D, ID = 0, 64, 128, 192, 256
 """Sections of a block, float32 [320]: 64 positions, squared distances, indices of nearest triangles."""
 
+GROUP, ALL_GROUPS = 16, 15
+"""Samples of a group, of which a block has four, and the bits of all four."""
+
 _FAST = {"contract", "nnan", "nsz"}
 _WIDTH = 33  # float64 of a triangle: normal, 3 edge normals, 3 edge directions, 3 vertices, 3 lengths
 _LANES = 32  # triangles that lie side by side in a tile, field by field
@@ -32,6 +35,8 @@ _FIELDS = 32 * _LANES  # of a triangle relative to a cell: 7 heights, 3 half len
 _TILE = _FIELDS + 8 * _LANES  # and its squared distances to eight centres
 _FLAT = 1e-12  # height over length below which a triangle is a line
 _0 = np.float32(0)
+_SLACK = np.float32(1e-3)  # of the largest spacing: far above the rounding of the search
+_NEAR = np.float32(0.05)  # of the largest spacing: below this distance, gradients suffer from rounding
 _HUGE = np.float32(1e20)  # exceeds any squared distance
 _FACE, _VERTEX, _EDGE = 0, 1, 4  # columns of the table of pseudo-normals
 
@@ -206,15 +211,167 @@ def set_centres(block, half, steps):
     return np.float32(0.5 * (half - 1) * diagonal)
 
 
-@inner
+@inner(fastmath=_FAST)
 def nearest_to_centre(tiles, count, s):
-    """Return the index of the triangle nearest to centre s, and its squared distance."""
+    """Return the triangle nearest to centre s, the first of several, and its squared distance."""
     best, min_square = 0, square_of(tiles, 0, s)
-    for c in range(1, count):
-        square = square_of(tiles, c, s)
-        if square < min_square:
-            best, min_square = c, square
+    for first in range(0, count, _LANES):
+        squares, lanes = _squares_of_tile(tiles, first, s), min(_LANES, count - first)
+        nearer_count = 0  # a sum is vectorised, a search is not
+        for c in range(lanes):
+            nearer_count += squares[c] < min_square
+        if nearer_count == 0:
+            continue
+        for c in range(lanes):
+            if squares[c] < min_square:
+                best, min_square = first + c, squares[c]
     return best, min_square
+
+
+@inner(forceinline=True)
+def _squares_of_tile(tiles, first, s):
+    """Return the squared distances to centre s of the tile that starts with triangle `first`."""
+    at = first // _LANES * _TILE + _FIELDS + s * _LANES
+    return tiles[at : at + _LANES]
+
+
+@inner(fastmath=_FAST)
+def keep_near(tiles, count, s, max_square, keep):
+    """Set bit s of `keep` for each triangle near centre s; return their number."""
+    near_count, bit = 0, np.uint8(1 << s)
+    for first in range(0, count, _LANES):
+        squares, kept = _squares_of_tile(tiles, first, s), keep[first : first + _LANES]
+        for c in range(min(_LANES, count - first)):
+            is_near = squares[c] <= max_square
+            kept[c] |= bit if is_near else np.uint8(0)
+            near_count += is_near
+    return near_count
+
+
+# -- which triangles of a block may be nearest: bounds for its groups of 2 x 2 x 4 samples -----------------
+# The distance to a triangle is a convex function of the position, so it is nowhere below its tangent plane at
+# the block's centre. The plane of the triangle nearest to the centre, raised until it is above all distances
+# found in a group, bounds them from above. A triangle is left out of a group where its tangent plane is above
+# that one in the whole box of the group, which is so if it is at the centre of the box by more than the
+# difference of the gradients allows.
+@inner(fastmath=_FAST, forceinline=True)
+def _offset(p, x, y, z):
+    """Return the vector to (x, y, z) from the nearest point of the triangle that `_localise` wrote to p."""
+    h = p[0] + p[10] * x + p[11] * y + p[12] * z
+    q0 = p[1] + p[13] * x + p[14] * y + p[15] * z
+    q1 = p[2] + p[16] * x + p[17] * y + p[18] * z
+    q2 = p[3] + p[19] * x + p[20] * y + p[21] * z
+    a0 = p[4] + p[22] * x + p[23] * y + p[24] * z
+    a1 = p[5] + p[25] * x + p[26] * y + p[27] * z
+    a2 = p[6] + p[28] * x + p[29] * y + p[30] * z
+    s0, s1, s2 = max(abs(a0) - p[7], _0), max(abs(a1) - p[8], _0), max(abs(a2) - p[9], _0)
+    first, second, third = q0 * q0 + s0 * s0, q1 * q1 + s1 * s1, q2 * q2 + s2 * s2
+    is_inside = max(q0, max(q1, q2)) <= _0
+    is_second = second < first and not is_inside
+    is_third = third < min(first, second) and not is_inside
+    q, s, a = (q1, s1, a1) if is_second else (q0, s0, a0)
+    q, s, a = (q2, s2, a2) if is_third else (q, s, a)
+    q, s = _0 if is_inside else q, s if a > _0 else -s
+    mx, my, mz = (p[16], p[17], p[18]) if is_second else (p[13], p[14], p[15])
+    mx, my, mz = (p[19], p[20], p[21]) if is_third else (mx, my, mz)
+    ex, ey, ez = (p[25], p[26], p[27]) if is_second else (p[22], p[23], p[24])
+    ex, ey, ez = (p[28], p[29], p[30]) if is_third else (ex, ey, ez)
+    return h * p[10] + q * mx + s * ex, h * p[11] + q * my + s * ey, h * p[12] + q * mz + s * ez
+
+
+@inner(fastmath=_FAST)
+def gradient_of(tiles, c, centres, s):
+    """Return the gradient of the distance to triangle c at centre s; 0 if the centre is on the triangle."""
+    at = c // _LANES * _TILE
+    p = _load(tiles[at : at + _TILE], c % _LANES)
+    x, y, z = _offset(p, centres[X + s], centres[Y + s], centres[Z + s])
+    distance = np.sqrt(x * x + y * y + z * z)
+    scale = np.float32(1) / distance if distance > _NEAR else _0
+    return x * scale, y * scale, z * scale
+
+
+@inner(fastmath=_FAST)
+def raise_planes(block, gradient, heights):
+    """Write the height of each group's plane at the centre of the group."""
+    gx, gy, gz = gradient
+    for group in range(4):
+        first = GROUP * group
+        last, height = first + GROUP - 1, -_HUGE
+        for q in range(first, first + GROUP):
+            slope = gx * block[X + q] + gy * block[Y + q] + gz * block[Z + q]
+            square = block[D + q]  # negative where no distance is needed
+            height = max(height, np.sqrt(max(square, _0)) - slope if square >= _0 else -_HUGE)
+        # the centre is the mean of two opposite corners
+        height += np.float32(0.5) * gx * (block[X + first] + block[X + last])
+        height += np.float32(0.5) * gy * (block[Y + first] + block[Y + last])
+        height += np.float32(0.5) * gz * (block[Z + first] + block[Z + last])
+        heights[group] = height * np.float32(1 + 1e-5) + _SLACK
+
+
+@inner(fastmath=_FAST)
+def _mark_near(tile, squares, lanes, max_square, centre, planes, steps, groups):
+    """Set a bit for each group of a block that a triangle of a tile may be nearest to."""
+    x, y, z = centre
+    (gx, gy, gz), heights = planes
+    h0, h1, h2, h3 = heights[0], heights[1], heights[2], heights[3]
+    hx, hy, hz = np.float32(0.5) * steps[0], np.float32(0.5) * steps[1], np.float32(1.5) * steps[2]
+    for c in range(lanes):
+        vx, vy, vz = _offset(_load(tile, c), x, y, z)
+        square = vx * vx + vy * vy + vz * vz
+        distance = np.sqrt(square)
+        # all heights times the distance, which saves a division
+        spread = abs(vx - gx * distance) * hx + abs(vy - gy * distance) * hy + abs(vz - gz * distance) * hz
+        low, along_x, along_y = square - spread, vx * steps[0], vy * steps[1]
+        bits = np.int32(low - along_x - along_y <= distance * h0)
+        bits |= np.int32(low - along_x + along_y <= distance * h1) << np.int32(1)
+        bits |= np.int32(low + along_x - along_y <= distance * h2) << np.int32(2)
+        bits |= np.int32(low + along_x + along_y <= distance * h3) << np.int32(3)
+        bits = np.int32(ALL_GROUPS) if distance <= _NEAR else bits
+        groups[c] = bits if squares[c] <= max_square else np.int32(0)
+
+
+@inner(fastmath=_FAST)
+def select_near(tiles, count, s, max_square, centres, planes, steps, groups, selected):
+    """List the triangles of a cell that may be nearest to a sample of block s, and the bits of the groups.
+
+    `max_square` limits the squared distance to the block's centre. `planes` are the common gradient and the
+    heights of four planes; `steps` float32 [3] is the spacing. `groups` int32 [32] is scratch memory.
+    `selected` int32 [count + 1, 2] receives the list. Returns its length.
+    """
+    found, centre = 0, (centres[X + s], centres[Y + s], centres[Z + s])
+    for first in range(0, count, _LANES):
+        squares, lanes = _squares_of_tile(tiles, first, s), min(_LANES, count - first)
+        near_count = 0
+        for c in range(lanes):
+            near_count += squares[c] <= max_square
+        if near_count == 0:
+            continue
+        at = first // _LANES * _TILE
+        padded = (lanes + 7) // 8 * 8
+        tile = tiles[at : at + _FIELDS]
+        _mark_near(tile, squares, padded, max_square, centre, planes, steps, groups)
+        for c in range(lanes):
+            selected[found, 0], selected[found, 1] = first + c, groups[c]
+            found += groups[c] != 0
+    return found
+
+
+@inner(fastmath=_FAST)
+def sweep_group(tiles, c, block, group):
+    """Like `sweep_block`, for the samples of one group."""
+    at, first = (c // _LANES) * _TILE, GROUP * group
+    p = _load(tiles[at : at + _TILE], c % _LANES)
+    number = np.float32(c)
+    unity = p[31]
+    own = block[first:]
+    xs, ys, zs = own[X : X + GROUP], own[Y : Y + GROUP], own[Z : Z + GROUP]
+    squares, ids = own[D : D + GROUP], own[ID : ID + GROUP]
+    for s in range(GROUP):
+        square = _square_distance(p, xs[s], ys[s], zs[s])
+        previous, previous_id = squares[s], ids[s]
+        is_nearer = square < previous
+        ids[s] = (number if is_nearer else previous_id) * unity
+        squares[s] = (square if is_nearer else previous) * unity
 
 
 @inner
