@@ -100,7 +100,7 @@ ROWS: Final = (
     Row("fuse", "pictures and surface", "corridor", 2, 16),
     Row("fuse", "box", "room in a box", *BOX, CONSTANT),
     Row("objects", "frames", "objects", 2, 32),
-    Row("objects", "bodies", "bodies", 1, 4),
+    Row("objects", "bodies", "bodies", 3, 12),
     Row("objects", "box", "bodies in a box", *BOX, CONSTANT),
     Row("play", "frames", "frames", None, 8, CONSTANT),
     Row("play", "surface", "surface", None, SURFACE[1], CONSTANT),
