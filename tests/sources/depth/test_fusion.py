@@ -217,7 +217,7 @@ def test_a_view_tests_the_bricks_near_it_and_finds_all_that_it_sees(
 ) -> None:
     scene = DepthScene(standing)
     low, high = scene.bounds_m()
-    grid = Grid.over_box(low - 10, high + 10, (250, 234, 218))  # 32 x 30 x 28 bricks, no whole number of blocks
+    grid = Grid.over_box(low - 10, high + 10, (250, 234, 218))  # 32 x 30 x 28 bricks: part of a block
     every = np.argwhere(np.ones(grid.brick_shape)).astype(np.int32)
     volume = FusedVolume(grid, WALL, 0.007)
     for part in np.array_split(np.random.default_rng(0).permutation(every), 7):
