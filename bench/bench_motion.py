@@ -13,8 +13,8 @@ of the decoded field to that threshold (negative: felt), and "level_change_db" i
 field vibrates more or less than the source in a third in which either is felt. What the coder adds to a
 vibration that is below the threshold is measured against the threshold; where the source is above it, the bar
 is on the difference of both margins. "lattice_mn" is the share of the lattice: the vibration of the source
-minus the same source on a lattice of half the spacing (for the ball, minus the exact field). No haptic filter
-changes these fields, so that filters have no share.
+minus the same source on a lattice of half the spacing, up to nw 7 (for the ball, minus the exact field). These
+fields pass no haptic filter, so that filters have no share.
 
 Holds: the hand keeps still in falling bodies (voxels at 1 kHz) that are at rest, or that come to rest one
 after the other, and in a room at 30 Hz, with the receiver's transition between segments. The source's own
@@ -67,6 +67,9 @@ SETTLING, SETTLING_FRAMES = "bodies that come to rest, voxels at 1 kHz", (1700, 
 REST_BEFORE = {"source_mn": 0.002, "error_mn": 20.5, "step_mn": 249}
 JND_DB = 1.6
 """A fifth of an amplitude, the least that Forta, Griffin and Morioka 2012 found (docs/perception.md)."""
+
+FINEST_NW = 8
+"""The solid terrain with half the spacing of nw 8 takes 5.4 GB."""
 
 ICL_BEFORE = {"start_error_mn": 123, "error_step_mn": 30}
 
@@ -133,7 +136,7 @@ def slide_rows(name: str, nw: int, touch: TouchSpec) -> list[Figures]:
             decoded = stream.medium[0]
     source = done.prepared.medium[0]
     lattice_mn = [slide.lattice_mn for slide in found.slides]
-    if None in lattice_mn:
+    if None in lattice_mn and nw < FINEST_NW:
         finer = prepare(SOURCES[name], EncodeSpec(nw=nw + 1)).medium[0]
         lattice_mn = [slide.error_mn for slide in slides_on(source, source, finer)]
     rows = []
