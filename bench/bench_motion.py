@@ -13,8 +13,8 @@ of the decoded field to that threshold (negative: felt), and "level_change_db" i
 field vibrates more or less than the source in a third in which either is felt. What the coder adds to a
 vibration that is below the threshold is measured against the threshold; where the source is above it, the bar
 is on the difference of both margins. "lattice_mn" is the share of the lattice: the vibration of the source
-minus the same source on a lattice of half the spacing, up to nw 7 (for the ball, minus the exact field). These
-fields pass no haptic filter, so that filters have no share.
+minus the same source on a lattice of half the spacing, up to nw 7 (for the ball, minus the exact field).
+These fields pass no haptic filter, so that filters have no share.
 
 Holds: the hand keeps still in falling bodies (voxels at 1 kHz) that are at rest, or that come to rest one
 after the other, and in a room at 30 Hz, with the receiver's transition between segments. The source's own
