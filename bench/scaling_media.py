@@ -5,8 +5,10 @@ Samples are 1 mm apart in metres of the hand, and walls are 8 mm thick, so that 
 * frames: five bodies that tumble on a circle, for more and more frames.
 * surface: concentric sections of the Jacksboro fault (matplotlib's elevation model), one frame each.
 * box: one such section, in a workspace that grows in all directions.
-* bodies: more and more tumbling bodies, 18 mm apart.
-* bodies in a box: sixteen such bodies, in a workspace that grows.
+* bodies: more and more rows of three tumbling bodies, 18 mm apart. The error bound is checked at each voxel
+  that several bodies reach. In a square the fraction of bodies with eight neighbours would grow; each further
+  row of three adds the same shapes and as many pairs of neighbours as the one before.
+* bodies in a box: fifteen such bodies, in a workspace that grows.
 * views: a room that a depth camera sees from more and more places on an arc.
 * room: larger and larger copies of the room, seen from 24 places.
 * corridor: a wall with balls that a depth camera passes; surface and pictures grow together.
@@ -57,7 +59,9 @@ TERRAIN_SCALE: Final = 1e-3 * SAMPLES_PER_CELL / TERRAIN_CELL_M[1]
 BOX_SECTION: Final = 1 / 8
 """Part of the elevation model that lies in a growing box."""
 CIRCLE_WORKSPACE: Final = (64, 64, 32)
-BODY_FRAMES, BOX_BODIES = 60, 16
+BODY_FRAMES, BOX_BODIES = 60, 15
+BODIES_PER_ROW: Final = 3
+"""One of each shape."""
 VIEWS: Final = 24
 ROOM_WORKSPACE: Final = (136, 88, 104)
 ROOM_SCALE: Final = 0.03
@@ -145,20 +149,18 @@ def circling_bodies(frames: int) -> BodyScene:
 
 
 def bodies_in_rows(count: int, frames: int) -> BodyScene:
-    """Return `count` bodies that tumble in place, `PITCH_M` apart in a square."""
-    columns = math.isqrt(count - 1) + 1
+    """Return `count` bodies that tumble in place, `PITCH_M` apart in rows."""
     bodies = []
     for n in range(count):
-        place = PITCH_M * np.array([n % columns, n // columns, 0.0])
+        place = PITCH_M * np.array([n % BODIES_PER_ROW, n // BODIES_PER_ROW, 0.0])
         bodies.append(_body(n, np.tile(place, (frames, 1))))
     return BodyScene(bodies, RATE_HZ)
 
 
 def _rows_workspace(count: int) -> Sides:
-    columns = math.isqrt(count - 1) + 1
-    rows = -(-count // columns)
+    rows = -(-count // BODIES_PER_ROW)
     pitch = round(1e3 * PITCH_M / SPACING_MM)
-    return columns * pitch + 2 * MARGIN, rows * pitch + 2 * MARGIN, pitch + 2 * MARGIN
+    return BODIES_PER_ROW * pitch + 2 * MARGIN, rows * pitch + 2 * MARGIN, pitch + 2 * MARGIN
 
 
 # -- terrain -----------------------------------------------------------------------------------------------

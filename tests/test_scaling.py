@@ -61,3 +61,20 @@ def test_a_box_grows_around_its_surface_and_a_surface_with_its_box(scaling: Any,
     setting = settings["surface"](1 / 64)
     fits = setting.scale * (high_m - low_m) < 1e-3 * scaling.np.array(setting.workspace)
     assert fits.all()
+
+
+def test_each_row_of_bodies_adds_the_same_shapes_and_as_many_neighbours(scaling: Any) -> None:
+    media = importlib.import_module("scaling_media")
+
+    def pairs_and_shapes(count: int) -> tuple[int, list[str]]:
+        bodies = media.bodies_in_rows(count, 1).bodies()
+        places_m = scaling.np.array([body.track.positions_m[0] for body in bodies])
+        apart_m = abs(places_m[:, None] - places_m).max(axis=-1)
+        is_near = (apart_m > 0) & (apart_m < 1.5 * media.PITCH_M)
+        return int(is_near.sum()) // 2, [type(body.scene.shapes[0]).__name__ for body in bodies[-3:]]
+
+    counts, shapes = zip(*(pairs_and_shapes(3 * rows) for rows in range(1, 7)), strict=True)
+    assert set(scaling.np.diff(counts)) == {9}  # two beside, three behind, four across
+    assert all(len(set(row)) == 3 and row == shapes[0] for row in shapes)
+    (row,) = (row for row in scaling.ROWS if row.name == "objects, bodies")
+    assert all(size % media.BODIES_PER_ROW == 0 for part in (0.5, 1.0) for size in row.sizes(4, part))

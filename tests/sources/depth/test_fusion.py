@@ -19,9 +19,9 @@ from touchfield.pipeline.encoding import encode
 from touchfield.pipeline.preparation import prepare
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.depth import fused_scene
-from touchfield.sources.depth.depth_scene import DepthScene
+from touchfield.sources.depth.depth_scene import DepthScene, query_of
 from touchfield.sources.depth.fused_scene import FusedScene, FusedVolume, is_static
-from touchfield.sources.depth.kernels.field import Query, bricks_in_view
+from touchfield.sources.depth.kernels.field import Query, nodes_in_view
 from touchfield.sources.depth.layouts import depth_scene
 from touchfield.sources.laws import ForceProfile
 from touchfield.sources.options import SourceOptions
@@ -216,19 +216,47 @@ def test_bricks_that_a_view_does_not_see_are_left_out_without_any_change(
         return volume
 
     counts: list[int] = []
+    rows_in_view = FusedVolume.rows_in_view
 
-    def counted(bricks: Int32s, query: Query) -> Int64s:
-        rows = bricks_in_view(bricks, query)
+    def counted(volume: FusedVolume, query: Query) -> Int64s:
+        rows = rows_in_view(volume, query)
         counts.append(len(rows))
         return rows
 
-    monkeypatch.setattr(fused_scene, "bricks_in_view", counted)
+    monkeypatch.setattr(FusedVolume, "rows_in_view", counted)
     ours = fused()
-    monkeypatch.setattr(fused_scene, "bricks_in_view", lambda bricks, query: np.arange(len(bricks)))
+    monkeypatch.setattr(FusedVolume, "rows_in_view", lambda volume, query: np.arange(len(volume.bricks)))
     reference = fused()
     assert 0 < max(counts) < 0.5 * len(every)
     assert all(np.array_equal(a, b) for a, b in zip(ours.samples, reference.samples, strict=True))
     assert ours.samples.has_surface.any() and ours.residuals_m == reference.residuals_m
+
+
+def test_a_view_tests_the_bricks_near_it_and_finds_all_that_it_sees(
+    standing: rooms.Room, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = DepthScene(standing)
+    low, high = scene.bounds_m()
+    grid = Grid.over_box(low - 10, high + 10, (250, 234, 218))  # 32 x 30 x 28 bricks: part of a block
+    every = np.argwhere(np.ones(grid.brick_shape)).astype(np.int32)
+    volume = FusedVolume(grid, WALL, 0.007)
+    for part in np.array_split(np.random.default_rng(0).permutation(every), 7):
+        volume.add(part)
+    assert len(volume.bricks) == len(every)
+    tested: list[int] = []
+
+    def counted(nodes: Int32s, span: int, query: Query) -> Int64s:
+        tested.append(len(nodes))
+        return nodes_in_view(nodes, span, query)
+
+    monkeypatch.setattr(fused_scene, "nodes_in_view", counted)
+    for i in (0, 9):
+        query = query_of(scene.planes(i), scene.pose(i), grid, WALL)
+        rows = volume.rows_in_view(query)
+        assert np.array_equal(rows, nodes_in_view(volume.bricks, 1, query))
+        assert len(rows) > 500
+        assert sum(tested) < 3 * len(rows) < len(every)
+        tested.clear()
 
 
 def test_the_requested_mode_is_used(standing: rooms.Room) -> None:

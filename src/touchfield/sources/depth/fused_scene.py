@@ -43,7 +43,7 @@ from touchfield.medium.updates import FieldUpdate
 from touchfield.sources.camera import noise_step_per_m, require_frame
 from touchfield.sources.depth.depth_scene import RAY_LIMIT, DepthScene, force_bricks, query_of
 from touchfield.sources.depth.kernels import fusion as kernels
-from touchfield.sources.depth.kernels.field import bricks_in_view
+from touchfield.sources.depth.kernels.field import nodes_in_view
 from touchfield.sources.depth.kernels.fusion import Rules, Samples, View
 
 if TYPE_CHECKING:
@@ -73,6 +73,7 @@ DRIFT_FACTOR: Final = 2.0  # poses drift if the residual of the last quarter is 
 RESIDUAL_FACTOR: Final = 3.0
 """A neighbourhood is at least this many mean residuals of a view: pose errors exceed those of the sensor."""
 OUTLIER_FACTOR: Final = 1.5  # a view is an outlier if its residual is this many times the median so far
+_BLOCK = 4  # bricks along each edge of a block
 _BYTES_PER_BRICK = 512 * (5 * 4 + 4)
 _MAX_PLANES_BYTES = 256 << 20
 _MAX_WORLDS = 16  # the depth of an actuator array is requested in slabs, each with its own grid
@@ -80,8 +81,6 @@ _MAX_WORLDS = 16  # the depth of an actuator array is requested in slabs, each w
 
 class FusedVolume:
     """Fused observations of the samples of a lattice.
-
-    `bricks` int32 [n, 3] are in the order in which they were added.
 
     `step_per_m` is the noise of the sensor in inverse depth. `first_weight` is the weight of the first
     observation of a surface: a weight above 1 makes forces vary less while the mean settles. `residuals_m`
@@ -92,8 +91,10 @@ class FusedVolume:
         self, grid: Grid, profile: ForceProfile, step_per_m: float, first_weight: float = 1.0
     ) -> None:
         self.grid, self.profile = grid, profile
-        self.bricks = np.empty((0, 3), np.int32)
-        self._slots = np.full(grid.brick_shape, -1, np.int32)
+        self._count, self._bricks = 0, np.empty((64, 3), np.int32)
+        blocks = tuple(-(-count // _BLOCK) for count in grid.brick_shape)
+        self._slots = np.full(tuple(_BLOCK * count for count in blocks), -1, np.int32)
+        self._is_block, self._blocks = np.zeros(blocks, np.bool_), np.empty((0, 3), np.int32)
         self._samples = kernels.empty_samples(64)
         self.residuals_m: list[float] = []
         min_near_m = max(float(np.mean(grid.spacing_m)), profile.high_m)
@@ -103,9 +104,14 @@ class FusedVolume:
         )
 
     @property
+    def bricks(self) -> Int32s:
+        """The bricks in the order in which they were added, int32 [n, 3]."""
+        return self._bricks[: self._count]
+
+    @property
     def samples(self) -> Samples:
         """The state of the samples of `bricks`."""
-        return self._samples.first(len(self.bricks))
+        return self._samples.first(self._count)
 
     def cover(self, surface: SurfacePlanes, pose: Float64s) -> None:
         """Add bricks wherever the surface of this view may exert a force."""
@@ -117,15 +123,35 @@ class FusedVolume:
 
         Raises `InvalidArgument` if they would exceed the memory budget.
         """
-        count = len(self.bricks) + len(bricks)
-        if count > len(self._samples.weight):
-            capacity = max(count, len(self._samples.weight) * 3 // 2)
-            require_memory("fused volume", f"{capacity} bricks", capacity * _BYTES_PER_BRICK)
-            larger = kernels.empty_samples(capacity)
-            larger.first(len(self.bricks)).copy_from(self.samples)
-            self._samples = larger
-        self._slots[tuple(bricks.T)] = np.arange(len(self.bricks), count)
-        self.bricks = np.concatenate([self.bricks, bricks])
+        count = self._count + len(bricks)
+        if count > len(self._bricks):
+            self._grow(max(count, len(self._bricks) * 3 // 2))
+        self._slots[tuple(bricks.T)] = np.arange(self._count, count)
+        self._bricks[self._count : count] = bricks
+        self._count = count
+        blocks = bricks // _BLOCK
+        blocks = np.unique(blocks[~self._is_block[tuple(blocks.T)]], axis=0)
+        if len(blocks):
+            self._is_block[tuple(blocks.T)] = True
+            self._blocks = np.concatenate([self._blocks, blocks])
+
+    def _grow(self, capacity: int) -> None:
+        require_memory("fused volume", f"{capacity} bricks", capacity * _BYTES_PER_BRICK)
+        samples, bricks = kernels.empty_samples(capacity), np.empty((capacity, 3), np.int32)
+        samples.first(self._count).copy_from(self.samples)
+        bricks[: self._count] = self.bricks
+        self._samples, self._bricks = samples, bricks
+
+    def rows_in_view(self, query: Query) -> Int64s:
+        """Return the indices of the bricks that the camera may see, int64 [m], ascending.
+
+        Blocks are tested before their bricks, so that the cost follows the bricks in view.
+        """
+        x, y, z = self._blocks[nodes_in_view(self._blocks, _BLOCK, query)].T
+        bx, by, bz = self._is_block.shape
+        slots = self._slots.reshape(bx, _BLOCK, by, _BLOCK, bz, _BLOCK)[x, :, y, :, z]
+        rows = np.sort(slots[slots >= 0]).astype(np.int64)
+        return rows[nodes_in_view(self.bricks[rows], 1, query)]
 
     def integrate(self, surface: SurfacePlanes, pose: Float64s) -> None:
         """Update the samples with a view; `pose` is scene from camera, float64 [4, 4].
@@ -135,7 +161,7 @@ class FusedVolume:
         """
         samples, changes = self.samples, None
         query = query_of(surface, pose, self.grid, self.profile)
-        rows = bricks_in_view(self.bricks, query)
+        rows = self.rows_in_view(query)
         is_free = np.zeros(samples.free.shape, np.bool_)
         is_free[rows] = (samples.has_surface[rows] == 0) & (samples.free[rows] == kernels.CLEAR)
         view, residual_m = self._view(query, is_free)
@@ -164,7 +190,7 @@ class FusedVolume:
         is_dense = uniform_filter(is_marked.astype(np.float32), size, mode="constant") >= PATCH_DENSITY
         is_marked[...] = maximum_filter(is_dense.astype(np.uint8), size, mode="constant")
         if is_marked.any():
-            kernels.mark(bricks_in_view(self.bricks, query), self.bricks, view, self._rules, out)
+            kernels.mark(self.rows_in_view(query), self.bricks, view, self._rules, out)
 
     def forces_n(self, rows: Int64s | None = None) -> Float32s:
         """Return the forces of the bricks `rows`, newtons, float32 [n, 8, 8, 8, 3]; by default of all."""

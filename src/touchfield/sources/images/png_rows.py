@@ -21,8 +21,8 @@ _CHANNELS: Final = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 def require_all_rows(where: str, stream: IO[bytes], values: NDArray[Any] | None = None) -> None:
     """Raise `SourceError`, which names `where`, if the data of a PNG ends before its last row.
 
-    `values` is the decoded picture, if it is there: if its last row has a sample other than 0, the data is not
-    decompressed again. An interlaced picture that is cut is refused by Pillow itself.
+    `values` is the decoded picture, if it is there: if its last row has a sample other than 0, the data is
+    whole. An interlaced picture that is cut is refused by Pillow itself.
     """
     stream.seek(_SIGNATURE_BYTES + 8)
     width, height, bits, colour, _, _, interlaced = struct.unpack(">IIBBBBB", stream.read(13))

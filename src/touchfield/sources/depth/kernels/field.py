@@ -109,10 +109,10 @@ def _may_hold(start, stop, nodes, span, corners, query, hits):
 
 
 @kernel
-def _in_view(start, stop, bricks, corners, query, hits):
+def _in_view(start, stop, nodes, span, corners, query, hits):
     lattice = query.lattice_m
     for n in range(start, stop):
-        a, b, d = 8.0 * bricks[n, 0], 8.0 * bricks[n, 1], 8.0 * bricks[n, 2]
+        a, b, d = 8.0 * span * nodes[n, 0], 8.0 * span * nodes[n, 1], 8.0 * span * nodes[n, 2]
         x = lattice[0, 0] + a * lattice[1, 0] + b * lattice[2, 0] + d * lattice[3, 0]
         y = lattice[0, 1] + a * lattice[1, 1] + b * lattice[2, 1] + d * lattice[3, 1]
         z = lattice[0, 2] + a * lattice[1, 2] + b * lattice[2, 2] + d * lattice[3, 2]
@@ -317,13 +317,14 @@ def may_hold_force(nodes: Int32s, span: int, query: Query) -> Bools:
     return hits
 
 
-def bricks_in_view(bricks: Int32s, query: Query) -> Int64s:
-    """Return which of `bricks`, int32 [n, 3], the camera may see, int64 [m]: indices, ascending.
+def nodes_in_view(nodes: Int32s, span: int, query: Query) -> Int64s:
+    """Return which cubes of `span`^3 bricks the camera may see, int64 [m]: indices, ascending.
 
-    A point that the camera sees lies within one sample of one of them if it does so of any.
+    `nodes` int32 [n, 3] are positions in units of `span`. A point that the camera sees lies within one sample
+    of one of them if it does so of any.
     """
-    hits, corners = np.empty(len(bricks), np.bool_), _corners(1, query.lattice_m, margin=1)
-    for_chunks(_in_view, len(bricks), bricks, corners, query._replace(first_m=0.0), hits, chunk=64)
+    hits, corners = np.empty(len(nodes), np.bool_), _corners(span, query.lattice_m, margin=1)
+    for_chunks(_in_view, len(nodes), nodes, span, corners, query._replace(first_m=0.0), hits, chunk=64)
     return np.flatnonzero(hits)
 
 
