@@ -1,8 +1,9 @@
 /* touch_proxy_jump.h: jumps of the proxy of touch_proxy.h, to another surface, or on or off one, reach the hand slowly.
 
-   The force changes at once by as much as the field itself changes at the hand. The rest of a change is owed. It comes with
-   time, and with the motion of the hand by K per metre, less half of what changed at once: in full where it works against the
-   motion, half where it lies across it, and not where it works along it, so that it drives no hand. */
+   The force changes at once by as much as the field itself changes at the hand: along that change, and in other directions as
+   far as the hand moves. The rest of a change is owed. It comes with time, and with the motion of the hand by K per metre,
+   less half of what the field may pass on: in full where it works against the motion, half where it lies across it, and not
+   where it works along it, so that it drives no hand. */
 #ifndef TOUCH_PROXY_JUMP_H
 #define TOUCH_PROXY_JUMP_H
 
@@ -11,6 +12,7 @@
 #define TOUCH_PROXY_EASE_S 1.0                /* in which a jump by a large force of the field comes to a hand at rest, */
 #define TOUCH_PROXY_EASE_SMALL_S 0.5          /* and time constant for a small one */
 #define TOUCH_PROXY_EASE_PASSED 0.5           /* of what changed at once: so much less comes with the motion */
+#define TOUCH_PROXY_EASE_TURN 10.0            /* times K and the motion of the hand: so far a change may turn off the field's */
 
 typedef struct { /* in a tick, relative to the body that carries the proxy */
     touch_vector hand_m; /* of the hand */
@@ -43,14 +45,29 @@ static inline double touch_given_by_motion(const touch_isosurface *s, touch_vect
     return touch_fmax(0.0, s->stiffness_n_per_m * against_m - TOUCH_PROXY_EASE_PASSED * passed_n);
 }
 
+/* What reaches the hand at once, N, of a change of the proxy's force that is no larger than `own_n`, the field's own change.
+   A proxy that slides about while the hand rests would turn the change of the force to and fro, a kink each time: so what
+   lies off the field's own change is limited by the motion of the hand. */
+static inline touch_vector touch_passed_change(const touch_isosurface *s, touch_vector hand_m, touch_vector change_n,
+                                               touch_vector own_n) {
+    double square = touch_dot(own_n, own_n);
+    if (!(square > 0.0)) return touch_zero();
+    touch_vector along_n = touch_scale(touch_clamp(touch_dot(change_n, own_n) / square, 0.0, 1.0), own_n);
+    touch_vector across_n = touch_subtract(change_n, along_n);
+    double limit_n = TOUCH_PROXY_EASE_TURN * s->stiffness_n_per_m * touch_magnitude(hand_m);
+    return touch_subtract(change_n, touch_shortened(across_n, limit_n));
+}
+
 /* Pass on what the field explains of a change of the proxy's force, and give back some of what is owed. */
 static inline void touch_ease_jump(const touch_isosurface *s, const touch_contact_motion *motion, touch_vector force_n,
                                    touch_vector stored_n, double dt_s) {
     touch_proxy *proxy = &s->receiver->state.proxy;
-    touch_vector change_n = touch_subtract(force_n, proxy->force_n);
-    double explained_n = touch_magnitude(touch_subtract(stored_n, proxy->stored_n));
-    double passed_n = touch_fmin(touch_magnitude(change_n), explained_n);
-    touch_vector owed_n = touch_add(proxy->eased_n, touch_shortened(change_n, passed_n));
+    touch_vector change_n = touch_subtract(force_n, proxy->force_n), own_n = touch_subtract(stored_n, proxy->stored_n);
+    double passed_n = touch_fmin(touch_magnitude(change_n), touch_magnitude(own_n));
+    touch_vector within_n = touch_subtract(change_n, touch_shortened(change_n, passed_n));
+    touch_vector at_once_n = within_n; /* in no time, at a seam, which fades */
+    if (dt_s > 0.0) at_once_n = touch_passed_change(s, motion->hand_m, within_n, own_n);
+    touch_vector owed_n = touch_add(proxy->eased_n, touch_subtract(change_n, at_once_n));
     owed_n = touch_shortened(owed_n, touch_given_by_motion(s, motion->hand_m, owed_n, passed_n));
     double given_n_per_s = touch_fmin(touch_magnitude(owed_n) / TOUCH_PROXY_EASE_SMALL_S, s->large_n / TOUCH_PROXY_EASE_S);
     proxy->eased_n = touch_shortened(owed_n, given_n_per_s * dt_s);

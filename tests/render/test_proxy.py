@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from player_makers import laid_out
 from proxy_makers import STRONG, Held, field_of, ramp_n
+from seam_makers import Played
 
 from touchfield.devices.drivers.simulated import SimHand
 from touchfield.errors import InvalidArgument
@@ -184,6 +185,27 @@ def test_a_proxy_that_jumps_pulls_a_hand_at_rest_slowly() -> None:
     steps = np.linalg.norm(np.diff(forces, axis=0), axis=1)
     assert before[2] > 0.5 and steps.max() < 1.05e-3 * rendered.wall.large_n
     assert np.linalg.norm(forces[-1]) < 0.01 and (np.diff(forces[:, 2]) <= 1e-9).all()
+
+
+def test_a_proxy_that_slides_about_turns_no_force_on_a_hand_at_rest() -> None:
+    """While the field gets weaker, the force on a hand at rest changes along the field's own change."""
+    strong, hand = field_of(BLOCK), np.array([0.0, 0.0, 0.012])
+    weak = replace(strong, forces_n=0.2 * strong.forces_n)
+    medium = HapticMedium.from_frames([strong, strong, strong, weak, weak], 10.0)
+    played = Played(medium, spec=RenderSpec(render="proxy", up="lattice"))
+    for weight in np.linspace(0.0, 1.0, 100):
+        played.tick((1 - weight) * np.array([0.0, 0.0, 0.02]) + weight * hand)
+    played.at_rest(hand, 120)
+    forces, stored = [], []
+    for n in range(60):
+        played.memory.receiver["state"]["proxy"]["position_m"] = (0.008 * (-1) ** n, 0.0, 0.015)
+        forces.append(played.tick(hand))
+        stored.append(played.value("state.proxy.stored_n"))
+    own, steps = np.diff(stored, axis=0), np.diff(forces, axis=0)
+    own_n = np.linalg.norm(own, axis=1, keepdims=True)
+    across = steps - (steps * own).sum(axis=1, keepdims=True) * own / own_n**2
+    owed_n = 1.05e-3 * played.value("settings.wall_force_n")  # what is owed comes at most so fast
+    assert own_n.min() > 3 * owed_n and np.linalg.norm(across, axis=1).max() < owed_n
 
 
 def test_a_proxy_comes_to_rest_with_its_hand() -> None:
