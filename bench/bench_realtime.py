@@ -165,14 +165,14 @@ class SimulatedCamera(Pictures):
 
 
 class TimedSequence(CapturedSequence):
-    """Captured pictures; `arrived_s` has the time at which the picture of each frame arrived."""
+    """Captured pictures; `arrivals_s` has the time at which the picture of each frame arrived."""
 
     def __init__(self, camera: SimulatedCamera) -> None:
-        self.camera, self.arrived_s = camera, dict[int, float]()
+        self.camera, self.arrivals_s = camera, dict[int, float]()
         super().__init__(camera, CAMERA)
 
     def depth_m(self, frame: int) -> Any:
-        self.arrived_s.setdefault(frame, self.camera.latest_s)
+        self.arrivals_s.setdefault(frame, self.camera.latest_s)
         return super().depth_m(frame)
 
 
@@ -202,12 +202,12 @@ def live(name: str, pictures: list[NDArray[Any]], seconds: float) -> Figures:
     def send(segment: LiveSegment) -> bytes | None:
         message = sender.add(segment)
         length_s = segment.frame_count / LIVE_HZ
-        if segment.first_frame in sequence.arrived_s:  # frame 0 was made before the stream began
-            delays_s.append(time.monotonic() - sequence.arrived_s[segment.first_frame] - length_s)
+        if segment.first_frame in sequence.arrivals_s:  # frame 0 was made before the stream began
+            delays_s.append(time.monotonic() - sequence.arrivals_s[segment.first_frame] - length_s)
         return message
 
     def on_start() -> None:
-        sequence.arrived_s.clear()
+        sequence.arrivals_s.clear()
         start[:] = time.process_time(), time.monotonic()
 
     sent = broadcast(prepared, send, LiveSpec(SEGMENT_S, seconds=seconds), on_start=on_start)
