@@ -51,7 +51,7 @@ class Seed:
 class Format:
     """A format, its reader, its inputs and the endings of the files to damage (all if there are none).
 
-    `mutate` replaces the mutators by ending.
+    `mutate` replaces the mutators by ending; `free_s` is the processor time that any file may take, seconds.
     """
 
     name: str
@@ -59,6 +59,7 @@ class Format:
     seeds: tuple[Seed, ...]
     endings: tuple[str, ...] = ()
     mutate: Mutator | None = None
+    free_s: float = 3.0
 
     def mutator(self, path: Path) -> Mutator:
         """Return the mutator of a file."""
@@ -558,9 +559,10 @@ def formats() -> tuple[Format, ...]:
         Format("OFF", encode, seeds("off")),
         Format("3MF", encode, seeds("3mf")),
         Format("COLLADA", encode, seeds("collada")),
-        Format("MJCF", encode, seeds("mujoco model", "height field")),
-        Format("URDF", encode, seeds("urdf")),
-        Format("TOML", encode, seeds("shapes", "bodies")),
+        # a simulation takes the time that its file asks for, up to a number of steps
+        Format("MJCF", encode, seeds("mujoco model", "height field"), free_s=15.0),
+        Format("URDF", encode, seeds("urdf"), free_s=15.0),
+        Format("TOML", encode, seeds("shapes", "bodies"), free_s=15.0),
         Format("TIFF", encode, seeds("geotiff", "geotiff, gaps", "tiff pages", **stacks), (".tif",)),
         Format(
             "PNG", encode, (*seeds("depth picture", "plain folder", **stacks), *seeds("grey png")), (".png",)

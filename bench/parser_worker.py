@@ -37,7 +37,6 @@ FREE_BYTES: Final = 192 * MEBI
 BYTES_PER_BYTE: Final = 1 << 10
 SPACE_BYTES: Final = 2 << 30
 """Address space that a case may take beyond that of the process."""
-FREE_SECONDS: Final = 3.0
 SECONDS_PER_BYTE: Final = 5e-5
 PATIENCE_SECONDS: Final = 20.0
 """Processor seconds after which a case is interrupted."""
@@ -55,6 +54,7 @@ class Outcome:
     kind : "read", "refused" or "FAULT".
     text : the message, or what is wrong.
     site : file and line where the error was raised.
+    free_s : processor time that a file of its format may take beside that for its bytes, seconds.
     """
 
     kind: str
@@ -63,12 +63,13 @@ class Outcome:
     seconds: float = 0.0
     peak_bytes: int = 0
     input_bytes: int = 0
+    free_s: float = 0.0
 
     @property
     def is_over_limits(self) -> bool:
         """It took more processor time or memory than its bytes allow."""
         return (
-            self.seconds > FREE_SECONDS + SECONDS_PER_BYTE * self.input_bytes
+            self.seconds > self.free_s + SECONDS_PER_BYTE * self.input_bytes
             or self.peak_bytes > FREE_BYTES + BYTES_PER_BYTE * self.input_bytes
         )
 
@@ -209,7 +210,7 @@ class Bench:
             finally:
                 self.watch.is_active = False
             seconds, peak = time.process_time() - start_s, max(peak_bytes() - before, 0)
-        outcome = replace(outcome, seconds=seconds, peak_bytes=peak, input_bytes=size)
+        outcome = replace(outcome, seconds=seconds, peak_bytes=peak, input_bytes=size, free_s=chosen.free_s)
         wrong = "" if outcome.kind == "FAULT" else self._wrong(outcome, out, issued)
         text = f"{wrong}; {outcome.kind} {outcome.text}"[:400]
         return replace(outcome, kind="FAULT", text=text) if wrong else outcome

@@ -15,6 +15,7 @@ from touchfield.medium import HapticMedium, PoseTrack
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.physics.body_scene import BodyScene
+from touchfield.sources.physics.rest import RestWatch
 from touchfield.sources.physics.toml_file import open_physics
 
 pytest.importorskip("mujoco", reason='needs the simulator: pip install "touchfield[physics]"')
@@ -52,6 +53,28 @@ def test_a_fallen_body_keeps_its_pose(scene: Make) -> None:
     track = fallen.bodies()[0].track
     assert 100 < rest_frame(track) < 900
     assert abs(track.positions_m[-1, 2] - HALF_M) < 1e-3
+
+
+def test_a_simulation_ends_when_all_bodies_sleep(scene: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is left has the poses that more steps would have given."""
+    parts = physics(1.5), FLOOR, BOX, "position_m = [0, 0, 0.03]", BALL, "position_m = [0.1, 0, 0.05]"
+    updates = list[int]()
+    update = RestWatch.update
+
+    def counted(self: RestWatch, data: Any) -> None:
+        updates.append(1)
+        update(self, data)
+
+    monkeypatch.setattr(RestWatch, "update", counted)
+    ended = [body.track for body in scene(*parts).bodies()]
+    assert 100 < len(updates) < 1200
+    monkeypatch.setattr(RestWatch, "is_over", lambda self, data: False)
+    updates.clear()
+    stepped = [body.track for body in scene(*parts).bodies()]
+    assert len(updates) == 1499
+    for one, other in zip(ended, stepped, strict=True):
+        assert one.positions_m.tobytes() == other.positions_m.tobytes()
+        assert one.quaternions.tobytes() == other.quaternions.tobytes()
 
 
 @pytest.mark.parametrize("step_s", [1e-3, 2e-5])

@@ -76,3 +76,10 @@ class RestWatch:
         may_sleep = (self._still_frames >= self._frames) & self._has_touched
         allowed, never = int(policy.mjSLEEP_ALLOWED), int(policy.mjSLEEP_NEVER)
         model.tree_sleep_policy[:] = np.where(may_sleep, allowed, never)
+
+    def is_over(self, data: Any) -> bool:
+        """Return True if every body that can move sleeps.
+
+        Nothing can wake one then: forces and controls do not change, and no pose is prescribed.
+        """
+        return bool(self._model.ntree) and int(data.ntree_awake) == 0

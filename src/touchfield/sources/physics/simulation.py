@@ -164,6 +164,10 @@ def simulate(
                     rest.update(data)
             if messages:
                 notes += check_state(mujoco, data, messages, f"{where}, {(frame + 1) / rate_hz:g} s")
+            if rest is not None and rest.is_over(data):
+                mujoco.mj_kinematics(model, data)
+                recorder.add_rest(data.xquat[ids], data.xpos[ids])
+                break
     return recorder.tracks(), notes
 
 
@@ -192,6 +196,13 @@ class _PoseRecorder:
         for k, poses in enumerate(self._poses):
             poses[self._stored : stop] = self._block[: self._pending, k]
         self._stored, self._pending = stop, 0
+
+    def add_rest(self, quaternions: Float64s, positions_m: Float64s) -> None:
+        """Add all frames that are left, of bodies that no longer move."""
+        self._store_block()
+        for poses, quaternion, position_m in zip(self._poses, quaternions, positions_m, strict=True):
+            poses[self._stored :, :4], poses[self._stored :, 4:] = quaternion, position_m
+        self._stored = len(self._poses[0]) if self._poses else self._stored
 
     def tracks(self) -> list[PoseTrack]:
         """Return the track of each body, and forget the poses."""
