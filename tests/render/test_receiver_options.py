@@ -349,6 +349,7 @@ def test_invalid_materials_are_refused_by_name() -> None:
         ("box_m", {"box_m": ((0.0, 0.0), (1.0, 1.0))}),
         ("speeds_m_s", good | {"speeds_m_s": (0.0,)}),
         ("forces_n", good | {"forces_n": (1.0, 1.0), "texture_rms_n": (row * 2,)}),
+        ("forces_n", good | {"forces_n": (-math.inf, -math.inf), "texture_rms_n": (row * 2,)}),
         ("texture_rms_n", good | {"texture_rms_n": ((row[0][:15],),)}),
         ("texture_rms_n", good | {"texture_rms_n": (((-0.1, *row[0][1:]),),)}),
         ("texture_rms_n", {"speeds_m_s": (0.1,), "forces_n": (1.0,)}),

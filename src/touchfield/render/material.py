@@ -91,8 +91,8 @@ class Material:
             row = np.array(getattr(self, name), np.float64)
             if (
                 len(row) > MAX_LEVELS
-                or not (np.diff(row, prepend=0.0) > 0).all()
                 or not np.isfinite(row).all()
+                or not (np.diff(row, prepend=0.0) > 0).all()
             ):
                 raise InvalidArgument(
                     prefix + name, repr(getattr(self, name)), "rising numbers above 0, at most 32"

@@ -401,9 +401,9 @@ def _parse_colmap(text: str, where: str) -> PoseList:
             expected = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
             raise SourceError(f"{where} line {number}", repr(line[:60]), expected, IGNORE_POSES) from None
     values = np.array(rows, np.float64).reshape(-1, 7)
-    rotations = poses_of_quaternions(np.roll(values[:, :4], -1, axis=1), np.zeros((len(values), 3)), where)
-    rotations = rotations[:, :3, :3].transpose(0, 2, 1)
-    poses = checked_poses(np.concatenate([rotations, -rotations @ values[:, 4:, None]], axis=2), where)
+    from_scene = poses_of_quaternions(np.roll(values[:, :4], -1, axis=1), values[:, 4:], where)
+    rotations = from_scene[:, :3, :3].transpose(0, 2, 1)
+    poses = checked_poses(np.concatenate([rotations, -rotations @ from_scene[:, :3, 3:]], axis=2), where)
     form = "COLMAP's: camera from scene, turned round; its unit is taken as a metre"
     return PoseList(poses, form, names=tuple(names))
 

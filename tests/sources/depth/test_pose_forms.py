@@ -117,6 +117,7 @@ def test_poses_are_matched_by_the_number_of_the_frame(tmp_path: Path, form: str)
         ('{"class_name": "PinholeCameraTrajectory", "parameters": [{"extrinsic": [1, 2]}]}', "without poses"),
         ('{"class_name": "PinholeCameraTrajectory", "parameters": []}', "no pose"),
         ('{"class_name": "PoseGraph"}', "without poses"),
+        ("1 1 0 0 0 0 1e999 0 1 a.png", "numbers that are not finite"),
     ],
 )
 def test_invalid_poses_name_the_file_and_the_fault(text: str, message: str) -> None:
