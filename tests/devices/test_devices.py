@@ -160,6 +160,7 @@ def test_user_profile(tmp_path: Path) -> None:
         ('value = 1000\nsource = "me"', "value = 1000", "rate_hz.source"),
         ('value = 1000\nsource = "me"', 'value = 1000\nsource = " "', "rate_hz.source"),
         ("[1000, 800, 600]", "[1000, 800, 601]", "nominal_lattice"),
+        ("value = 0.1", "value = 1e-320", "nominal_lattice"),
         ("[1000, 800, 600]", "[1000, 800]", "nominal_lattice.value"),
         ("[1000, 800, 600]", "[1000, 800, 1e9]", "nominal_lattice.value"),
         ("[100, 80.0, 60.0]", "[100, 80.0, 2e6]", "workspace_mm.value"),
