@@ -150,7 +150,7 @@ def parse_table(table: Mapping[str, Any], where: str) -> Device:
     name, title = (_text(table.get(key), f"{where}: {key}") for key in ("name", "title"))
     if kind == 1:
         ratios = [extent / values["resolution_mm"] for extent in values["workspace_mm"]]
-        computed = tuple(round(min(ratio, MAX_NUMBER)) for ratio in ratios)  # a ratio may be infinite
+        computed = tuple(round(min(ratio, 1e9)) for ratio in ratios)  # a ratio may be infinite
         values["lattice"] = stated = values.pop("nominal_lattice")
         if stated != computed:
             expected = f"{computed}, workspace_mm over resolution_mm, rounded"
