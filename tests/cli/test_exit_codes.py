@@ -94,6 +94,7 @@ READING = {
     "deform": "{in}.touch --out new.npz --yield-m-per-n 0.002",
     "view": "{in}.touch --out new.html --no-open",
     "compare": "{in}.toml sphere.touch --no-picture",
+    "guide": "{in}.png --offline",
     "play": "{in}.touch --offline",
     "measure": "{in}.touch",
     "reduce": "{in}.touch",
