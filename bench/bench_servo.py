@@ -309,8 +309,9 @@ def death_ms(medium: HapticMedium, name: str, is_loaded: bool, folder: Path) -> 
 
 
 def forces_of(path: Path) -> list[tuple[int, float]]:
-    """Return times, ns, and sizes, N, of the forces so far."""
-    lines = (line.split() for line in path.read_text().splitlines())
+    """Return times, ns, and sizes, N, of the forces so far; a line that is being written is left out."""
+    whole, _, _ = path.read_text().rpartition("\n")
+    lines = (line.split() for line in whole.splitlines())
     return [(int(at_ns), float(force_n)) for at_ns, force_n in lines]
 
 
