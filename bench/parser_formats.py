@@ -51,7 +51,8 @@ class Seed:
 class Format:
     """A format, its reader, its inputs and the endings of the files to damage (all if there are none).
 
-    `mutate` replaces the mutators by ending; `free_s` is the processor time that any file may take, seconds.
+    `mutate` replaces the mutators by ending; `free_s` and `free_mib` are the processor time, seconds, and the
+    memory that any file may take.
     """
 
     name: str
@@ -60,6 +61,7 @@ class Format:
     endings: tuple[str, ...] = ()
     mutate: Mutator | None = None
     free_s: float = 3.0
+    free_mib: int = 192
 
     def mutator(self, path: Path) -> Mutator:
         """Return the mutator of a file."""
@@ -514,6 +516,7 @@ def formats() -> tuple[Format, ...]:
     effects = effect_files()
     camera = corpus.CAMERA
     stacks = {"depth_scale": 1000.0, "intrinsics": camera}
+    simulated: dict[str, Any] = {"free_s": 15.0, "free_mib": 512}
     return (
         Format("npz", encode, seeds("field npz", "npz with x and y", "npz with dy", "stereo npz")),
         Format("npy", encode, (*seeds("npy"), *seeds("npy stack")), (".npy",)),
@@ -559,10 +562,10 @@ def formats() -> tuple[Format, ...]:
         Format("OFF", encode, seeds("off")),
         Format("3MF", encode, seeds("3mf")),
         Format("COLLADA", encode, seeds("collada")),
-        # a simulation takes the time that its file asks for, up to a number of steps
-        Format("MJCF", encode, seeds("mujoco model", "height field"), free_s=15.0),
-        Format("URDF", encode, seeds("urdf"), free_s=15.0),
-        Format("TOML", encode, seeds("shapes", "bodies"), free_s=15.0),
+        # a simulation takes time and memory for the seconds that its file asks for, up to a number of steps
+        Format("MJCF", encode, seeds("mujoco model", "height field"), **simulated),
+        Format("URDF", encode, seeds("urdf"), **simulated),
+        Format("TOML", encode, seeds("shapes", "bodies"), **simulated),
         Format("TIFF", encode, seeds("geotiff", "geotiff, gaps", "tiff pages", **stacks), (".tif",)),
         Format(
             "PNG", encode, (*seeds("depth picture", "plain folder", **stacks), *seeds("grey png")), (".png",)

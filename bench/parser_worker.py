@@ -32,8 +32,6 @@ from parser_formats import Format, formats
 from touchfield.errors import InvalidArgument, TouchfieldError
 
 MEBI: Final = 1 << 20
-FREE_BYTES: Final = 192 * MEBI
-"""Resident memory allowed for any case."""
 BYTES_PER_BYTE: Final = 1 << 10
 SPACE_BYTES: Final = 2 << 30
 """Address space that a case may take beyond that of the process."""
@@ -54,7 +52,8 @@ class Outcome:
     kind : "read", "refused" or "FAULT".
     text : the message, or what is wrong.
     site : file and line where the error was raised.
-    free_s : processor time that a file of its format may take beside that for its bytes, seconds.
+    free_s, free_bytes : processor time, seconds, and resident memory that a file of its format may take beside
+        those for its bytes.
     """
 
     kind: str
@@ -64,13 +63,14 @@ class Outcome:
     peak_bytes: int = 0
     input_bytes: int = 0
     free_s: float = 0.0
+    free_bytes: int = 0
 
     @property
     def is_over_limits(self) -> bool:
         """It took more processor time or memory than its bytes allow."""
         return (
             self.seconds > self.free_s + SECONDS_PER_BYTE * self.input_bytes
-            or self.peak_bytes > FREE_BYTES + BYTES_PER_BYTE * self.input_bytes
+            or self.peak_bytes > self.free_bytes + BYTES_PER_BYTE * self.input_bytes
         )
 
 
