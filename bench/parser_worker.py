@@ -52,8 +52,8 @@ class Outcome:
     kind : "read", "refused" or "FAULT".
     text : the message, or what is wrong.
     site : file and line where the error was raised.
-    free_s, free_bytes : processor time, seconds, and resident memory that a file of its format may take beside
-        those for its bytes.
+    free_s, free_bytes : processor time, seconds, and resident memory that a file of its format may take,
+        beside those for its bytes.
     """
 
     kind: str
