@@ -198,6 +198,23 @@ def test_behind_a_jump_to_a_last_frame_another_thread_decodes_one_frame(
     assert decoder.threads[following + 1] is threading.current_thread()
 
 
+def test_a_jump_among_segments_of_one_frame_decodes_that_frame_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file over the network is fetched no further than what is requested."""
+    monkeypatch.setenv("TOUCHFIELD_THREADS", "2")
+    decoded = list[int]()
+
+    def decode(segment: int) -> Iterator[ForceField]:
+        decoded.append(segment)
+        yield field(segment)
+
+    entries = [SimpleNamespace(first_frame=i, frame_count=1) for i in range(COUNT)]
+    single = SimpleNamespace(name="a.touch", segments=entries, segment_of=lambda frame: frame)
+    frames = SegmentFrames(single, decode)  # type: ignore[arg-type]
+    for frame in (3, 5, 1):
+        assert number_of(frames(frame)) == frame
+    assert not frames._lookahead and decoded == [3, 5, 1]
+
+
 def test_a_loop_is_a_sequence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TOUCHFIELD_THREADS", "2")
     frames = frames_of()

@@ -79,11 +79,17 @@ class SegmentFrames:
         return entry.first_frame + entry.frame_count
 
     def _jump(self, segment: int, frame: int) -> None:
-        """Stop the other cores. If the frame after this one starts a segment, one of them decodes it."""
+        """Stop the other cores. If the frame after this one starts a segment, one of them decodes it.
+
+        Not where each frame is a segment of its own: it would fetch and decode twice what was requested,
+        and save the time of one frame.
+        """
         self._run_frames = 1
         self._forget(range(0))
+        first_frame = self._reader.segments[segment].first_frame
         following = (segment + 1) % len(self._reader.segments)
-        if frame + 1 == self._stop_of(segment) and following != segment and worker_count() > 1:
+        is_last = first_frame < frame == self._stop_of(segment) - 1
+        if is_last and following != segment and worker_count() > 1:
             self._lookahead[following] = _Lookahead(self._decode, following, max_frames=1)
 
     def _decoded(self, segment: int, frame: int) -> ForceField:
