@@ -210,7 +210,14 @@ class Bench:
             finally:
                 self.watch.is_active = False
             seconds, peak = time.process_time() - start_s, max(peak_bytes() - before, 0)
-        outcome = replace(outcome, seconds=seconds, peak_bytes=peak, input_bytes=size, free_s=chosen.free_s)
+        outcome = replace(
+            outcome,
+            seconds=seconds,
+            peak_bytes=peak,
+            input_bytes=size,
+            free_s=chosen.free_s,
+            free_bytes=chosen.free_mib * MEBI,
+        )
         wrong = "" if outcome.kind == "FAULT" else self._wrong(outcome, out, issued)
         text = f"{wrong}; {outcome.kind} {outcome.text}"[:400]
         return replace(outcome, kind="FAULT", text=text) if wrong else outcome
