@@ -516,7 +516,7 @@ def formats() -> tuple[Format, ...]:
     effects = effect_files()
     camera = corpus.CAMERA
     stacks = {"depth_scale": 1000.0, "intrinsics": camera}
-    simulated: dict[str, Any] = {"free_s": 15.0, "free_mib": 512}
+    simulated: dict[str, Any] = {"free_s": 18.0, "free_mib": 512}
     return (
         Format("npz", encode, seeds("field npz", "npz with x and y", "npz with dy", "stereo npz")),
         Format("npy", encode, (*seeds("npy"), *seeds("npy stack")), (".npy",)),
