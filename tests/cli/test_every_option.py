@@ -159,7 +159,7 @@ TASKS = {
         "cli.play:read_materials",
         "cli.play:read_deformation",
     ),
-    "guide": ("tasks.guide:guide", "tasks.guide:Rows"),
+    "guide": ("tasks.guide:guide", "tasks.guide_log:Rows"),
     "serve": ("network.server:serve",),
     "live": (
         "tasks.live:open_sender",

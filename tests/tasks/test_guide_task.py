@@ -25,8 +25,10 @@ from touchfield.render.array_player import ArrayDevice
 from touchfield.sources.camera import DepthSequence, Intrinsics
 from touchfield.sources.depth.capture import CapturedSequence, Pictures
 from touchfield.sources.options import SourceOptions
-from touchfield.tasks import guide as task
-from touchfield.tasks.guide import Counts, GuideRun, Output, Shown, columns, guide, open_sequence
+from touchfield.tasks import guide as task, guide_log
+from touchfield.tasks.guide import GuideRun, guide, open_sequence
+from touchfield.tasks.guide_log import columns
+from touchfield.tasks.guide_output import Counts, Output, Shown
 
 SIZE, CAMERA = makers.REDUCED, makers.kinect(makers.REDUCED)
 INTRINSICS = f"{CAMERA.fx},{CAMERA.fy},{CAMERA.cx},{CAMERA.cy}"
@@ -116,7 +118,7 @@ def test_poses_that_contradict_the_depth_are_not_used(tmp_path: Path) -> None:
 
 
 def test_rows_beyond_the_limit_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(task, "MAX_ROWS", 4)
+    monkeypatch.setattr(guide_log, "MAX_ROWS", 4)
     _, notes = guide(write_folder(tmp_path / "walk"), GuideRun(offline=True), READ, tmp_path / "log.csv")
     assert (tmp_path / "log.csv").read_text().count("\n") == 5 and any(
         "2 rows after" in note for note in notes

@@ -40,7 +40,8 @@ def guide(
     plot: Annotated[Path | None, "PNG to draw: directions, ground and warnings over time."] = None,
 ) -> Answer:
     """Show what is near a wearer's depth camera on a vest. No mobility aid: it replaces no cane."""
-    from touchfield.tasks.guide import Rows, guide as run
+    from touchfield.tasks.guide import guide as run
+    from touchfield.tasks.guide_log import Rows
 
     check_results((source,), log, plot=plot)
     spec = GuideSpec(**fields_of(GuideSpec, options))

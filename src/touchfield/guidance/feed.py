@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 from touchfield.arrays import Float32s, Float64s
 from touchfield.errors import SourceError
 from touchfield.sources.camera import DepthSequence
-from touchfield.sources.depth.capture import CapturedSequence, CaptureEnd
+from touchfield.sources.depth.capture import CapturedSequence
 
 _POLL_S: Final = 0.002
 _MAX_POLL_ERRORS: Final = 30
@@ -143,8 +143,3 @@ class ReplayFeed(Feed):
                 continue
             pose = None if sequence.poses is None else sequence.poses[number]
             self._put(Frame(number, depth, due_s, pose))
-
-
-def is_end(error: SourceError | None) -> bool:
-    """Return True if a source has simply ended: no error, or no further picture."""
-    return error is None or isinstance(error, CaptureEnd)
