@@ -52,8 +52,6 @@ class Outcome:
     kind : "read", "refused" or "FAULT".
     text : the message, or what is wrong.
     site : file and line where the error was raised.
-    free_s, free_bytes : processor time, seconds, and resident memory that a file of its format may take,
-        beside those for its bytes.
     """
 
     kind: str
@@ -62,15 +60,12 @@ class Outcome:
     seconds: float = 0.0
     peak_bytes: int = 0
     input_bytes: int = 0
-    free_s: float = 0.0
-    free_bytes: int = 0
 
-    @property
-    def is_over_limits(self) -> bool:
-        """It took more processor time or memory than its bytes allow."""
+    def is_over_limits(self, chosen: Format) -> bool:
+        """Return True if it took more processor time or memory than its format and its bytes allow."""
         return (
-            self.seconds > self.free_s + SECONDS_PER_BYTE * self.input_bytes
-            or self.peak_bytes > self.free_bytes + BYTES_PER_BYTE * self.input_bytes
+            self.seconds > chosen.free_s + SECONDS_PER_BYTE * self.input_bytes
+            or self.peak_bytes > chosen.free_mib * MEBI + BYTES_PER_BYTE * self.input_bytes
         )
 
 
@@ -171,7 +166,9 @@ class Bench:
         rewrite(name, content)
         try:
             outcome = self._judged(chosen, chosen.seeds[index].options, path, size)
-            if outcome.is_over_limits:  # the first of its kind may have compiled loops, or imported a library
+            if outcome.is_over_limits(
+                chosen
+            ):  # the first of its kind may have compiled loops, or imported a library
                 outcome = self._judged(chosen, chosen.seeds[index].options, path, size)
             return outcome
         finally:
@@ -210,25 +207,20 @@ class Bench:
             finally:
                 self.watch.is_active = False
             seconds, peak = time.process_time() - start_s, max(peak_bytes() - before, 0)
-        outcome = replace(
-            outcome,
-            seconds=seconds,
-            peak_bytes=peak,
-            input_bytes=size,
-            free_s=chosen.free_s,
-            free_bytes=chosen.free_mib * MEBI,
-        )
-        wrong = "" if outcome.kind == "FAULT" else self._wrong(outcome, out, issued)
+        outcome = replace(outcome, seconds=seconds, peak_bytes=peak, input_bytes=size)
+        wrong = "" if outcome.kind == "FAULT" else self._wrong(chosen, outcome, out, issued)
         text = f"{wrong}; {outcome.kind} {outcome.text}"[:400]
         return replace(outcome, kind="FAULT", text=text) if wrong else outcome
 
-    def _wrong(self, outcome: Outcome, out: Path, issued: list[warnings.WarningMessage]) -> str:
+    def _wrong(
+        self, chosen: Format, outcome: Outcome, out: Path, issued: list[warnings.WarningMessage]
+    ) -> str:
         """Return what is wrong beside the outcome, or ""."""
         if self.watch.found:
             return self.watch.found[0]
         if self.secret.stat().st_atime_ns:
             return "a library read a file outside the folder"
-        if outcome.is_over_limits:
+        if outcome.is_over_limits(chosen):
             took = f"{outcome.seconds:.1f} s and {outcome.peak_bytes / MEBI:.0f} MiB"
             return f"{took} for {outcome.input_bytes} bytes"
         if outcome.kind == "refused" and out.exists():

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from touchfield.cli.main import Options, Stream, command
-from touchfield.cli.options import SCENE, address_rows, encode_spec, values_of, with_options
+from touchfield.cli.options import SCENE, address_rows, encode_spec, first_given, values_of, with_options
 from touchfield.cli.output import Answer, echo, progress
 
 if TYPE_CHECKING:
@@ -154,10 +154,9 @@ def _require_no_server(options: dict[str, Any], *, coarse: bool, udp: str | None
     from touchfield.errors import InvalidArgument
 
     values = values_of(options, _LIVE_ADDRESS) | {"coarse": (coarse, False), "udp": (udp, None)}
-    for name, (value, default) in values.items():
-        if value != default and value != []:
-            hint = "Leave out the -, or the option."
-            raise InvalidArgument(f"--{name}", "a pipe beside it", "a server, which OUT - does without", hint)
+    if (name := first_given(values)) is not None:
+        hint = "Leave out the -, or the option."
+        raise InvalidArgument(f"--{name}", "a pipe beside it", "a server, which OUT - does without", hint)
 
 
 def _counts(summary: dict[str, Any]) -> str:

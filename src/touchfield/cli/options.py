@@ -179,9 +179,14 @@ def refuse_unused(values: Mapping[str, tuple[Any, Any]], reason: str) -> None:
 
     `values` has value and default by the name of the option; `reason` completes "--NAME has no effect".
     """
-    for name, (value, default) in values.items():
-        if value != default and value != []:
-            raise InvalidArgument(f"--{name} has no effect {reason}", hint="Take it out.")
+    if (name := first_given(values)) is not None:
+        raise InvalidArgument(f"--{name} has no effect {reason}", hint="Take it out.")
+
+
+def first_given(values: Mapping[str, tuple[Any, Any]]) -> str | None:
+    """Return the name of the first option whose value is neither the default nor an empty list."""
+    given = (name for name, (value, default) in values.items() if value != default and value != [])
+    return next(given, None)
 
 
 def with_options(*groups: Sequence[Row]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
