@@ -6,6 +6,9 @@
            touch_constrained_motion        the motion to the hand, along the constraint planes: one, two or three
            touch_find_surface              a step that ends within a surface is brought back onto it
            touch_add_constraint            its tangent plane constrains the next step
+       where it stops:
+           touch_is_lost                   a proxy that hangs at a rim starts anew at the hand,
+           touch_is_way_free               and one behind a shell, if the hand is in free space in front
 
    Steps get shorter where those of the tick before went to and fro. The proxy goes from the hand only about as far as hand and
    surface moved, so that it comes to rest where they do. */
@@ -27,6 +30,10 @@
 #define TOUCH_PROXY_OFF_LEVELS 1.5            /* more is no point of a surface */
 #define TOUCH_PROXY_TOLERANCE 0.01            /* of the level: how well the proxy lies on the surface */
 #define TOUCH_PROXY_ROUNDS 4                  /* of a search for the surface */
+#define TOUCH_PROXY_PULL_COSINE 0.2           /* between pull and normal: a surface that is pulled along stops no hand */
+#define TOUCH_PROXY_LOST_STEPS 16             /* half samples that a proxy which hangs may stay behind its hand, */
+#define TOUCH_PROXY_LOST_FORCES 2.0           /* and one which does not so many depths of a large force more */
+#define TOUCH_PROXY_WAY_STEPS 1024            /* half samples: a proxy farther from a free hand looks for no straight way to it */
 #define TOUCH_PROXY_RAMP_SAMPLES 2.0          /* behind the surface, from where on the low-pass leaves a ramp as it is */
 
 typedef struct { /* the field at this time, and what defines its surface */
@@ -233,6 +240,44 @@ static inline int touch_find_surface(const touch_isosurface *s, touch_field_poin
     return !(next->force_n > TOUCH_PROXY_OFF_LEVELS * s->level_n || farther > s->max_step_m);
 }
 
+/* The largest cosine between the normals of the planes and the way from the hand to its proxy. A proxy that follows its hand
+   has one near 1, on an edge that of half its angle; one that hangs at a rim is pulled along its surface instead. */
+static inline double touch_pull_cosine(touch_vector proxy_m, touch_vector hand_m, const touch_constraint_planes *planes,
+                                       int count) {
+    touch_vector pull = touch_subtract(proxy_m, hand_m);
+    double length_m = touch_magnitude(pull), largest = 0.0;
+    for (int n = 0; n < count && length_m > 0.0; n++)
+        largest = touch_fmax(largest, touch_dot(pull, planes->normal[n]) / length_m);
+    return largest;
+}
+
+/* True if a proxy cannot follow its hand along the surface, as at the rim of a shell. It `hangs` where the search finds no
+   surface to go on. */
+static inline int touch_is_lost(const touch_isosurface *s, touch_field_point at, touch_vector hand_m,
+                                const touch_constraint_planes *planes, int count, int hangs) {
+    double cosine = touch_pull_cosine(at.position_m, hand_m, planes, count);
+    double behind_m = touch_distance(at.position_m, hand_m) * sqrt(touch_fmax(0.0, 1.0 - cosine * cosine));
+    double far_m = TOUCH_PROXY_LOST_STEPS * s->max_step_m;
+    if (!hangs) far_m += TOUCH_PROXY_LOST_FORCES * s->large_n / s->stiffness_n_per_m;
+    return behind_m > far_m;
+}
+
+/* True if the hand is in free space and no surface on the straight way to it pushes back. A surface of a shell (a terrain, a
+   depth picture) has a front only: from behind its force points along the way, and nothing holds a hand that left by the
+   front. The search itself stops there, as one step of it cannot tell a back from the far side of a thin wall. */
+static inline int touch_is_way_free(const touch_isosurface *s, touch_field_point at, touch_vector hand_m) {
+    touch_vector way = touch_subtract(hand_m, at.position_m);
+    double length_m = touch_magnitude(way), free_n = TOUCH_PROXY_FREE_LEVELS * s->level_n;
+    if (length_m > TOUCH_PROXY_WAY_STEPS * s->max_step_m) return 0;
+    if (touch_probe(s, hand_m).force_n >= free_n) return 0;
+    int steps = (int)ceil(length_m / s->max_step_m);
+    for (int n = 1; n < steps; n++) {
+        touch_field_point between = touch_probe(s, touch_add_scaled(at.position_m, (double)n / steps, way));
+        if (between.force_n >= free_n && touch_dot(between.normal, way) < 0.0) return 0;
+    }
+    return 1;
+}
+
 /* Move the proxy from where it is, `*proxy_at`, towards the hand, without friction; it may end by `away_m` farther from it.
    1: a surface stops it; 0: the hand is free. */
 static inline int touch_move_proxy(const touch_isosurface *s, touch_vector hand_m, double away_m, touch_field_point *proxy_at) {
@@ -241,6 +286,7 @@ static inline int touch_move_proxy(const touch_isosurface *s, touch_vector hand_
     touch_field_point at = touch_push_out(s, *proxy_at);
     if (at.force_n > TOUCH_PROXY_TOUCHING_LEVELS * s->level_n) touch_add_constraint(&planes, touch_steady_normal(s, at));
     touch_vector before = touch_zero();
+    int hangs = 0;
     int left_planes = 0; /* how many planes the proxy left; they hold on where no step is left to find out */
     touch_field_point accepted = at; /* where it was last no farther from the hand than it may be */
     double farthest_m = touch_distance(hand_m, at.position_m) + away_m - TOUCH_PROXY_MIN_APPROACH_M;
@@ -271,6 +317,7 @@ static inline int touch_move_proxy(const touch_isosurface *s, touch_vector hand_
             /* a force that begins with a jump has no point at the level: the proxy stays in front of it */
             int is_jump = !planes.count && at.force_n <= s->level_n && next.force_n > s->level_n;
             if (is_jump) touch_add_constraint(&planes, next.normal);
+            hangs = 1;
             break;
         }
         at = next;
@@ -281,9 +328,14 @@ static inline int touch_move_proxy(const touch_isosurface *s, touch_vector hand_
         at = accepted;
         step_m *= TOUCH_PROXY_SHORTER;
     }
+    if (count > 0 && (touch_is_lost(s, at, hand_m, &planes, count, hangs) || touch_is_way_free(s, at, hand_m))) {
+        *proxy_at = touch_push_out(s, touch_probe(s, hand_m)); /* it starts anew */
+        return 0;
+    }
     proxy->step_m = step_m;
     *proxy_at = at;
-    return count > 0 && touch_dot(touch_subtract(hand_m, at.position_m), planes.normal[count - 1]) < 0.0;
+    return count > 0 && touch_dot(touch_subtract(hand_m, at.position_m), planes.normal[count - 1]) < 0.0 &&
+           touch_pull_cosine(at.position_m, hand_m, &planes, count) > TOUCH_PROXY_PULL_COSINE;
 }
 
 #endif

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from player_makers import laid_out
-from proxy_makers import STRONG, Held, field_of, ramp_n
+from proxy_makers import DT_S, STRONG, Held, field_of, ramp_n
 from seam_makers import Played
 
 from touchfield.devices.drivers.simulated import SimHand
@@ -343,6 +345,38 @@ def test_a_terrain_whose_rim_overshoots_is_a_wall() -> None:
     terrain = prepare("sample:terrain", EncodeSpec(nw=6)).medium[0]
     wall = wall_of(terrain)
     assert wall is not None and wall.stiffness_n_per_m == pytest.approx(500, rel=0.1)
+
+
+def through(rendered: Held, points_mm: Sequence[Sequence[float]], speed_m_s: float = 0.15) -> np.ndarray:
+    """The forces along straight ways from point to point."""
+    points, forces = np.array(points_mm) / 1000, []
+    for start, end in pairwise(points):
+        steps = max(2, round(float(np.linalg.norm(end - start)) / speed_m_s / DT_S))
+        forces += [rendered.tick(start + weight * (end - start)) for weight in np.linspace(0, 1, steps)]
+    return np.array(forces)
+
+
+@pytest.mark.parametrize(
+    "behind_mm",
+    [
+        [[8.6, 57.7, -10.2], [7.2, 52.8, -7.1], [4, 37, -4.9]],  # back in behind the rim, out in front
+        [[8.6, 57.7, -10.2], [-48, -12, -32], [-48, -12, -4]],  # far along within the shell, from one rim
+        [[8.6, 57.7, -10.2], [8.6, 62, -32], [0, 0, -32]],  # below, and through the whole shell
+    ],
+)
+def test_a_proxy_does_not_stay_behind_a_shell(behind_mm: list[list[float]]) -> None:
+    """A terrain has a front only: a hand that goes round its rim and out in front feels it as at first."""
+    terrain = prepare("sample:terrain", EncodeSpec(nw=7)).medium[0]
+    travelled, fresh = Held(terrain), Held(terrain)
+    above = [behind_mm[-1][0], behind_mm[-1][1], 30.0]
+    pressed = through(travelled, [[8, 50, 20], [8, 50, -3], [8.5, 57.3, -3.5]])
+    assert np.linalg.norm(pressed, axis=1).max() > 1.0
+    through(travelled, [[8.5, 57.3, -3.5], *behind_mm, above])
+    through(travelled, [above, above])
+    assert np.allclose(travelled.proxy_m, np.array(above) / 1000)
+    press = [[18, -38, 30], [18, -38, -3.4], [18, -20, -3.4], [18, -20, 10]]
+    through(travelled, [above, press[0]])
+    assert np.allclose(through(travelled, press), through(fresh, press), atol=1e-6)
 
 
 def _peak_n(medium: HapticMedium | HapticScene, spec: RenderSpec) -> tuple[float, tuple[str, ...]]:
