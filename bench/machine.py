@@ -8,6 +8,7 @@ import math
 import os
 import platform
 import sys
+import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatch
 from importlib import import_module, metadata
@@ -23,6 +24,8 @@ SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 """Optional folder of real inputs."""
 WIDEST = 9
 """Largest number of columns of a table; wider rows are printed one by one."""
+REASONS = Path(__file__).parent / "reasons.toml"
+"""Why bars are not met, by benchmark and name of the bar."""
 SKIPPED = 77
 """Exit status of a benchmark whose requirements are missing."""
 ABOUT = ("machine", "run", "code", "bars")
@@ -112,10 +115,22 @@ def column(rows: Mapping[str, Figures] | Iterable[Figures], key: str) -> list[An
     return [row[key] for row in every if row.get(key) is not None]
 
 
-def bar_line(bar: Bar) -> str:
-    """Format a bar as a line: verdict, name, measured, limit."""
+def bar_line(bar: Bar, why: str = "") -> str:
+    """Format a bar as a line: verdict, name, measured, limit; another one says why it is not met."""
     measured, limit = (f"{text(bar[key])} {bar['unit']}".strip() for key in ("measured", "limit"))
-    return f"{VERDICTS[bar['met']]:12} {bar['bar']}: {measured} ({bar['way']} {limit})"
+    line = f"{VERDICTS[bar['met']]:12} {bar['bar']}: {measured} ({bar['way']} {limit})"
+    return f"{line}\n{'':12} {why}" if why and not bar["met"] else line
+
+
+def reasons(name: str) -> dict[str, str]:
+    """Return why bars of a benchmark are not met or not measured, by the pattern of their names."""
+    return dict(tomllib.loads(REASONS.read_text(encoding="utf-8")).get(name, {}))
+
+
+def reason(name: str, bar: Bar) -> str:
+    """Return why a bar is not met; empty if it is met, or if nobody has said why."""
+    found = (why for pattern, why in reasons(name).items() if fnmatch(bar["bar"], pattern))
+    return "" if bar["met"] else next(found, "")
 
 
 # -- printing ----------------------------------------------------------------------------------------------
@@ -231,7 +246,7 @@ def keep(
     """
     print()
     for bar in bars:
-        print(bar_line(bar))
+        print(bar_line(bar, reason(name, bar)))
     print(f"{sum(bar['met'] is True for bar in bars)} of {len(bars)} bars met", flush=True)
     if not is_quick:
         figures = {key: value for key, value in figures.items() if key not in ABOUT}

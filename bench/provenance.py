@@ -2,7 +2,9 @@
 known to be stale.
 
 The code of a result is every source file that the processes of its benchmark loaded, the data files of loaded
-packages (device profiles, the page), and the files that the benchmark names (such as C that it compiles).
+packages (device profiles, the page), and the files that the benchmark names (such as C that it compiles). Of
+the compiled module it is the sources of the functions that the loaded modules name: a change of the renderer
+leaves the bytes of a coder as they are.
 Hashes ignore comments, docstrings and layout of Python, C and TypeScript. They also ignore the folder of a
 file, because other files then import the same names from another module.
 """
@@ -34,13 +36,17 @@ NOT_MEASURED: Final = frozenset(
     for name in ("machine.py", "provenance.py", "run_all.py", "quotes.py", "trace/sitecustomize.py")
 )
 """Files that run, report and store, and take no part in a measurement."""
-NATIVE_SOURCES: Final = ("c/touch*.h", "c/python/*.c", "c/python/*.h")
+NATIVE: Final = ROOT / "c" / "python"
+"""The compiled module: module.c, and headers that list their functions as `{"name", ...}`."""
 NOT_DATA: Final = frozenset(
     (".py", ".pyc", ".pyi", ".nbi", ".nbc", ".typed", ".so", ".pyd", ".pdb", ".dylib")
 )
 VARIABLE: Final = "TOUCHFIELD_BENCH_TRACE"
 """Environment variable with the folder where processes list the files they loaded."""
 _STRINGS: Final = r"\"(?:\\.|[^\"\\])*\"|'(?:\\.|[^'\\])*'|`(?:\\.|[^`\\])*`"
+_INCLUDE: Final = re.compile(r"^#include \"([^\"]+)\"", re.MULTILINE)
+_FUNCTION: Final = re.compile(r"\{\"(\w+)\", (?:FAST_FUNCTION|\w+, METH)")
+_NATIVE_NAME: Final = re.compile(r"\bnative\.(\w+)")
 _C_TOKENS: Final = re.compile(rf"{_STRINGS}|//[^\n]*|/\*.*?\*/|\s+", re.DOTALL)
 
 
@@ -67,6 +73,8 @@ class Trace:
         for path in Path(self._folder.name).glob("*.txt"):
             loaded.update(path.read_text(encoding="utf-8").splitlines())
         sources = {path for name in loaded for path in _source(name)}
+        if any(Path(name).name.startswith("_native.") for name in loaded):
+            sources.update(native_sources(path for path in sources if path.suffix == ".py"))
         sources.update(path for pattern in also for path in ROOT.glob(pattern) if path.is_file())
         packages = {path.parent for path in sources if path.name == "__init__.py"}
         sources.update(path for package in packages for path in _data_of(package))
@@ -82,15 +90,36 @@ def _require_this_package() -> None:
 
 
 def _source(name: str) -> Iterator[Path]:
-    """Yield the file of a module if it belongs to the repository; of the compiled module, its sources in C.
-
-    Its binary differs between compilers.
-    """
+    """Yield the file of a Python module if it belongs to the repository."""
     path = Path(name)
-    if path.name.startswith("_native.") and path.is_relative_to(ROOT):
-        yield from (source for pattern in NATIVE_SOURCES for source in ROOT.glob(pattern))
     if path.suffix == ".py" and path.is_relative_to(ROOT) and path.relative_to(ROOT).parts[0] in FOLDERS:
         yield path
+
+
+def native_sources(modules: Iterable[Path]) -> set[Path]:
+    """Return the sources in C of the functions that modules name, as in ``native.tick``.
+
+    The binary of the compiled module differs between compilers, and holds all functions.
+    """
+    names = {name for path in modules for name in _NATIVE_NAME.findall(path.read_text(encoding="utf-8"))}
+    headers = [
+        path
+        for path in NATIVE.glob("*.h")
+        if names.intersection(_FUNCTION.findall(path.read_text(encoding="utf-8")))
+    ]
+    return {NATIVE / "module.c"}.union(*map(_with_includes, headers))
+
+
+@cache
+def _with_includes(header: Path) -> frozenset[Path]:
+    """Return a header and all headers of the repository that it includes."""
+    found, waiting = set[Path](), [header.resolve()]
+    while waiting:
+        path = waiting.pop()
+        if path.is_file() and path not in found:
+            found.add(path)
+            waiting += [(path.parent / name).resolve() for name in _INCLUDE.findall(path.read_text("utf-8"))]
+    return frozenset(found)
 
 
 def _data_of(package: Path) -> Iterator[Path]:

@@ -28,7 +28,7 @@ from pathlib import Path
 from shutil import which
 from tempfile import TemporaryFile
 
-from machine import RESULTS, SKIPPED, STORE_QUICK, bar_line, stale, stored, table, write
+from machine import RESULTS, SKIPPED, STORE_QUICK, bar_line, reason, stale, stored, table, write
 from touchfield.compute.threads import worker_count
 
 HERE = Path(__file__).parent
@@ -172,14 +172,16 @@ def show_stale() -> bool:
 
 
 def verdicts() -> None:
-    """Evaluate the bars of all stored figures, and print those not met."""
+    """Evaluate the bars of all stored figures, and print those not met, with the reason."""
     unmet = []
     for name, stem in scripts().items():
         if (RESULTS / f"{name}.json").exists():
             figures = stored(name)
             figures["bars"] = import_module(stem).bars(figures)
             write(name, figures)
-            unmet += [f"{name:12} {bar_line(bar)}" for bar in figures["bars"] if not bar["met"]]
+            unmet += [
+                f"{name:12} {bar_line(bar, reason(name, bar))}" for bar in figures["bars"] if not bar["met"]
+            ]
             print(
                 f"{name:12} {sum(bool(bar['met']) for bar in figures['bars'])} of {len(figures['bars'])} "
                 "bars met"

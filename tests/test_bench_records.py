@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib
 import subprocess
 import sys
+import tomllib
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
@@ -155,6 +157,22 @@ def test_a_byte_count_that_changed_fails_a_quick_run(
             machine.check_quick("it", figures)
 
 
+def test_each_bar_that_is_not_met_says_why(machine: Any) -> None:
+    results = {path.stem: machine.stored(path.stem)["bars"] for path in machine.RESULTS.glob("*.json")}
+    unmet = [(name, bar) for name, bars in results.items() for bar in bars if not bar["met"]]
+    assert unmet and not [f"{name}: {bar['bar']}" for name, bar in unmet if not machine.reason(name, bar)]
+    line = machine.bar_line(unmet[0][1], machine.reason(*unmet[0]))
+    assert line.count("\n") == 1 and machine.reason(*unmet[0]) in line
+    names = tomllib.loads(machine.REASONS.read_text(encoding="utf-8"))
+    unused = [
+        f"{name}: {pattern}"
+        for name in names
+        for pattern in names[name]
+        if not any(fnmatch(bar["bar"], pattern) for bar in results[name])
+    ]
+    assert not unused
+
+
 @pytest.mark.parametrize(
     ("code", "verdict", "is_failure"),
     [
@@ -182,9 +200,29 @@ def test_the_verdict_on_a_script(
     assert run_all.run_each(["it"], True, 1.0 if "sleep" in code else 30.0, 2) is not is_failure
 
 
-def test_the_compiled_module_counts_by_its_sources(provenance: Any) -> None:
-    """Its binary differs between compilers."""
+def test_the_compiled_module_counts_by_the_sources_of_the_functions_in_use(
+    provenance: Any, tmp_path: Path
+) -> None:
+    """Its binary differs between compilers, and a change of the renderer is none of the coder."""
+    coder, player = tmp_path / "coder.py", tmp_path / "player.py"
+    coder.write_text("native.encode_segment(frames)\n")
+    player.write_text("def play():\n    return native.tick(memory)\n")
+    of_coder, of_both = (
+        {path.name for path in provenance.native_sources(modules)} for modules in ([coder], [coder, player])
+    )
+    assert of_coder >= {"module.c", "segments.h", "touch_encode.h", "touch_model.h", "touch.h"}
+    assert not of_coder & {"touch_render.h", "touch_proxy.h", "receiver.h"}
+    assert of_both >= of_coder | {"receiver.h", "touch_render.h", "touch_proxy_search.h"}
     package = BENCH.parent / "src" / "touchfield"
-    sources = {path.name for path in provenance._source(str(package / "_native.abi3.so"))}
-    assert sources >= {"touch.h", "touch_model.h", "touch_encode.h", "segments.h", "module.c"}
     assert not any(path.name.startswith("_native") for path in provenance._data_of(package))
+
+
+def test_every_function_of_the_compiled_module_has_a_source(provenance: Any) -> None:
+    from touchfield.compute.native import native
+
+    listed = [
+        name
+        for path in provenance.NATIVE.glob("*.h")
+        for name in provenance._FUNCTION.findall(path.read_text())
+    ]
+    assert sorted(listed) == sorted(name for name in dir(native) if not name.startswith("_"))
