@@ -33,6 +33,8 @@
 #define TOUCH_PROXY_PULL_COSINE 0.2           /* between pull and normal: a surface that is pulled along stops no hand */
 #define TOUCH_PROXY_LOST_STEPS 16             /* half samples that a proxy which hangs may stay behind its hand, */
 #define TOUCH_PROXY_LOST_FORCES 2.0           /* and one which does not so many depths of a large force more */
+#define TOUCH_PROXY_LOST_COSINE 0.5           /* between the forces at hand and proxy: from here on they push to one side */
+#define TOUCH_PROXY_WAY_LEAST_STEPS 8         /* half samples: a proxy nearer to a free hand is at its surface, */
 #define TOUCH_PROXY_WAY_STEPS 1024            /* half samples: a proxy farther from a free hand looks for no straight way to it */
 #define TOUCH_PROXY_RAMP_SAMPLES 2.0          /* behind the surface, from where on the low-pass leaves a ramp as it is */
 
@@ -251,26 +253,27 @@ static inline double touch_pull_cosine(touch_vector proxy_m, touch_vector hand_m
     return largest;
 }
 
-/* True if a proxy cannot follow its hand along the surface, as at the rim of a shell. It `hangs` where the search finds no
-   surface to go on. */
-static inline int touch_is_lost(const touch_isosurface *s, touch_field_point at, touch_vector hand_m,
+/* True if a proxy cannot follow its hand along the surface, as at the rim of a shell, although the field at the hand pushes it
+   out on the proxy's side: one that starts anew at the hand comes out there. It `hangs` where the search finds no surface to go
+   on. */
+static inline int touch_is_lost(const touch_isosurface *s, touch_field_point at, touch_field_point hand,
                                 const touch_constraint_planes *planes, int count, int hangs) {
-    double cosine = touch_pull_cosine(at.position_m, hand_m, planes, count);
-    double behind_m = touch_distance(at.position_m, hand_m) * sqrt(touch_fmax(0.0, 1.0 - cosine * cosine));
+    double cosine = touch_pull_cosine(at.position_m, hand.position_m, planes, count);
+    double behind_m = touch_distance(at.position_m, hand.position_m) * sqrt(touch_fmax(0.0, 1.0 - cosine * cosine));
     double far_m = TOUCH_PROXY_LOST_STEPS * s->max_step_m;
     if (!hangs) far_m += TOUCH_PROXY_LOST_FORCES * s->large_n / s->stiffness_n_per_m;
-    return behind_m > far_m;
+    return behind_m > far_m && hand.force_n > s->level_n && touch_dot(hand.normal, at.normal) > TOUCH_PROXY_LOST_COSINE;
 }
 
 /* True if the hand is in free space and no surface on the straight way to it pushes back. A surface of a shell (a terrain, a
    depth picture) has a front only: from behind its force points along the way, and nothing holds a hand that left by the
    front. The search itself stops there, as one step of it cannot tell a back from the far side of a thin wall. */
-static inline int touch_is_way_free(const touch_isosurface *s, touch_field_point at, touch_vector hand_m) {
-    touch_vector way = touch_subtract(hand_m, at.position_m);
+static inline int touch_is_way_free(const touch_isosurface *s, touch_field_point at, touch_field_point hand) {
+    touch_vector way = touch_subtract(hand.position_m, at.position_m);
     double length_m = touch_magnitude(way), free_n = TOUCH_PROXY_FREE_LEVELS * s->level_n;
-    if (length_m > TOUCH_PROXY_WAY_STEPS * s->max_step_m) return 0;
-    if (touch_probe(s, hand_m).force_n >= free_n) return 0;
+    if (hand.force_n >= free_n || length_m > TOUCH_PROXY_WAY_STEPS * s->max_step_m) return 0;
     int steps = (int)ceil(length_m / s->max_step_m);
+    if (steps < TOUCH_PROXY_WAY_LEAST_STEPS || touch_dot(at.normal, way) < 0.0) return 0;
     for (int n = 1; n < steps; n++) {
         touch_field_point between = touch_probe(s, touch_add_scaled(at.position_m, (double)n / steps, way));
         if (between.force_n >= free_n && touch_dot(between.normal, way) < 0.0) return 0;
@@ -328,8 +331,9 @@ static inline int touch_move_proxy(const touch_isosurface *s, touch_vector hand_
         at = accepted;
         step_m *= TOUCH_PROXY_SHORTER;
     }
-    if (count > 0 && (touch_is_lost(s, at, hand_m, &planes, count, hangs) || touch_is_way_free(s, at, hand_m))) {
-        *proxy_at = touch_push_out(s, touch_probe(s, hand_m)); /* it starts anew */
+    touch_field_point hand = touch_probe(s, hand_m);
+    if (count > 0 && (touch_is_lost(s, at, hand, &planes, count, hangs) || touch_is_way_free(s, at, hand))) {
+        *proxy_at = touch_push_out(s, hand); /* it starts anew */
         return 0;
     }
     proxy->step_m = step_m;
