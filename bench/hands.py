@@ -22,7 +22,7 @@ from touchfield.render.block import layout
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "render"))
 from seam_makers import DAMPING_N_S_PER_M, HAND_KG, PARTS, SPRING_N_PER_M, Played
 
-CHUNK, STEPS_AFTER_SEEK = 8, 4
+CHUNK, CUT_AFTER_SEEK = 8, 4
 TICK_NS = 1_000_000
 ROW_COLUMNS = ("position_m", "field_force_n", "friction_n", "force_n")
 
@@ -147,17 +147,14 @@ class Hands:
         """Return the ranges of ticks without a seek, and without frames that come after one, within them."""
         cuts = {*range(0, ticks, CHUNK), ticks}
         for tick in seeks:
-            cuts |= set(range(tick, tick + self.late + STEPS_AFTER_SEEK + 1))
+            cuts |= set(range(tick, tick + self.late + CUT_AFTER_SEEK + 1))
         ordered = sorted(cut for cut in cuts if cut <= ticks)
         return list(zip(ordered[:-1], ordered[1:]))
 
     def _feed(self, tick: int) -> None:
         """Write the frames of the next ticks, as `Played.tick` does."""
-        if tick < self.played.fed_from:
-            return
-        if tick - self.played.fed_from < STEPS_AFTER_SEEK:
-            self.played.feeder.step()
-        self.played.feeder.fill_lookahead(4)
+        if tick >= self.played.fed_from:
+            self.played.feeder.fill_lookahead(4)
 
     def _script(self, tick: int, goals: list[list[float]], proxy_m: Any) -> None:
         """Tick one hand along its goals."""

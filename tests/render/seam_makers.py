@@ -47,8 +47,6 @@ class Played:
     def tick(self, hand_m: Vector) -> Vector:
         """The force on a hand, newtons."""
         if self.ticks >= self.fed_from:
-            if self.ticks - self.fed_from < 4:  # after a seek back, the feeder counts from its old frame
-                self.feeder.step()
             self.feeder.fill_lookahead(4)
         force = native.cycle(self.memory.bytes, *map(float, hand_m), self.ticks * 1_000_000)
         self.ticks += 1

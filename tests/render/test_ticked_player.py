@@ -128,6 +128,23 @@ def test_thread_decodes_ahead_in_real_time() -> None:
         assert player.media_s >= 0.1 and player.error is None
 
 
+@pytest.mark.parametrize("seek_s", [0.1, 0.3])
+def test_a_simulated_player_goes_on_after_a_seek(seek_s: float) -> None:
+    """Back, too, in a loop whose frames are counted on."""
+    medium = numbered_medium(20)
+    with tf.TickedPlayer(medium, PROFILE, SPEC, loop=True, is_simulated=True) as player:
+        player.play()
+        forces_n(player, np.zeros((1000, 3)))
+        player.seek(seek_s)
+        found_n = forces_n(player, np.zeros((300, 3)), 1000)
+        assert player.media_s == pytest.approx(seek_s + 0.3, abs=0.01)
+    with tf.TickedPlayer(medium, PROFILE, SPEC, loop=True, start_s=seek_s, is_simulated=True) as player:
+        player.play()
+        fresh_n = forces_n(player, np.zeros((300, 3)))
+    assert np.linalg.norm(fresh_n[-1]) > 0.4
+    np.testing.assert_allclose(found_n[-1], fresh_n[-1], atol=0.02)
+
+
 def test_error_of_the_medium_ends_the_force() -> None:
     medium = numbered_medium(20, corrupt_from=15)
     with tf.TickedPlayer(medium, PROFILE, SPEC, is_simulated=True) as player:

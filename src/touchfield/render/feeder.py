@@ -261,8 +261,14 @@ class Feeder:
 
         Stops earlier if no more can be written now.
         """
-        while self._next < (int(self._memory.receiver["clock"]["needs"]) & _FRAME) + frames and self.step():
+        while self._lacks(frames) and self.step():
             pass
+
+    def _lacks(self, frames: int) -> bool:
+        """Return whether fewer frames are written; none is of a seek that has just been ordered."""
+        generation, frame = self._target
+        following = self._next if generation == self._generation else frame
+        return following < (int(self._memory.receiver["clock"]["needs"]) & _FRAME) + frames
 
     def start(self) -> None:
         """Feed from a thread until `close`."""
