@@ -1,23 +1,22 @@
 """The optional record TMAP: zoom levels of a tactile map, its views, and the index of its named features.
 
-A file with this record is a medium of one frame for every reader. A reader that knows the record can also pan,
-zoom and find names (docs/format/maps.md). Views are compressed one by one and expanded when they are shown, so
-a small file requires the memory of one view.
+A file with this record is a medium of one frame for every reader. A reader that knows the record can also
+pan, zoom and find names (docs/format/maps.md). Views are compressed one by one and expanded when they are
+shown, so a small file requires the memory of one view.
 """
 
 from __future__ import annotations
 
-import struct
 import zlib
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from touchfield.arrays import Bools, Int32s
 from touchfield.container.fields import NAME, Array, Cursor, Listed, Octets, Real, Rest, Text, Whole
 from touchfield.container.records import Struct, row
-from touchfield.errors import CorruptFile, FormatError, InvalidArgument, UnsupportedVersion
+from touchfield.errors import CorruptFile, InvalidArgument, UnsupportedVersion
 
 TAG: Final = "TMAP"
 VERSION: Final = 1
