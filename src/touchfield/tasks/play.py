@@ -461,7 +461,8 @@ def _play_map(walk: MapWalk, stream: OpenStream, spec: PlaySpec, on_note: OnNote
     else:
         driver = SimulatedDisplay(profile or declared)
     columns, rows, _ = driver.profile.lattice
-    if (rows, columns) != (walk.stored.record.rows, walk.stored.record.columns) and not (moves or spec.find):
+    is_other = (rows, columns) != (walk.stored.record.rows, walk.stored.record.columns)
+    if is_other and is_array_device(spec.device) and not (moves or spec.find):
         on_note(
             f"{driver.profile.name} has other pins than the map: it shows the whole map, without zooming."
         )
