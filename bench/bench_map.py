@@ -3,7 +3,7 @@
     python bench/bench_map.py [--quick] [--views N] [--moves N] [--features N]
 
 Three extracts of OpenStreetMap and three school diagrams (``tests/maps/inputs``), on 60 x 40 pins. Of each
-level, up to `views` random views are drawn and checked against the guidelines, pair by pair of raised pins, and
+level, up to `views` random views are drawn, checked against the guidelines, pair by pair of raised pins, and
 compared with the pins in the file. Labels are read back from the pins of the file and compared with what
 liblouis gives for their text; without liblouis they are left out.
 
