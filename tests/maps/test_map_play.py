@@ -22,13 +22,14 @@ from touchfield.cli.main import _exit_code
 from touchfield.container import TouchReader
 from touchfield.container.map_record import TAG
 from touchfield.devices import device
+from touchfield.devices.drivers.pins import KEYS
 from touchfield.devices.drivers.registry import array_device
 from touchfield.errors import DeviceError, InvalidArgument
 from touchfield.pipeline.stored_map import StoredMap
 from touchfield.tasks import map as task
 from touchfield.tasks.map import MapSpec, make_map
-from touchfield.tasks.map_keys import TerminalKeys, moves_of
-from touchfield.tasks.map_play import MapWalk, SimulatedDisplay, moves_in, play_map
+from touchfield.tasks.map_keys import MOVES_OF_KEYS, QUIT, TerminalKeys, moves_of
+from touchfield.tasks.map_play import ALL_MOVES, MapWalk, SimulatedDisplay, moves_in, play_map
 from touchfield.tasks.play import PlaySpec, play
 
 PIN_DISPLAY = Path(__file__).resolve().parents[2] / "integrations" / "pin_display.py"
@@ -97,6 +98,10 @@ def test_what_cannot_be_done_is_one_error(
     assert _exit_code(["play", str(town_map), "--offline", *options]) in (1, 2)
     printed = capsys.readouterr().err
     assert message in printed and "Traceback" not in printed
+
+
+def test_displays_and_lists_have_the_same_moves() -> None:
+    assert set(ALL_MOVES) == KEYS and set(ALL_MOVES) | {QUIT} == set(MOVES_OF_KEYS.values())
 
 
 def test_moves_are_checked() -> None:

@@ -86,7 +86,7 @@ class PlaySpec:
     `seconds` count from the first frame; None is the length of the trajectory, or of the medium (a single
     frame, or a loop: until interrupted). `wait` is a duration, at most an hour, until the device must be
     ready. `settings` are those of the device's driver. `is_logged` keeps all rows of the log instead of the
-    latest minute; `is_drawn` keeps a frame as the background of the picture.
+    latest minute; `is_drawn` keeps a frame as the background of the picture. `find` and `pans` are of a map.
     """
 
     device: str = option(
@@ -210,7 +210,7 @@ def play(
                 "start_s", f"{spec.start_s:g} s", f"0 to below {seconds:g} s, the medium's end"
             )
         walk = _map_walk(stream, spec, on_note)
-        if walk is not None and (is_array_device(spec.device) or is_simulated_display(spec.device, stream)):
+        if walk is not None and (is_array_device(spec.device) or _is_simulated_display(spec.device, stream)):
             return _play_map(walk, stream, spec, on_note)
         if is_array_device(spec.device):
             return _play_array(stream, spec, report, on_note)
@@ -420,7 +420,7 @@ def _play_array(stream: OpenStream, spec: PlaySpec, report: Progress, on_note: O
 
 
 # -- maps --------------------------------------------------------------------------------------------------
-def is_simulated_display(name: str, stream: OpenStream) -> bool:
+def _is_simulated_display(name: str, stream: OpenStream) -> bool:
     """True if a stream for an array is played without a device."""
     return name.strip().lower() == "sim" and stream.reader.head.device_type == 2
 
