@@ -26,6 +26,9 @@ BIN_DEG: Final = 5.0
 BINS: Final = 72
 BINS_PER_SECTOR: Final = 9
 
+BESIDE_DEG: Final = 6.0
+"""Distance of neighbouring samples of the memory, 8 cm, at 0.8 m."""
+
 MIN_HEIGHT_M: Final = 0.18
 """Lower surfaces are ground, or a step (`steps`)."""
 _NOISE_PER_M: Final = 0.006  # of height, times the square of the distance
@@ -52,14 +55,16 @@ def in_the_way(points: Float32s, head_m: float) -> Bools:
     return is_above & (points[:, 1] < head_m) & (squared > _OWN_BODY_M**2) & (squared < RANGE_M**2)
 
 
-def nearest_m(points: Float32s, min_points: Float64s) -> Float64s:
+def nearest_m(points: Float32s, min_points: Float64s, turn_deg: float = 0.0) -> Float64s:
     """Return the distance of the nearest surface in each direction, metres, float64 [8]; inf without one.
+
+    The directions are turned to the right by `turn_deg`.
 
     `points` float32 [n, 3] are those `in_the_way`. `min_points` float64 [50] is the least number of points of
     a surface by its distance, in steps of 10 cm (`min_points_of`).
     """
     distances = np.hypot(points[:, 0], points[:, 2])
-    sectors = bins_of(azimuths_deg(points)) // BINS_PER_SECTOR
+    sectors = bins_of(azimuths_deg(points) - turn_deg) // BINS_PER_SECTOR
     cells = np.minimum((distances / _CELL_M).astype(np.int64), _CELLS - 1)
     counts = np.bincount(sectors * _CELLS + cells, minlength=8 * _CELLS).reshape(8, _CELLS)
     pairs = counts.copy()
@@ -71,6 +76,14 @@ def nearest_m(points: Float32s, min_points: Float64s) -> Float64s:
         near = distances[(sectors == sector) & (cells >= cell) & (cells <= cell + 1)]
         nearest[sector] = float(np.partition(near, min(2, len(near) - 1))[min(2, len(near) - 1)])
     return nearest
+
+
+def nearest_beside_m(points: Float32s, min_points: Float64s) -> Float64s:
+    """Return the distance of the nearest surface up to `BESIDE_DEG` beside each direction, float64 [8].
+
+    Parameters are those of `nearest_m`. What ends at the border of a direction may reach into it.
+    """
+    return np.minimum(nearest_m(points, min_points, -BESIDE_DEG), nearest_m(points, min_points, BESIDE_DEG))
 
 
 def min_points_of(focal_px: float) -> Float64s:

@@ -25,11 +25,13 @@ from touchfield.guidance.directions import (
     bins_of,
     in_the_way,
     min_points_of,
+    nearest_beside_m,
     nearest_m,
     seen_bins,
     seen_fraction,
 )
 from touchfield.guidance.ground import Ground, GroundFinder
+from touchfield.guidance.lost import LostSurfaces
 from touchfield.guidance.spec import GuideSpec
 from touchfield.guidance.steps import HALF_WIDTH_M, GroundAhead, ground_ahead
 from touchfield.guidance.view import DepthView, known_points
@@ -40,8 +42,6 @@ if TYPE_CHECKING:
 
 MIN_KNOWN: Final = 0.25
 MIN_SEEN: Final = 0.5
-_REMEMBERED_HEIGHT_M: Final = 0.25
-"""Lower surfaces are not remembered as obstacles: a raised floor, and an error of the height."""
 HOLD_S: Final = 1.0
 """How long a step is shown after it left the picture, without poses."""
 _MAX_JUMP_M: Final = 0.5
@@ -110,6 +110,7 @@ class Guide:
         self._near: deque[Bools] = deque(maxlen=3)
         self._ahead: deque[GroundAhead] = deque(maxlen=3)
         self._held = _HeldSteps()
+        self._lost = LostSurfaces()
         self._timers = [ContactTimer() for _ in range(8)]
         self._track = _Track(self.view, self.spec)
 
@@ -145,16 +146,19 @@ class Guide:
         ground = self._finder.find(grid, time_s, turn)
         placed = ground.to_wearer(points)
         ways = placed[in_the_way(placed, self.spec.head_m)]
-        distances = nearest_m(ways, self._min_points)
+        distances, beside = (f(ways, self._min_points) for f in (nearest_m, nearest_beside_m))
         bins = self._seen(ground, is_known)
+        is_lost = self._lost.update(distances, time_s, self.spec.warn_m + _MARGIN_M)
         if pose is not None and self._track.add(reduced, pose, ground, bins, time_s):
-            remembered, known = self._track.remembered(time_s)
+            remembered, remembered_beside, known = self._track.remembered(time_s)
             distances, bins = np.minimum(distances, remembered), bins | known
+            beside, is_lost = np.minimum(beside, remembered_beside), np.zeros(8, np.bool_)
         ahead = ground_ahead(
             ground, self.view.rays[is_known], reduced.reshape(-1)[is_known], placed, self.spec.step_m
         )
         ahead = self._held.update(self._confirmed_steps(ahead), time_s, self._track.wearer_from_anchor)
-        states = self._states(distances, seen_fraction(bins))
+        may_be_free = (seen_fraction(bins) >= MIN_SEEN) & ~is_lost & (beside > self.spec.warn_m)
+        states = self._states(distances, may_be_free)
         contact = times_to_contact(self._timers, time_s, distances)
         return Situation(time_s, states, distances, contact, ground, ahead, False, known_fraction)
 
@@ -166,12 +170,12 @@ class Guide:
         is_useful = (height_m > -1.0) & (height_m < self.spec.head_m)
         return seen_bins(azimuths_deg(rays), is_known, is_useful)
 
-    def _states(self, distances_m: Float64s, seen: Float64s) -> tuple[State, ...]:
+    def _states(self, distances_m: Float64s, may_be_free: Bools) -> tuple[State, ...]:
         was_near = self._near[-1] if self._near else np.zeros(8, np.bool_)
         limit_m = self.spec.warn_m + _MARGIN_M + np.where(was_near, _HYSTERESIS_M, 0.0)
         self._near.append(distances_m < limit_m)
         is_near = np.sum(self._near, axis=0) >= min(2, len(self._near))
-        known = np.where(seen >= MIN_SEEN, State.FREE, State.UNKNOWN)
+        known = np.where(may_be_free, State.FREE, State.UNKNOWN)
         known[np.sum(self._near, axis=0) == 1] = State.UNKNOWN  # seen once, and neither confirmed nor free
         return tuple(State(int(s)) for s in np.where(is_near, State.NEAR, known))
 
@@ -186,6 +190,7 @@ class Guide:
         self._near.clear()
         self._ahead.clear()
         self._held = _HeldSteps()
+        self._lost = LostSurfaces()
 
     def _blind(self, time_s: float, known_fraction: float) -> Situation:
         """Return the situation of a picture in which hardly anything is known."""
@@ -269,15 +274,20 @@ class _Track:
         self._memory.mark_seen(self.wearer_from_anchor, bins, now_s)
         return True
 
-    def remembered(self, now_s: float) -> tuple[Float64s, Bools]:
-        """Return the distances of remembered surfaces by direction, and the known directions of 5 degrees."""
-        from touchfield.guidance.memory import MIN_SAMPLES
+    def remembered(self, now_s: float) -> tuple[Float64s, Float64s, Bools]:
+        """Return what the memory knows.
+
+        These are the distances of the surfaces in and beside the eight directions, and the known directions
+        of 5 degrees.
+        """
+        from touchfield.guidance.memory import MIN_BODY_M, MIN_SAMPLES
 
         assert self._memory is not None and self.wearer_from_anchor is not None
-        points, has_moved = self._memory.surface_points(self.wearer_from_anchor, now_s)
-        is_near = (points[:, 1] > _REMEMBERED_HEIGHT_M) & (points[:, 1] < self._spec.head_m)
+        points, has_moved = self._memory.find_surfaces(self.wearer_from_anchor, now_s)
+        is_near = (points[:, 1] > MIN_BODY_M) & (points[:, 1] < self._spec.head_m)
         is_near &= np.hypot(points[:, 0], points[:, 2]) < min(RANGE_M, self._spec.warn_m + 0.3)
         known = self._memory.known_bins(self.wearer_from_anchor, now_s)
         # what moves is not where it was: there, nothing is known
         known[np.unique(bins_of(azimuths_deg(points[is_near & has_moved])))] = False
-        return nearest_m(points[is_near & ~has_moved], MIN_SAMPLES), known
+        surfaces = points[is_near & ~has_moved]
+        return nearest_m(surfaces, MIN_SAMPLES), nearest_beside_m(surfaces, MIN_SAMPLES), known
