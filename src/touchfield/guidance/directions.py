@@ -37,6 +37,11 @@ _CELL_M: Final = 0.1
 _CELLS: Final = round(RANGE_M / _CELL_M)
 _OWN_BODY_M: Final = 0.2
 
+MIN_BODY_M: Final = 0.25
+"""Lower surfaces are not remembered as obstacles: a raised floor, and an error of the height."""
+MIN_SAMPLES: Final = np.full(_CELLS, 3.0)
+"""Least number of samples of a remembered surface, at any distance (`nearest_m`)."""
+
 
 def azimuths_deg(points: Float32s) -> Float32s:
     """Return the directions of points or rays [n, 3] in the wearer's frame, float32 [n]."""
@@ -78,12 +83,16 @@ def nearest_m(points: Float32s, min_points: Float64s, turn_deg: float = 0.0) -> 
     return nearest
 
 
-def nearest_beside_m(points: Float32s, min_points: Float64s) -> Float64s:
+def nearest_beside_m(points: Float32s, min_points: Float64s, seen: Bools) -> Float64s:
     """Return the distance of the nearest surface up to `BESIDE_DEG` beside each direction, float64 [8].
 
-    Parameters are those of `nearest_m`. What ends at the border of a direction may reach into it.
+    What ends at the border of a direction may reach into it, unless the 5 degrees at the border are `seen`,
+    bool [72]. The other parameters are those of `nearest_m`.
     """
-    return np.minimum(nearest_m(points, min_points, -BESIDE_DEG), nearest_m(points, min_points, BESIDE_DEG))
+    borders = seen.reshape(8, BINS_PER_SECTOR)
+    left, right = (nearest_m(points, min_points, turn_deg) for turn_deg in (-BESIDE_DEG, BESIDE_DEG))
+    left[borders[:, 0]], right[borders[:, -1]] = np.inf, np.inf
+    return np.minimum(left, right)
 
 
 def min_points_of(focal_px: float) -> Float64s:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import TYPE_CHECKING, Final
 
@@ -20,6 +20,8 @@ from touchfield.arrays import Bools, Float32s, Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.guidance.contact import ContactTimer, times_to_contact
 from touchfield.guidance.directions import (
+    MIN_BODY_M,
+    MIN_SAMPLES,
     RANGE_M,
     azimuths_deg,
     bins_of,
@@ -48,6 +50,9 @@ _MAX_JUMP_M: Final = 0.5
 """Larger changes of the position between frames are errors of the poses, and the memory starts anew."""
 _MARGIN_M: Final = 0.1  # for the noise of distances, and the frame that confirms a surface
 _HYSTERESIS_M: Final = 0.1
+_UP_FRAMES: Final = 30
+"""Frames whose mean says what is level, with poses."""
+_SAME_UP_COSINE: Final = math.cos(math.radians(4.0))
 
 
 class State(IntEnum):
@@ -137,22 +142,23 @@ class Guide:
         points, is_known = known_points(self.view, reduced)
         known_fraction = float(is_known.mean())
         jumps = self.pose_jumps
-        turn = self._track.turn(pose)
+        level = self._track.level(pose)
         if self.pose_jumps > jumps:
             self._forget()
         if known_fraction < MIN_KNOWN:
             return self._blind(time_s, known_fraction)
         grid = (self.view.rays * reduced.reshape(-1, 1)).reshape(*self.view.size_px, 3)
-        ground = self._finder.find(grid, time_s, turn)
+        ground = self._finder.find(grid, time_s, level)
         placed = ground.to_wearer(points)
         ways = placed[in_the_way(placed, self.spec.head_m)]
-        distances, beside = (f(ways, self._min_points) for f in (nearest_m, nearest_beside_m))
+        distances, beside = nearest_m(ways, self._min_points), np.full(8, np.inf)
         bins = self._seen(ground, is_known)
         is_lost = self._lost.update(distances, time_s, self.spec.warn_m + _MARGIN_M)
         if pose is not None and self._track.add(reduced, pose, ground, bins, time_s):
-            remembered, remembered_beside, known = self._track.remembered(time_s)
-            distances, bins = np.minimum(distances, remembered), bins | known
-            beside, is_lost = np.minimum(beside, remembered_beside), np.zeros(8, np.bool_)
+            surfaces, known = self._track.remembered(time_s)
+            distances = np.minimum(distances, nearest_m(surfaces, MIN_SAMPLES))
+            beside, is_lost = nearest_beside_m(surfaces, MIN_SAMPLES, bins), np.zeros(8, np.bool_)
+            bins = bins | known
         ahead = ground_ahead(
             ground, self.view.rays[is_known], reduced.reshape(-1)[is_known], placed, self.spec.step_m
         )
@@ -237,33 +243,39 @@ class _Track:
         self.wearer_from_anchor: Float64s | None = None
         self._view, self._spec = view, spec
         self._pose: Float64s | None = None
+        self._up: Float64s = np.zeros(3)  # mean of the last second, world axes
+        self._grounds = 0
         self._anchor_from_world: Float64s | None = None
         self._memory: Memory | None = None  # made with the first pose, since it needs compiled kernels
 
-    def turn(self, pose: Float64s | None) -> Float64s | None:
-        """Return the rotation of the last frame's camera axes to those of this pose; None if unknown."""
+    def level(self, pose: Float64s | None) -> Float64s | None:
+        """Return the mean of the last `Ground.up`, camera axes of this pose; None if it is unknown."""
         last, self._pose = self._pose, pose
         if pose is None:
             self.wearer_from_anchor = None
+            self._grounds = 0
         if pose is None or last is None:
             return None
         if np.linalg.norm(pose[:3, 3] - last[:3, 3]) > _MAX_JUMP_M:
             self.jumps += 1
             self._anchor_from_world = self.wearer_from_anchor = None
             self._memory = None
-            return None
-        return np.asarray(pose[:3, :3].T @ last[:3, :3])
+            self._grounds = 0
+        return np.asarray(pose[:3, :3].T @ self._up) if self._grounds else None
 
     def add(self, reduced_m: Float32s, pose: Float64s, ground: Ground, bins: Bools, now_s: float) -> bool:
         """Add a picture to the memory; returns False while there is no ground to which it refers."""
-        if self._spec.memory_s == 0 or not ground.is_seen:
+        if not ground.is_seen:
+            return False
+        self._add_up(pose, ground)
+        if self._spec.memory_s == 0:
             return False
         if self._memory is None:
             from touchfield.guidance.memory import Memory
 
             self._memory = Memory(self._view, self._spec.memory_s, self._spec.warn_m)
         wearer_from_camera: Float64s = np.eye(4)
-        wearer_from_camera[:3, :3] = ground.wearer_from_camera
+        wearer_from_camera[:3, :3] = replace(ground, up=pose[:3, :3].T @ self._up).wearer_from_camera
         wearer_from_camera[1, 3] = ground.height_m
         if self._anchor_from_world is None:
             self._anchor_from_world = wearer_from_camera @ np.linalg.inv(pose)
@@ -274,14 +286,18 @@ class _Track:
         self._memory.mark_seen(self.wearer_from_anchor, bins, now_s)
         return True
 
-    def remembered(self, now_s: float) -> tuple[Float64s, Float64s, Bools]:
-        """Return what the memory knows.
+    def _add_up(self, pose: Float64s, ground: Ground) -> None:
+        """Add a ground to the mean: one frame alone is tilted by a kerb, and what is remembered with it."""
+        if ground.age_s > 0:
+            return
+        up = pose[:3, :3] @ ground.up
+        is_other = self._up @ up < _SAME_UP_COSINE  # found anew after it was lost
+        self._grounds = 1 if is_other else self._grounds + 1
+        self._up = self._up + (up - self._up) / min(self._grounds, _UP_FRAMES)
+        self._up /= np.linalg.norm(self._up)
 
-        These are the distances of the surfaces in and beside the eight directions, and the known directions
-        of 5 degrees.
-        """
-        from touchfield.guidance.memory import MIN_BODY_M, MIN_SAMPLES
-
+    def remembered(self, now_s: float) -> tuple[Float32s, Bools]:
+        """Return the points of remembered surfaces, [n, 3], and the known directions of 5 degrees."""
         assert self._memory is not None and self.wearer_from_anchor is not None
         points, has_moved = self._memory.find_surfaces(self.wearer_from_anchor, now_s)
         is_near = (points[:, 1] > MIN_BODY_M) & (points[:, 1] < self._spec.head_m)
@@ -289,5 +305,4 @@ class _Track:
         known = self._memory.known_bins(self.wearer_from_anchor, now_s)
         # what moves is not where it was: there, nothing is known
         known[np.unique(bins_of(azimuths_deg(points[is_near & has_moved])))] = False
-        surfaces = points[is_near & ~has_moved]
-        return nearest_m(surfaces, MIN_SAMPLES), nearest_beside_m(surfaces, MIN_SAMPLES), known
+        return points[is_near & ~has_moved], known

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float32s, Float64s, Int64s
-from touchfield.guidance.directions import BIN_DEG, BINS, azimuths_deg, bins_of
+from touchfield.guidance.directions import BIN_DEG, BINS, MIN_BODY_M, azimuths_deg, bins_of
 from touchfield.guidance.movers import Movers
 from touchfield.guidance.view import DepthView
 from touchfield.medium import BRICK, Grid
@@ -32,12 +32,8 @@ _BRICK_M: Final = SPACING_M * BRICK
 _WALL: Final = ForceProfile(((-2 * SPACING_M, SPACING_M, 1.0, 0.0),))
 """Samples up to this far from a surface store their distance."""
 _IJK: Final = np.indices((BRICK,) * 3).reshape(3, -1).T  # [512, 3]
-MIN_SAMPLES: Final = np.full(50, 3.0)
-"""Least number of samples of a surface, at any distance (`directions.nearest_m`)."""
 _BODY_ROWS: Final = slice(9, 24)  # samples from 0.3 to 1.5 m above the ground
 _MIN_KNOWN: Final = 0.95
-MIN_BODY_M: Final = 0.25
-"""Lower surfaces are not remembered as obstacles: a raised floor, and an error of the height."""
 _FEET_M, _MAX_RAISED_M, _MIN_FLOOR_SAMPLES = 0.4, 0.45, 8
 
 
