@@ -26,7 +26,7 @@ MAX_LOST_S: Final = 1.0
 
 _HEIGHTS_M: Final = (0.4, 2.3)  # of a camera that a person wears
 _FREE_TILT_DEG, _NEXT_TILT_DEG = 30.0, 8.0  # from what is expected at the start, and from frame to frame
-_POSED_TILT_DEG: Final = 2.5  # from the mean of the last second; poses err by some tenths of a degree
+_POSED_TILT_DEG: Final = 1.5  # from the mean of the last frames; poses err by some tenths of a degree
 _HEIGHT_STEP_M: Final = 0.07  # between frames: a wearer bobs by 2 to 3 cm, and a step is 10 to 20 cm high
 _STATED_HEIGHT_M: Final = 0.15
 _PLANES, _SCORED_POINTS = 96, 1200
@@ -36,7 +36,7 @@ _BELOW_WEIGHT: Final = 0.6
 _BASELINE_PX: Final = 3  # on both sides of a pixel, for its normal
 _LEVEL_COSINE: Final = math.cos(math.radians(35.0))
 _FOLLOW: Final = 0.1  # weight of a new height in the expected one
-_TOLERANCE_M, _NOISE_PER_M = 0.02, 0.006
+_TOLERANCE_M, _NOISE_PER_M = 0.015, 0.003
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,7 @@ _MAX_JUMP_M: Final = 0.5
 """Larger changes of the position between frames are errors of the poses, and the memory starts anew."""
 _MARGIN_M: Final = 0.1  # for the noise of distances, and the frame that confirms a surface
 _HYSTERESIS_M: Final = 0.1
-_UP_FRAMES: Final = 30
+_UP_FRAMES: Final = 300
 """Frames whose mean says what is level, with poses."""
 _SAME_UP_COSINE: Final = math.cos(math.radians(4.0))
 
