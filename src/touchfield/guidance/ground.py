@@ -104,7 +104,9 @@ class GroundFinder:
             self._expected_m = before_m + _FOLLOW * (found.height_m - before_m)
             return found
         if last is not None and not is_lost:
-            self._ground = Ground(last.up, last.height_m, now_s - self._seen_s)
+            # of the mean, not of the last frame, which a wearer on a step has raised already
+            height_m = last.height_m if self._expected_m is None else self._expected_m
+            self._ground = Ground(last.up, height_m, now_s - self._seen_s)
             return self._ground
         self._ground = None
         return Ground(self._level, self._stated_m or 1.3, math.inf, is_seen=False)

@@ -12,9 +12,9 @@ import numpy as np
 
 from touchfield.arrays import Bools, Float64s
 
-HOLD_S: Final = 3.0
+HOLD_S: Final = 2.0
 """How long a surface is expected that left the picture: a person who turns the head looks back by then."""
-_SPEED_M_S: Final = 1.5  # of a wearer who walks towards it
+_SPEED_M_S: Final = 1.0  # of a wearer who walks towards it
 _JUMP_M: Final = 0.3  # a distance that grows by more is another surface
 
 
