@@ -1,9 +1,10 @@
 """The situation around a wearer, frame after frame: `Guide` applies the chain of the package to pictures.
 
 A direction is *near* if a surface is nearer than `GuideSpec.warn_m` in two of the last three frames, *free*
-if at least half of it is seen or remembered and has no such surface, and else *unknown*: unknown is never
-free. A picture of which less than a quarter is known is *blind*: a depth camera returns nothing for what is
-nearer than its shortest range, so a blind picture may be a wall.
+if at least half of it is seen or remembered, has no such surface, and none may have come into it from beside
+the picture (`lost`, `movers`); else it is *unknown*: unknown is never free. A picture of which less than a
+quarter is known is *blind*: a depth camera returns nothing for what is nearer than its shortest range, so a
+blind picture may be a wall.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ _MAX_JUMP_M: Final = 0.5
 _MARGIN_M: Final = 0.1  # for the noise of distances, and the frame that confirms a surface
 _HYSTERESIS_M: Final = 0.1
 _UP_FRAMES: Final = 300
-"""Frames whose mean says what is level, with poses."""
+"""Frames whose mean says what is level, with poses: with 30, two seconds before a kerb tilted it."""
 _SAME_UP_COSINE: Final = math.cos(math.radians(4.0))
 
 
@@ -243,7 +244,7 @@ class _Track:
         self.wearer_from_anchor: Float64s | None = None
         self._view, self._spec = view, spec
         self._pose: Float64s | None = None
-        self._up: Float64s = np.zeros(3)  # mean of the last second, world axes
+        self._up: Float64s = np.zeros(3)  # mean of the last grounds, world axes
         self._grounds = 0
         self._anchor_from_world: Float64s | None = None
         self._memory: Memory | None = None  # made with the first pose, since it needs compiled kernels
@@ -253,7 +254,6 @@ class _Track:
         last, self._pose = self._pose, pose
         if pose is None:
             self.wearer_from_anchor = None
-            self._grounds = 0
         if pose is None or last is None:
             return None
         if np.linalg.norm(pose[:3, 3] - last[:3, 3]) > _MAX_JUMP_M:
@@ -288,7 +288,7 @@ class _Track:
 
     def _add_up(self, pose: Float64s, ground: Ground) -> None:
         """Add a ground to the mean: one frame alone is tilted by a kerb, and what is remembered with it."""
-        if ground.age_s > 0:
+        if ground.age_s > 0 and self._grounds:
             return
         up = pose[:3, :3] @ ground.up
         is_other = self._up @ up < _SAME_UP_COSINE  # found anew after it was lost
