@@ -5,8 +5,9 @@ It is no mobility aid and replaces no cane: a depth camera does not see glass, m
 anything outside its picture, or anything nearer than its shortest range.
 
 The chain is depth picture -> `view` (points) -> `ground` (plane, and the wearer's frame) -> `directions`
-(nearest surface), `steps` (ground ahead) and `memory` (what left the picture) -> `contact` (time to contact)
--> `guide` (the situation of a frame) -> `pattern` (drives of the actuators).
+(nearest surface), `steps` (ground ahead), `memory` and `movers` (what left the picture), `lost` (the same
+without poses) -> `contact` (time to contact) -> `guide` (the situation of a frame) -> `pattern` (drives of
+the actuators).
 """
 
 from typing import TYPE_CHECKING

@@ -26,6 +26,9 @@ BIN_DEG: Final = 5.0
 BINS: Final = 72
 BINS_PER_SECTOR: Final = 9
 
+BESIDE_DEG: Final = 6.0
+"""Distance of neighbouring samples of the memory, 8 cm, at 0.8 m."""
+
 MIN_HEIGHT_M: Final = 0.18
 """Lower surfaces are ground, or a step (`steps`)."""
 _NOISE_PER_M: Final = 0.006  # of height, times the square of the distance
@@ -33,6 +36,11 @@ RANGE_M: Final = 5.0
 _CELL_M: Final = 0.1
 _CELLS: Final = round(RANGE_M / _CELL_M)
 _OWN_BODY_M: Final = 0.2
+
+MIN_BODY_M: Final = 0.25
+"""Lower surfaces are not remembered as obstacles: a raised floor, and an error of the height."""
+MIN_SAMPLES: Final = np.full(_CELLS, 3.0)
+"""Least number of samples of a remembered surface, at any distance (`nearest_m`)."""
 
 
 def azimuths_deg(points: Float32s) -> Float32s:
@@ -52,14 +60,16 @@ def in_the_way(points: Float32s, head_m: float) -> Bools:
     return is_above & (points[:, 1] < head_m) & (squared > _OWN_BODY_M**2) & (squared < RANGE_M**2)
 
 
-def nearest_m(points: Float32s, min_points: Float64s) -> Float64s:
+def nearest_m(points: Float32s, min_points: Float64s, turn_deg: float = 0.0) -> Float64s:
     """Return the distance of the nearest surface in each direction, metres, float64 [8]; inf without one.
+
+    The directions are turned to the right by `turn_deg`.
 
     `points` float32 [n, 3] are those `in_the_way`. `min_points` float64 [50] is the least number of points of
     a surface by its distance, in steps of 10 cm (`min_points_of`).
     """
     distances = np.hypot(points[:, 0], points[:, 2])
-    sectors = bins_of(azimuths_deg(points)) // BINS_PER_SECTOR
+    sectors = bins_of(azimuths_deg(points) - turn_deg) // BINS_PER_SECTOR
     cells = np.minimum((distances / _CELL_M).astype(np.int64), _CELLS - 1)
     counts = np.bincount(sectors * _CELLS + cells, minlength=8 * _CELLS).reshape(8, _CELLS)
     pairs = counts.copy()
@@ -71,6 +81,18 @@ def nearest_m(points: Float32s, min_points: Float64s) -> Float64s:
         near = distances[(sectors == sector) & (cells >= cell) & (cells <= cell + 1)]
         nearest[sector] = float(np.partition(near, min(2, len(near) - 1))[min(2, len(near) - 1)])
     return nearest
+
+
+def nearest_beside_m(points: Float32s, min_points: Float64s, seen: Bools) -> Float64s:
+    """Return the distance of the nearest surface up to `BESIDE_DEG` beside each direction, float64 [8].
+
+    What ends at the border of a direction may reach into it, unless the 5 degrees at the border are `seen`,
+    bool [72]. The other parameters are those of `nearest_m`.
+    """
+    borders = seen.reshape(8, BINS_PER_SECTOR)
+    left, right = (nearest_m(points, min_points, turn_deg) for turn_deg in (-BESIDE_DEG, BESIDE_DEG))
+    left[borders[:, 0]], right[borders[:, -1]] = np.inf, np.inf
+    return np.minimum(left, right)
 
 
 def min_points_of(focal_px: float) -> Float64s:

@@ -26,6 +26,7 @@ MAX_LOST_S: Final = 1.0
 
 _HEIGHTS_M: Final = (0.4, 2.3)  # of a camera that a person wears
 _FREE_TILT_DEG, _NEXT_TILT_DEG = 30.0, 8.0  # from what is expected at the start, and from frame to frame
+_POSED_TILT_DEG: Final = 1.5  # from the mean of the last frames; poses err by some tenths of a degree
 _HEIGHT_STEP_M: Final = 0.07  # between frames: a wearer bobs by 2 to 3 cm, and a step is 10 to 20 cm high
 _STATED_HEIGHT_M: Final = 0.15
 _PLANES, _SCORED_POINTS = 96, 1200
@@ -35,7 +36,7 @@ _BELOW_WEIGHT: Final = 0.6
 _BASELINE_PX: Final = 3  # on both sides of a pixel, for its normal
 _LEVEL_COSINE: Final = math.cos(math.radians(35.0))
 _FOLLOW: Final = 0.1  # weight of a new height in the expected one
-_TOLERANCE_M, _NOISE_PER_M = 0.02, 0.006
+_TOLERANCE_M, _NOISE_PER_M = 0.015, 0.003
 
 
 @dataclass(frozen=True)
@@ -78,16 +79,16 @@ class GroundFinder:
         self._expected_m: float | None = None
         self._random = np.random.default_rng(0)
 
-    def find(self, points: Float32s, now_s: float, turn: Float64s | None = None) -> Ground:
+    def find(self, points: Float32s, now_s: float, level: Float64s | None = None) -> Ground:
         """Return the ground of a frame at the time `now_s`.
 
-        `points` float32 [height, width, 3] are in camera axes, 0 if unknown. `turn` float64 [3, 3] is the
-        rotation of the axes of the last frame to those of this one, if it is known. The ground that was seen
-        last is returned while there is none, then an assumed one.
+        `points` float32 [height, width, 3] are in camera axes, 0 if unknown. `level` float64 [3] is the mean
+        of the last `up`, turned to this frame, if its pose is known. The ground that was seen last is
+        returned while there is none, then an assumed one.
         """
         last = self._ground
-        if last is not None and turn is not None:
-            last = Ground(turn @ last.up, last.height_m, last.age_s)
+        if last is not None and level is not None:
+            last = Ground(level, last.height_m, last.age_s)
         is_lost = last is None or now_s - self._seen_s > MAX_LOST_S
         if last is None or is_lost:
             self._expected_m = None
@@ -95,14 +96,17 @@ class GroundFinder:
         else:
             middle_m = self._expected_m or last.height_m
             heights = (middle_m - _HEIGHT_STEP_M, middle_m + _HEIGHT_STEP_M)
-            found = self._search(points, last.up, _NEXT_TILT_DEG, heights)
+            tilt_deg = _NEXT_TILT_DEG if level is None else _POSED_TILT_DEG
+            found = self._search(points, last.up, tilt_deg, heights)
         if found is not None:
             self._ground, self._seen_s = found, now_s
             before_m = found.height_m if self._expected_m is None else self._expected_m
             self._expected_m = before_m + _FOLLOW * (found.height_m - before_m)
             return found
         if last is not None and not is_lost:
-            self._ground = Ground(last.up, last.height_m, now_s - self._seen_s)
+            # of the mean, not of the last frame, which a wearer on a step has raised already
+            height_m = last.height_m if self._expected_m is None else self._expected_m
+            self._ground = Ground(last.up, height_m, now_s - self._seen_s)
             return self._ground
         self._ground = None
         return Ground(self._level, self._stated_m or 1.3, math.inf, is_seen=False)

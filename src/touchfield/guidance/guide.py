@@ -1,16 +1,17 @@
 """The situation around a wearer, frame after frame: `Guide` applies the chain of the package to pictures.
 
 A direction is *near* if a surface is nearer than `GuideSpec.warn_m` in two of the last three frames, *free*
-if at least half of it is seen or remembered and has no such surface, and else *unknown*: unknown is never
-free. A picture of which less than a quarter is known is *blind*: a depth camera returns nothing for what is
-nearer than its shortest range, so a blind picture may be a wall.
+if at least half of it is seen or remembered, has no such surface, and none may have come into it from beside
+the picture (`lost`, `movers`); else it is *unknown*: unknown is never free. A picture of which less than a
+quarter is known is *blind*: a depth camera returns nothing for what is nearer than its shortest range, so a
+blind picture may be a wall.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import TYPE_CHECKING, Final
 
@@ -20,16 +21,20 @@ from touchfield.arrays import Bools, Float32s, Float64s
 from touchfield.errors import InvalidArgument
 from touchfield.guidance.contact import ContactTimer, times_to_contact
 from touchfield.guidance.directions import (
+    MIN_BODY_M,
+    MIN_SAMPLES,
     RANGE_M,
     azimuths_deg,
     bins_of,
     in_the_way,
     min_points_of,
+    nearest_beside_m,
     nearest_m,
     seen_bins,
     seen_fraction,
 )
 from touchfield.guidance.ground import Ground, GroundFinder
+from touchfield.guidance.lost import LostSurfaces
 from touchfield.guidance.spec import GuideSpec
 from touchfield.guidance.steps import HALF_WIDTH_M, GroundAhead, ground_ahead
 from touchfield.guidance.view import DepthView, known_points
@@ -40,14 +45,15 @@ if TYPE_CHECKING:
 
 MIN_KNOWN: Final = 0.25
 MIN_SEEN: Final = 0.5
-_REMEMBERED_HEIGHT_M: Final = 0.25
-"""Lower surfaces are not remembered as obstacles: a raised floor, and an error of the height."""
 HOLD_S: Final = 1.0
 """How long a step is shown after it left the picture, without poses."""
 _MAX_JUMP_M: Final = 0.5
 """Larger changes of the position between frames are errors of the poses, and the memory starts anew."""
 _MARGIN_M: Final = 0.1  # for the noise of distances, and the frame that confirms a surface
 _HYSTERESIS_M: Final = 0.1
+_UP_FRAMES: Final = 300
+"""Frames whose mean says what is level, with poses: with 30, two seconds before a kerb tilted it."""
+_SAME_UP_COSINE: Final = math.cos(math.radians(4.0))
 
 
 class State(IntEnum):
@@ -110,6 +116,7 @@ class Guide:
         self._near: deque[Bools] = deque(maxlen=3)
         self._ahead: deque[GroundAhead] = deque(maxlen=3)
         self._held = _HeldSteps()
+        self._lost = LostSurfaces()
         self._timers = [ContactTimer() for _ in range(8)]
         self._track = _Track(self.view, self.spec)
 
@@ -136,25 +143,29 @@ class Guide:
         points, is_known = known_points(self.view, reduced)
         known_fraction = float(is_known.mean())
         jumps = self.pose_jumps
-        turn = self._track.turn(pose)
+        level = self._track.level(pose)
         if self.pose_jumps > jumps:
             self._forget()
         if known_fraction < MIN_KNOWN:
             return self._blind(time_s, known_fraction)
         grid = (self.view.rays * reduced.reshape(-1, 1)).reshape(*self.view.size_px, 3)
-        ground = self._finder.find(grid, time_s, turn)
+        ground = self._finder.find(grid, time_s, level)
         placed = ground.to_wearer(points)
         ways = placed[in_the_way(placed, self.spec.head_m)]
-        distances = nearest_m(ways, self._min_points)
+        distances, beside = nearest_m(ways, self._min_points), np.full(8, np.inf)
         bins = self._seen(ground, is_known)
+        is_lost = self._lost.update(distances, time_s, self.spec.warn_m + _MARGIN_M)
         if pose is not None and self._track.add(reduced, pose, ground, bins, time_s):
-            remembered, known = self._track.remembered(time_s)
-            distances, bins = np.minimum(distances, remembered), bins | known
+            surfaces, known = self._track.remembered(time_s)
+            distances = np.minimum(distances, nearest_m(surfaces, MIN_SAMPLES))
+            beside, is_lost = nearest_beside_m(surfaces, MIN_SAMPLES, bins), np.zeros(8, np.bool_)
+            bins = bins | known
         ahead = ground_ahead(
             ground, self.view.rays[is_known], reduced.reshape(-1)[is_known], placed, self.spec.step_m
         )
         ahead = self._held.update(self._confirmed_steps(ahead), time_s, self._track.wearer_from_anchor)
-        states = self._states(distances, seen_fraction(bins))
+        may_be_free = (seen_fraction(bins) >= MIN_SEEN) & ~is_lost & (beside > self.spec.warn_m)
+        states = self._states(distances, may_be_free)
         contact = times_to_contact(self._timers, time_s, distances)
         return Situation(time_s, states, distances, contact, ground, ahead, False, known_fraction)
 
@@ -166,12 +177,12 @@ class Guide:
         is_useful = (height_m > -1.0) & (height_m < self.spec.head_m)
         return seen_bins(azimuths_deg(rays), is_known, is_useful)
 
-    def _states(self, distances_m: Float64s, seen: Float64s) -> tuple[State, ...]:
+    def _states(self, distances_m: Float64s, may_be_free: Bools) -> tuple[State, ...]:
         was_near = self._near[-1] if self._near else np.zeros(8, np.bool_)
         limit_m = self.spec.warn_m + _MARGIN_M + np.where(was_near, _HYSTERESIS_M, 0.0)
         self._near.append(distances_m < limit_m)
         is_near = np.sum(self._near, axis=0) >= min(2, len(self._near))
-        known = np.where(seen >= MIN_SEEN, State.FREE, State.UNKNOWN)
+        known = np.where(may_be_free, State.FREE, State.UNKNOWN)
         known[np.sum(self._near, axis=0) == 1] = State.UNKNOWN  # seen once, and neither confirmed nor free
         return tuple(State(int(s)) for s in np.where(is_near, State.NEAR, known))
 
@@ -186,6 +197,7 @@ class Guide:
         self._near.clear()
         self._ahead.clear()
         self._held = _HeldSteps()
+        self._lost = LostSurfaces()
 
     def _blind(self, time_s: float, known_fraction: float) -> Situation:
         """Return the situation of a picture in which hardly anything is known."""
@@ -232,11 +244,13 @@ class _Track:
         self.wearer_from_anchor: Float64s | None = None
         self._view, self._spec = view, spec
         self._pose: Float64s | None = None
+        self._up: Float64s = np.zeros(3)  # mean of the last grounds, world axes
+        self._grounds = 0
         self._anchor_from_world: Float64s | None = None
         self._memory: Memory | None = None  # made with the first pose, since it needs compiled kernels
 
-    def turn(self, pose: Float64s | None) -> Float64s | None:
-        """Return the rotation of the last frame's camera axes to those of this pose; None if unknown."""
+    def level(self, pose: Float64s | None) -> Float64s | None:
+        """Return the mean of the last `Ground.up`, camera axes of this pose; None if it is unknown."""
         last, self._pose = self._pose, pose
         if pose is None:
             self.wearer_from_anchor = None
@@ -246,19 +260,22 @@ class _Track:
             self.jumps += 1
             self._anchor_from_world = self.wearer_from_anchor = None
             self._memory = None
-            return None
-        return np.asarray(pose[:3, :3].T @ last[:3, :3])
+            self._grounds = 0
+        return np.asarray(pose[:3, :3].T @ self._up) if self._grounds else None
 
     def add(self, reduced_m: Float32s, pose: Float64s, ground: Ground, bins: Bools, now_s: float) -> bool:
         """Add a picture to the memory; returns False while there is no ground to which it refers."""
-        if self._spec.memory_s == 0 or not ground.is_seen:
+        if not ground.is_seen:
+            return False
+        self._add_up(pose, ground)
+        if self._spec.memory_s == 0:
             return False
         if self._memory is None:
             from touchfield.guidance.memory import Memory
 
             self._memory = Memory(self._view, self._spec.memory_s, self._spec.warn_m)
         wearer_from_camera: Float64s = np.eye(4)
-        wearer_from_camera[:3, :3] = ground.wearer_from_camera
+        wearer_from_camera[:3, :3] = replace(ground, up=pose[:3, :3].T @ self._up).wearer_from_camera
         wearer_from_camera[1, 3] = ground.height_m
         if self._anchor_from_world is None:
             self._anchor_from_world = wearer_from_camera @ np.linalg.inv(pose)
@@ -269,15 +286,23 @@ class _Track:
         self._memory.mark_seen(self.wearer_from_anchor, bins, now_s)
         return True
 
-    def remembered(self, now_s: float) -> tuple[Float64s, Bools]:
-        """Return the distances of remembered surfaces by direction, and the known directions of 5 degrees."""
-        from touchfield.guidance.memory import MIN_SAMPLES
+    def _add_up(self, pose: Float64s, ground: Ground) -> None:
+        """Add a ground to the mean: one frame alone is tilted by a kerb, and what is remembered with it."""
+        if ground.age_s > 0 and self._grounds:
+            return
+        up = pose[:3, :3] @ ground.up
+        is_other = self._up @ up < _SAME_UP_COSINE  # found anew after it was lost
+        self._grounds = 1 if is_other else self._grounds + 1
+        self._up = self._up + (up - self._up) / min(self._grounds, _UP_FRAMES)
+        self._up /= np.linalg.norm(self._up)
 
+    def remembered(self, now_s: float) -> tuple[Float32s, Bools]:
+        """Return the points of remembered surfaces, [n, 3], and the known directions of 5 degrees."""
         assert self._memory is not None and self.wearer_from_anchor is not None
-        points, has_moved = self._memory.surface_points(self.wearer_from_anchor, now_s)
-        is_near = (points[:, 1] > _REMEMBERED_HEIGHT_M) & (points[:, 1] < self._spec.head_m)
+        points, has_moved = self._memory.find_surfaces(self.wearer_from_anchor, now_s)
+        is_near = (points[:, 1] > MIN_BODY_M) & (points[:, 1] < self._spec.head_m)
         is_near &= np.hypot(points[:, 0], points[:, 2]) < min(RANGE_M, self._spec.warn_m + 0.3)
         known = self._memory.known_bins(self.wearer_from_anchor, now_s)
         # what moves is not where it was: there, nothing is known
         known[np.unique(bins_of(azimuths_deg(points[is_near & has_moved])))] = False
-        return nearest_m(points[is_near & ~has_moved], MIN_SAMPLES), known
+        return points[is_near & ~has_moved], known

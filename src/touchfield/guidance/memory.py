@@ -4,7 +4,8 @@
 A camera sees about 60 of 360 degrees. With the poses of the camera, its pictures are fused into the lattice
 of a `FusedVolume` of 7.7 x 2.6 x 7.7 m, which keeps a surface until a later picture looks through it, and
 knows where rays have passed. Here all bricks of the box exist, so that free space differs from unknown space.
-What was not in the picture for `GuideSpec.memory_s` is unknown again, since somebody may have come.
+What was not in the picture for `GuideSpec.memory_s` is unknown again, since somebody may have come; where
+something that moves left the picture (`movers`), at once.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Bools, Float32s, Float64s, Int64s
-from touchfield.guidance.directions import BIN_DEG, BINS, azimuths_deg, bins_of
+from touchfield.guidance.directions import BIN_DEG, BINS, MIN_BODY_M, azimuths_deg, bins_of
+from touchfield.guidance.movers import Movers
 from touchfield.guidance.view import DepthView
 from touchfield.medium import BRICK, Grid
 from touchfield.sources.camera import noise_step_per_m
@@ -30,8 +32,6 @@ _BRICK_M: Final = SPACING_M * BRICK
 _WALL: Final = ForceProfile(((-2 * SPACING_M, SPACING_M, 1.0, 0.0),))
 """Samples up to this far from a surface store their distance."""
 _IJK: Final = np.indices((BRICK,) * 3).reshape(3, -1).T  # [512, 3]
-MIN_SAMPLES: Final = np.full(50, 3.0)
-"""Least number of samples of a surface, at any distance (`directions.nearest_m`)."""
 _BODY_ROWS: Final = slice(9, 24)  # samples from 0.3 to 1.5 m above the ground
 _MIN_KNOWN: Final = 0.95
 _FEET_M, _MAX_RAISED_M, _MIN_FLOOR_SAMPLES = 0.4, 0.45, 8
@@ -46,12 +46,13 @@ class Memory:
 
     def __init__(self, view: DepthView, memory_s: float, warn_m: float) -> None:
         self._ray_m = np.arange(0.3, warn_m + 0.01, SPACING_M)
-        self._view, self._memory_s = view, memory_s
+        self._view, self._memory_s, self._warn_m = view, memory_s, warn_m
         self._step_per_m: float | None = None
         self._bricks = np.stack(np.unravel_index(np.arange(np.prod(_BRICKS)), _BRICKS), 1).astype(np.int32)
         self._shift: Int64s = np.zeros(3, np.int64)
         self._volume: FusedVolume | None = None
         self._seen_s = np.full((_BRICKS[0] * BRICK, _BRICKS[2] * BRICK), -np.inf)
+        self._movers = Movers((_BRICKS[0] * BRICK, _BRICKS[2] * BRICK))
 
     def add(self, reduced_m: Float32s, anchor_from_camera: Float64s, position_m: Float64s) -> None:
         """Add a picture; `position_m` float64 [3] is the wearer's place on the ground, anchor axes."""
@@ -67,8 +68,8 @@ class Memory:
         bins = bins_of(azimuths_deg(self._columns(wearer_from_anchor)))
         self._seen_s.reshape(-1)[seen[bins]] = now_s
 
-    def surface_points(self, wearer_from_anchor: Float64s, now_s: float) -> tuple[Float32s, Bools]:
-        """Return the points of remembered surfaces and which of them have moved.
+    def find_surfaces(self, wearer_from_anchor: Float64s, now_s: float) -> tuple[Float32s, Bools]:
+        """Find what moves; return the points of remembered surfaces and which of them have moved.
 
         They are float32 [n, 3] in the wearer's frame, and bool [n]. What lies below the wearer is floor:
         heights are above that.
@@ -86,7 +87,10 @@ class Memory:
         points = self._volume.grid.to_m(index) - normal * samples.distance_m[rows, inner, None]
         placed = _moved(points, wearer_from_anchor)
         placed[:, 1] -= _standing_m(placed)
-        return placed, samples.changes[rows, inner] > 0
+        has_changed, columns = samples.changes[rows, inner] > 0, index[:, [0, 2]]
+        is_body = placed[:, 1] > MIN_BODY_M
+        self._movers.update(columns[is_body], has_changed[is_body], self._seen_s == now_s, now_s)
+        return placed, self._movers.has_moved(columns)
 
     def known_bins(self, wearer_from_anchor: Float64s, now_s: float) -> Bools:
         """Return the directions of 5 degrees that are known up to `warn_m` or to a surface, bool [72]."""
@@ -105,7 +109,9 @@ class Memory:
         known = is_known[index[:, 0], index[:, 2]].reshape(BINS, -1)
         before = np.cumsum(has_surface[index[:, 0], index[:, 2]].reshape(BINS, -1), axis=1) == 0
         counted = np.maximum(before.sum(axis=1), 1)
-        return np.asarray((known & before).sum(axis=1) >= _MIN_KNOWN * counted)
+        is_whole = (known & before).sum(axis=1) >= _MIN_KNOWN * counted
+        columns = self._columns(wearer_from_anchor)
+        return np.asarray(is_whole & ~self._movers.reached_bins(columns, now_s, self._warn_m))
 
     def _columns(self, wearer_from_anchor: Float64s) -> Float32s:
         """Return the positions of all columns of the lattice, float32 [n, 3], wearer's frame."""
@@ -138,17 +144,23 @@ class Memory:
         rows = np.ravel_multi_index(tuple(sources[is_shared].T), _BRICKS)
         for new, old in zip(_arrays(after), _arrays(before), strict=True):
             new[is_shared] = old[rows]
-        seen_s = np.full_like(self._seen_s, -np.inf)
-        x, z = (np.arange(n) + BRICK * int(m) for n, m in zip(seen_s.shape, moved[[0, 2]], strict=True))
-        valid_x, valid_z = ((a >= 0) & (a < n) for a, n in zip((x, z), seen_s.shape, strict=True))
-        seen_s[np.ix_(valid_x, valid_z)] = self._seen_s[np.ix_(x[valid_x], z[valid_z])]
-        self._seen_s = seen_s
+        self._seen_s = _shifted(self._seen_s, moved)
+        self._movers.last_s = _shifted(self._movers.last_s, moved)
 
 
 def _arrays(volume: FusedVolume) -> tuple[NDArray[Any], ...]:
     """Return the state of the samples, an array for each quantity [bricks, ...]."""
     arrays: tuple[NDArray[Any], ...] = tuple(volume.samples)
     return arrays
+
+
+def _shifted(times_s: Float64s, moved: Int64s) -> Float64s:
+    """Return the times of the columns of a box that is `moved` by bricks, -inf where it is new."""
+    out = np.full_like(times_s, -np.inf)
+    x, z = (np.arange(n) + BRICK * int(m) for n, m in zip(out.shape, moved[[0, 2]], strict=True))
+    valid_x, valid_z = ((a >= 0) & (a < n) for a, n in zip((x, z), out.shape, strict=True))
+    out[np.ix_(valid_x, valid_z)] = times_s[np.ix_(x[valid_x], z[valid_z])]
+    return out
 
 
 def _standing_m(points: Float32s) -> float:

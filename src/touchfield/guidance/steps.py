@@ -22,7 +22,7 @@ MAX_STEP_M: Final = 0.35
 _CELL_M: Final = 0.1
 _CELLS: Final = round(RANGE_M / _CELL_M)
 _SIDE_CELLS: Final = 4
-_NOISE_PER_M: Final = 0.010  # of height, times the square of the distance
+_NOISE_PER_M: Final = 0.006  # of height, times the square of the distance
 _MIN_POINTS: Final = 3
 _MIN_WIDE: Final = 2  # columns of the four across the way that a step or a drop takes
 
