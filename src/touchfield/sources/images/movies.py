@@ -224,10 +224,10 @@ def _depth_track(streams: Any) -> tuple[Any, str]:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[Any, Any, VideoHeader]]:
-    """Open the container, the video stream that is read (`video_header`) and its header.
+def opened_container(path: Path) -> Iterator[Any]:
+    """Open a movie with PyAV, in the container format of its suffix.
 
-    FFmpeg's errors become `SourceError`.
+    FFmpeg's errors within the block become `SourceError`. Raises `MissingExtra` if PyAV is not installed.
     """
     av = import_extra("av", "a video", "PyAV", "video")
     form = _FORMATS.get(path.suffix.lower())
@@ -240,18 +240,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any, VideoHeader]]:
             options={"protocol_whitelist": "file"},
             metadata_errors="replace",
         ) as container:
-            if not container.streams.video:
-                raise SourceError(str(path), "no video in the file", "a video stream")
-            stream, track_note = _depth_track(container.streams.video)
-            context, rate = stream.codec_context, stream.average_rate
-            if context is None:  # the codec's name is damaged
-                raise SourceError(
-                    str(path), "a video of no codec that is known", "a whole video", "Copy it again."
-                )
-            bound_pixels(path, context.width, context.height)
-            pixels, rate_hz = context.pix_fmt or "unknown pixels", float(rate) if rate and rate > 0 else None
-            header = VideoHeader(context.width, context.height, pixels, context.name, rate_hz, track_note)
-            yield container, stream, header
+            yield container
     except TouchfieldError:
         raise
     except (
@@ -263,6 +252,24 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any, VideoHeader]]:
         raise SourceError(str(path), found, "a whole video", "Copy the file again.") from error
     except OSError as error:
         raise file_error(path, error, "a video that can be read") from error
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[Any, Any, VideoHeader]]:
+    """Open the container, the video stream that is read (`video_header`) and its header."""
+    with opened_container(path) as container:
+        if not container.streams.video:
+            raise SourceError(str(path), "no video in the file", "a video stream")
+        stream, track_note = _depth_track(container.streams.video)
+        context, rate = stream.codec_context, stream.average_rate
+        if context is None:  # the codec's name is damaged
+            raise SourceError(
+                str(path), "a video of no codec that is known", "a whole video", "Copy it again."
+            )
+        bound_pixels(path, context.width, context.height)
+        pixels, rate_hz = context.pix_fmt or "unknown pixels", float(rate) if rate and rate > 0 else None
+        header = VideoHeader(context.width, context.height, pixels, context.name, rate_hz, track_note)
+        yield container, stream, header
 
 
 # -- colour ------------------------------------------------------------------------------------------------
