@@ -30,7 +30,7 @@ def pink_noise(rng: np.random.Generator, count: int) -> Float64s:
     spectrum = np.fft.rfft(rng.normal(size=count))
     spectrum /= np.sqrt(np.maximum(np.arange(len(spectrum)), 1))
     noise: Float64s = np.fft.irfft(spectrum, count)
-    return noise / noise.std()
+    return np.asarray(noise / noise.std())
 
 
 def speech_noise(rng: np.random.Generator, count: int) -> Float64s:
@@ -46,7 +46,7 @@ def speech_noise(rng: np.random.Generator, count: int) -> Float64s:
         envelope[part] = shape[: part.stop - part.start]
         position += length + int(rng.uniform(0, 0.15) * RATE_HZ)
     speech = noise * envelope
-    return speech / speech.std()
+    return np.asarray(speech / speech.std())
 
 
 def _times(rng: np.random.Generator, seconds: float, low_s: float, high_s: float) -> Float64s:

@@ -114,6 +114,8 @@ def uneven_note(path: Path, gaps_s: Float64s, rate_hz: float | None) -> tuple[st
 class GreyVideo(InOrder):
     """The frames of a grey video.
 
+    `times_s` float64 [frames] are their times on the clock of the movie, ascending, in seconds.
+
     Raises `MissingExtra` if PyAV is not installed.
     """
 
@@ -124,11 +126,15 @@ class GreyVideo(InOrder):
         self.path = path
         with _opened(path) as (container, stream, self.header):
             self._stamps, self._keys = _scan(path, container, stream, self.header.rate_hz)
-            gaps_s = np.diff(np.sort(self._stamps)) * float(stream.time_base or 0)
+            self.times_s = np.sort(self._stamps) * float(stream.time_base or 0)
         super().__init__(str(path), len(self._stamps))
         self.size, self.rate_hz = (self.header.width, self.header.height), self.header.rate_hz
         tracks = (self.header.track_note,) if self.header.track_note else ()
-        self.notes = (*tracks, *unfinished_note(path), *uneven_note(path, gaps_s, self.rate_hz))
+        self.notes = (
+            *tracks,
+            *unfinished_note(path),
+            *uneven_note(path, np.diff(self.times_s), self.rate_hz),
+        )
 
     def _decode_start(self, frame: int) -> int:
         return self._keys[bisect_right(self._keys, frame) - 1]

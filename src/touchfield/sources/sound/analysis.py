@@ -6,10 +6,10 @@ Onsets are peaks of the *spectral flux* (Bello et al., A tutorial on onset detec
 TSAP 2005): the sum over bands, spaced evenly in the logarithm of the frequency, of what the logarithm of the
 amplitude gained within `_LAG` hops. A peak is an onset if it is the largest within `_PEAK_HOPS` and exceeds
 the mean around it by `_THRESHOLD` (the rule is that of Böck, Krebs & Schedl, ISMIR 2012). A window of 20 ms
-does not tell when within it the sound rose. Our addition is that an onset is moved to the steepest rise of the
-energy near the peak, found to 1 ms, and left out if that is below 10 dB: syllables rise more slowly than what
-can be felt as a stroke. The numbers were chosen on the signals of `bench/onset_signals.py`, with other seeds
-than those that `bench/bench_watch.py` measures.
+does not tell when within it the sound rose. Our addition is that an onset is moved to the steepest rise of
+the energy near the peak, found to 1 ms, and left out if that is below 10 dB: syllables rise more slowly than
+what can be felt as a stroke. The numbers were chosen on the signals of `bench/onset_signals.py`, with other
+seeds than those that `bench/bench_watch.py` measures.
 
 Low frequencies are those of `LOW_HZ`, which skin feels and loudspeakers play (perception/human.toml). Their
 level follows the peaks of the filtered sound: it rises at once and decays over `_RELEASE_S`. Their frequency

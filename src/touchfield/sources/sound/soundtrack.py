@@ -1,8 +1,8 @@
 """The sound of a movie as blocks of samples, in time with its picture, through PyAV (the extra ``video``).
 
-Packets are decoded one after the other, so that memory does not depend on the duration. Channels are averaged:
-FFmpeg's own mix leaves out the channel of low frequencies. The time stamps decide where a sample belongs.
-Where they leave a gap, the sound is silent; where they go back, samples are left out.
+Packets are decoded one after the other, so that memory does not depend on the duration. Channels are
+averaged: FFmpeg's own mix leaves out the channel of low frequencies. The time stamps decide where a sample
+belongs. Where they leave a gap, the sound is silent; where they go back, samples are left out.
 """
 
 from __future__ import annotations
@@ -44,9 +44,10 @@ def movie_tracks(path: Path) -> MovieTracks:
     """Count the tracks of a movie; SourceError if it cannot be read, MissingExtra without PyAV."""
     with opened_container(path) as container:
         streams = container.streams
-        counts = [len(streams.video), len(streams.audio), len(streams.subtitles)]
+        pictures, sounds, subtitles = len(streams.video), len(streams.audio), len(streams.subtitles)
+        others = len(streams) - pictures - sounds - subtitles
         sound = _description(streams.audio[0]) if streams.audio else ""
-        return MovieTracks(*counts, len(streams) - sum(counts), sound)
+        return MovieTracks(pictures, sounds, subtitles, others, sound)
 
 
 def _description(stream: Any) -> str:
