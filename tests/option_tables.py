@@ -158,6 +158,7 @@ ARGUMENTS: Final = {
     "export": "in.touch {tmp}/out.hjif",
     "import": "in.hjif {tmp}/out.touch",
     "map": "in.geojson {tmp}/out.touch",
+    "watch": "movie.mp4 --out {tmp}/out.mp4",
     "edit": "in.touch {tmp}/out.touch --operator erase",
     "splice": "one.touch two.touch {tmp}/out.touch",
     "resample": "in.touch {tmp}/out.touch",
@@ -259,6 +260,12 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "svg": case("{tmp}/out.svg", "make_map.svg", "{tmp}/out.svg"),
         "stl": case("{tmp}/out.stl", "make_map.stl", "{tmp}/out.stl"),
         "plot": Case(_DRAWN, {"make_map().draw": CALLED}),
+    },
+    "watch": {
+        "out": case("{tmp}/new.mkv", "watch.out", "{tmp}/new.mkv"),
+        "device": case("tactile-vest-8x8", "spec.device", "tactile-vest-8x8"),
+        "only": case("sound", "spec.only", "sound"),
+        "plot": case(_DRAWN, "watch.plot", _DRAWN),
     },
     "import": {
         "rate-hz": case("75", "import_effect.rate_hz", 75.0),

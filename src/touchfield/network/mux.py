@@ -82,7 +82,7 @@ class TimedStream:
 
     path : Path
     start_s : float
-        Seconds after the first picture, or without pictures the first sound, at which frame 0 shows.
+        When frame 0 shows on the clock of the movie's tracks, seconds.
     name : str
         Label of its track, such as "sound".
     """
@@ -163,7 +163,7 @@ def mux_streams(
         for stream in streams:
             reader = stack.enter_context(TouchReader(stream.path))
             warn_unbounded(stream_of(reader).error_bound().get("error_bound_note"))
-            touches.append(_Touch(reader, picture_s + stream.start_s, stream.start_s, stream.name))
+            touches.append(_Touch(reader, stream.start_s, stream.start_s - picture_s, stream.name))
         return _write_movie(source, touches, out, report)
 
 
@@ -300,7 +300,7 @@ class _TouchTracks:
         self._sink, self._report = sink, report
         self._piece = _PES_BYTES if form == "mpegts" else _MAX_BYTES
         self._tracks = [_touch_track(sink, name, form) for name, _ in timed]
-        numbered = (((*sample, n) for sample in samples) for n, (_, samples) in enumerate(timed))
+        numbered = [[(*sample, n) for sample in samples] for n, (_, samples) in enumerate(timed)]
         self._waiting = list(merge(*numbered, key=itemgetter(0)))[::-1]
         self._total = len(self._waiting) - _SPARE_SAMPLES * len(timed)
         self._written = 0

@@ -16,6 +16,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from touchfield.codec.touch.spec import TouchSpec
 from touchfield.compute.threads import Progress, silent
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument, SourceError, require_one_of
@@ -34,12 +35,13 @@ from touchfield.sources.images.movies import ColourVideo, video_header
 from touchfield.sources.sound.analysis import SoundFeatures, sound_features
 from touchfield.sources.sound.soundtrack import MovieTracks, Soundtrack, movie_tracks
 from touchfield.sources.video.saliency import EvenPictures, SaliencyScene
-from touchfield.tasks.watch_sound import low_drives, sound_medium
+from touchfield.tasks.watch_sound import RATE_HZ, low_drives, sound_medium
 from touchfield.viewer.watch import Timeline, draw_timeline
 
 SOURCES: Final = ("picture", "sound")
 PICTURE_TAGS: Final = ("symbolic", "picture")
 DEFAULT_DEVICE: Final = "tactsuit-x40"
+SOUND_SEGMENT_S: Final = 1.0
 _NOTED_S: Final = 0.5
 _TIMELINE_BINS: Final = 1200
 
@@ -164,7 +166,8 @@ def _sound_touch(movie: Path, out: Path, target: Device, report: Progress) -> _M
     features = sound_features(sound.blocks())
     medium = sound_medium(features, device_grid(target), target.force_max_n)
     scene = FixedLatticeScene(medium, target, ())
-    prepared = prepare(scene, EncodeSpec(device=target.name, nw=None))
+    segments = TouchSpec(segment_frames=round(RATE_HZ * SOUND_SEGMENT_S))
+    prepared = prepare(scene, EncodeSpec(device=target.name, nw=None, touch=segments))
     encoded = encode_prepared(prepared, out, file_provenance(movie, prepared), report)
     return _Made(out, sound.start_s, encoded, sound.notes, features)
 

@@ -2,8 +2,8 @@
 
 Low frequencies vibrate on the chest: the upper three fifths of the rows, all columns. The drive is the
 square root of their level over the loudest one of the movie: it doubles where the sound rises by 12 dB.
-Levels more than 30 dB below the loudest do not vibrate. Drive and frequency change every `STEP_S`, which small
-motors can follow.
+Levels more than 30 dB below the loudest do not vibrate. Drive and frequency change at most every `STEP_S`,
+which small motors can follow, and by more than skin notices.
 
 An onset vibrates on every motor for `PULSE_S`, at half to full drive by its flux over the greatest one. The
 lower rows show onsets alone, where the chest vibrates already. All of this is our choice, felt by nobody yet.
@@ -34,6 +34,9 @@ MIN_REFERENCE: Final = 10 ** (-30 / 20)
 
 _MIN_DRIVE: Final = 10 ** (-15 / 20)  # of a level of -30 dB
 _MIN_PULSE: Final = 0.5
+_NOTICED: Final = 0.2
+"""Relative change of an amplitude that skin notices; a frequency must change by more (human.toml)."""
+
 _STEP, _PULSE = round(STEP_S / HOP_S), round(PULSE_S / HOP_S)
 
 
@@ -44,7 +47,7 @@ def low_drives(features: SoundFeatures) -> Float32s:
     reference = max(float(levels.max(initial=0)), MIN_REFERENCE)
     drives = np.sqrt(padded / reference)
     drives[drives < _MIN_DRIVE] = 0
-    return np.repeat(drives, _STEP)[: len(levels)].astype(np.float32)
+    return _held(drives)[: len(levels)]
 
 
 def onset_drives(features: SoundFeatures) -> Float32s:
@@ -78,7 +81,7 @@ def _vibration_of(features: SoundFeatures, grid: Grid, force_max_n: float) -> Ca
     chest = everywhere[everywhere[:, 1] >= rows - chest_rows(rows)]
     is_chest = everywhere[:, 1] >= rows - chest_rows(rows)
     low, pulses = low_drives(features), onset_drives(features)
-    hertz = _stepped_hz(features.low_hz)
+    hertz = _held(np.rint(features.low_hz[::_STEP]))
 
     def frame(positions: Int32s, drives: Float32s, frequencies_hz: Float32s) -> VibrationFrame:
         return VibrationFrame(grid, positions, drives * np.float32(force_max_n), frequencies_hz)
@@ -95,7 +98,11 @@ def _vibration_of(features: SoundFeatures, grid: Grid, force_max_n: float) -> Ca
     return vibration
 
 
-def _stepped_hz(low_hz: Float32s) -> Float32s:
-    """Frequencies that change every `STEP_S`, in tens of hertz: skin tells no closer ones apart."""
-    firsts = np.rint(low_hz[::_STEP] / 10) * 10
-    return np.repeat(firsts, _STEP)[: len(low_hz)].astype(np.float32)
+def _held(steps: Float32s) -> Float32s:
+    """Values of steps as values of hops; one stays until a later one differs noticeably."""
+    held, latest = np.empty_like(steps), 0.0
+    for n, value in enumerate(steps.tolist()):
+        if value == 0 or abs(value - latest) > _NOTICED * latest:
+            latest = value
+        held[n] = latest
+    return np.repeat(held, _STEP).astype(np.float32)

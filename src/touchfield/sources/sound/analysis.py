@@ -111,15 +111,15 @@ def sound_features(blocks: Iterable[Float32s]) -> SoundFeatures:
         rest = samples[whole:]
     if len(rest):
         found.append(analyser.block(np.pad(rest, (0, _HOP - len(rest)))))
-    none = [np.zeros(0, np.float32)]
-    joined = _Block(*(np.concatenate([*none, *parts]) for parts in zip(*found)) if found else none * 6)
-    onsets = _onsets(joined)
-    window = np.ones(_CROSSING_HOPS)
-    counts = np.convolve(joined.crossings, window)[: len(joined.crossings)]
+    if not found:
+        nothing = np.zeros(0, np.float32)
+        return SoundFeatures(nothing, nothing, nothing, (), 1.0)
+    joined = _Block(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+    counts = np.convolve(joined.crossings, np.ones(_CROSSING_HOPS))[: len(joined.crossings)]
     low_hz = np.clip(counts / (2 * _CROSSING_HOPS * HOP_S), *LOW_HZ).astype(np.float32)
     is_silent = joined.peaks < _QUIET
-    silent = float(is_silent.mean()) if len(is_silent) else 1.0
-    return SoundFeatures(joined.flux, joined.levels, low_hz, tuple(onsets), silent)
+    onsets = tuple(_onsets(joined))
+    return SoundFeatures(joined.flux, joined.levels, low_hz, onsets, float(is_silent.mean()))
 
 
 class _Analyser:
@@ -217,8 +217,6 @@ def _onsets(block: _Block) -> list[Onset]:
     from scipy.ndimage import maximum_filter1d
 
     flux = block.flux
-    if not len(flux):
-        return []
     before, after = _MEAN_HOPS
     total = np.concatenate([[0.0], np.cumsum(flux, dtype=np.float64)])
     hops = np.arange(len(flux))

@@ -155,7 +155,7 @@ class Soundtrack:
             yield from self._flushed()
             if form[1] > _MAX_CHANNELS:
                 raise SourceError(str(self.path), f"{form[1]} channels", f"at most {_MAX_CHANNELS}")
-            self._resampler, self._form = av.AudioResampler(format="fltp", rate=RATE_HZ), form
+            self._resampler, self._form = av.AudioResampler(format="flt", rate=RATE_HZ), form
         frame.pts = None  # gaps are filled above
         for resampled in self._resampler.resample(frame):
             yield self._mixed(resampled)
@@ -167,8 +167,9 @@ class Soundtrack:
             yield self._mixed(resampled)
 
     def _mixed(self, frame: Any) -> Float32s:
-        samples = np.nan_to_num(frame.to_ndarray(), nan=0.0, posinf=1.0, neginf=-1.0)
-        return self._counted(np.clip(samples, -1, 1).mean(axis=0, dtype=np.float32))
+        samples = frame.to_ndarray().reshape(-1, frame.layout.nb_channels)
+        samples = np.nan_to_num(samples, nan=0.0, posinf=1.0, neginf=-1.0)
+        return self._counted(np.clip(samples, -1, 1).mean(axis=1, dtype=np.float32))
 
     def _counted(self, samples: Float32s) -> Float32s:
         self._written += len(samples)
