@@ -46,6 +46,13 @@ def first_picture_s(path: Path) -> float:
         return 0.0 if path.suffix == ".ts" else float(stream.start_time * stream.time_base)
 
 
+def packets(path: Path, kind: str) -> list[bytes]:
+    av = pytest.importorskip("av")
+    with av.open(str(path)) as container:
+        track = next(track for track in container.streams if track.type == kind)
+        return [bytes(packet) for packet in container.demux(track) if packet.size]
+
+
 def extracted(both: Path, folder: Path, track: str) -> tuple[Muxed, Path]:
     out = folder / f"{track}.touch"
     return demux(both, out, track), out
@@ -74,19 +81,14 @@ def test_each_source_has_a_symbolic_track_in_time(movie: Path, suffix: str, tmp_
 def test_sound_and_picture_of_the_movie_stay_as_they_are(movie: Path, tmp_path: Path) -> None:
     av = pytest.importorskip("av")
     watch(movie, tmp_path / "both.mp4")
-    with av.open(str(movie)) as before, av.open(str(tmp_path / "both.mp4")) as after:
+    with av.open(str(tmp_path / "both.mp4")) as after:
         kinds = [stream.type for stream in after.streams]
         assert sorted(kinds) == ["audio", "data", "data", "video"]
         names = [stream.metadata.get("handler_name") for stream in after.streams.data]
         assert names == ["touch: picture", "touch: sound"]
 
-        def decoded(container: Any, kind: str) -> list[bytes]:
-            container.seek(0)
-            frames = container.decode(next(track for track in container.streams if track.type == kind))
-            return [frame.to_ndarray().tobytes() for frame in frames]
-
-        for kind in ("video", "audio"):
-            assert decoded(after, kind) == decoded(before, kind) != []
+    for kind in ("video", "audio"):
+        assert packets(tmp_path / "both.mp4", kind) == packets(movie, kind) != []
 
 
 def test_demux_takes_the_first_track_or_the_named_one(movie: Path, tmp_path: Path) -> None:
