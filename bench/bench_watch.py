@@ -20,6 +20,7 @@ import subprocess
 import sys
 import time
 from fractions import Fraction
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from shutil import which
@@ -80,8 +81,7 @@ def librosa_onsets(samples: Float64s) -> Float64s | None:
     """Seconds by librosa's defaults; None if it is not installed."""
     if find_spec("librosa") is None:
         return None
-    import librosa
-
+    librosa = import_module("librosa")
     half = librosa.resample(samples.astype(np.float32), orig_sr=RATE_HZ, target_sr=22050)
     return np.asarray(librosa.onset.onset_detect(y=half, sr=22050, units="time"))
 
