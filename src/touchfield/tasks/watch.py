@@ -31,7 +31,7 @@ from touchfield.pipeline.provenance import file_provenance
 from touchfield.pipeline.result import Result
 from touchfield.pipeline.source import FixedLatticeScene
 from touchfield.pipeline.spec import EncodeSpec
-from touchfield.sources.images.movies import ColourVideo, video_header
+from touchfield.sources.images.movies import ColourVideo, unfinished_note, video_header
 from touchfield.sources.sound.analysis import SoundFeatures, sound_features
 from touchfield.sources.sound.soundtrack import MovieTracks, Soundtrack, movie_tracks
 from touchfield.sources.video.saliency import EvenPictures, SaliencyScene
@@ -155,7 +155,7 @@ def _picture_touch(movie: Path, out: Path, target: Device, report: Progress) -> 
     scene.tags = PICTURE_TAGS
     prepared = prepare(scene, EncodeSpec(device=target.name))
     encoded = encode_prepared(prepared, out, file_provenance(movie, prepared), report)
-    notes = tuple(filter(None, [video.header.track_note]))
+    notes = (*filter(None, [video.header.track_note]), *unfinished_note(movie))
     if pictures.is_uneven:
         notes += (f"The pictures are at unequal times: they are shown at {pictures.rate_hz:g} Hz, in time.",)
     return _Made(out, float(video.times_s[0]), encoded, notes)

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from touchfield.arrays import Float64s
 from touchfield.errors import SourceError, TouchfieldError, import_extra
-from touchfield.files import file_error
+from touchfield.files import file_error, readable, require_plain
 from touchfield.sources.camera import MAX_FRAMES
 from touchfield.sources.images.pictures import (
     PHOTO_FORMATS,
@@ -48,6 +48,7 @@ _FORMATS: Final = {".mkv": "matroska", ".avi": "avi", ".mov": "mov", ".mp4": "mo
 VIDEO_SUFFIXES: Final = tuple(_FORMATS)
 _OPTIONS: Final = {"err_detect": "crccheck+explode", "trans_color": "0"}
 """Decoder options: damaged data are an error, and transparent pixels of a GIF are black."""
+_READ: Final = "a video that can be read"
 _GIF_TAIL: Final = 4096  # bytes at the end, zeros of a padding included
 _UNEVEN: Final = 1.5  # longest over shortest time between frames, from which a note is given
 _ROUNDED_S: Final = 1.5e-3  # times in whole milliseconds, as Matroska stores them, differ by one
@@ -239,6 +240,9 @@ def opened_container(path: Path) -> Iterator[Any]:
     form = _FORMATS.get(path.suffix.lower())
     if form is None:
         raise SourceError(str(path), f"the suffix {path.suffix!r}", " ".join(VIDEO_SUFFIXES))
+    require_plain(path, _READ)
+    with readable(path, _READ):
+        path.stat()
     try:
         with av.open(
             str(path.absolute()),
@@ -257,7 +261,7 @@ def opened_container(path: Path) -> Iterator[Any]:
         found = f"a video that cannot be read ({getattr(error, 'strerror', None) or error})"
         raise SourceError(str(path), found, "a whole video", "Copy the file again.") from error
     except OSError as error:
-        raise file_error(path, error, "a video that can be read") from error
+        raise file_error(path, error, _READ) from error
 
 
 @contextmanager
