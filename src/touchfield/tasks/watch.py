@@ -166,8 +166,9 @@ def _sound_touch(movie: Path, out: Path, target: Device, report: Progress) -> _M
     features = sound_features(sound.blocks())
     medium = sound_medium(features, device_grid(target), target.force_max_n)
     scene = FixedLatticeScene(medium, target, ())
-    segments = TouchSpec(segment_frames=round(RATE_HZ * SOUND_SEGMENT_S))
-    prepared = prepare(scene, EncodeSpec(device=target.name, nw=None, touch=segments))
+    # there are no forces to round, and a frame of none takes fewest bytes in mode "lossless"
+    coding = TouchSpec(segment_frames=round(RATE_HZ * SOUND_SEGMENT_S), mode="lossless")
+    prepared = prepare(scene, EncodeSpec(device=target.name, nw=None, touch=coding))
     encoded = encode_prepared(prepared, out, file_provenance(movie, prepared), report)
     return _Made(out, sound.start_s, encoded, sound.notes, features)
 
