@@ -1,6 +1,6 @@
 """Measures touch from movies: onsets in the decoded file against what was mixed, time, memory and bytes.
 
-    python bench/bench_watch.py [--quick] [--seconds S] [--seeds N] [--movie-s S]
+    python bench/bench_watch.py [--quick] [--seconds S] [--seeds N] [--movie S]
 
 Sounds with known onsets (``onset_signals.py``: clicks, drums, plucked notes over a chord, impacts in
 speech-like noise) become the AAC sound of a movie of 64 x 48 pixels in MP4. `watch` makes its touch, `demux`
@@ -160,9 +160,9 @@ def _child(movie: str, out: str) -> None:
     print(time.process_time(), peak_bytes(), *sizes)
 
 
-def measure(seconds: float, seeds: int, movie_s: float) -> Figures:
+def measure(seconds: float, seeds: int, movie: float) -> Figures:
     """Measure onsets and a long movie."""
-    return {"onsets": onsets(seconds, seeds), "movie": long_movie(movie_s)}
+    return {"onsets": onsets(seconds, seeds), "movie": long_movie(movie)}
 
 
 def bars(figures: Figures) -> list[Bar]:
@@ -197,5 +197,5 @@ if __name__ == "__main__":
     else:
         bench(
             "watch", __doc__, measure, bars, without=("*wall*", "*processor*", "*memory*"),
-            seconds=(40.0, 6.0), seeds=(3, 1), movie_s=(120.0, 4.0),
+            seconds=(40.0, 6.0), seeds=(3, 1), movie=(120.0, 4.0),
         )  # fmt: skip
