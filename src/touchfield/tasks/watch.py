@@ -2,7 +2,7 @@
 puts it into the movie as one track for each source.
 
 Sound and picture are read at the same time, each in a pass of its own, so that memory holds some pictures and
-a few bytes for each hop of the sound. Everything that is made is *symbolic* (paper figure 1).
+about fifty bytes for each hop of the sound. Everything that is made is *symbolic* (paper figure 1).
 """
 
 from __future__ import annotations

@@ -140,7 +140,7 @@ class Soundtrack:
         silent_s = self._silent / RATE_HZ + seconds
         if silent_s > max(_MIN_GAP_S, self.duration_s):
             found = f"{silent_s:.4g} s of gaps in {self.duration_s:.4g} s of sound"
-            mend = "Its time stamps are damaged: ffmpeg -i MOVIE -c:v copy -af aresample=async=1 NEW repairs them."
+            mend = "Repair its time stamps: ffmpeg -i MOVIE -c:v copy -af aresample=async=1 NEW"
             raise SourceError(str(self.path), found, "a sound in time with the picture", mend)
         count = round(seconds * RATE_HZ)
         self._silent += count
