@@ -158,6 +158,7 @@ ARGUMENTS: Final = {
     "export": "in.touch {tmp}/out.hjif",
     "import": "in.hjif {tmp}/out.touch",
     "map": "in.geojson {tmp}/out.touch",
+    "watch": "movie.mp4 --out {tmp}/out.mp4",
     "edit": "in.touch {tmp}/out.touch --operator erase",
     "splice": "one.touch two.touch {tmp}/out.touch",
     "resample": "in.touch {tmp}/out.touch",
@@ -260,6 +261,12 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "svg": case("{tmp}/out.svg", "make_map.svg", "{tmp}/out.svg"),
         "stl": case("{tmp}/out.stl", "make_map.stl", "{tmp}/out.stl"),
         "plot": Case(_DRAWN, {"make_map().draw": CALLED}),
+    },
+    "watch": {
+        "out": case("{tmp}/new.mkv", "watch.out", "{tmp}/new.mkv"),
+        "device": case("tactile-vest-8x8", "spec.device", "tactile-vest-8x8"),
+        "only": case("sound", "spec.only", "sound"),
+        "plot": case(_DRAWN, "watch.plot", _DRAWN),
     },
     "import": {
         "rate-hz": case("75", "import_effect.rate_hz", 75.0),
@@ -440,7 +447,7 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "on-air-s": case("2.5", "broadcast.spec.seconds", 2.5),
     },
     "mux": {"at-s": case("12.5", "mux.at_s", 12.5), "sidecar": case(None, "mux.has_sidecar", True)},
-    "demux": {},
+    "demux": {"track": case("sound", "demux.track", "sound")},
     "measure": {
         **_scene(without=("device",)),
         "device": case("tshirt-32x32", "spec.devices", ("tshirt-32x32",)),

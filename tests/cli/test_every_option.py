@@ -136,6 +136,7 @@ TASKS = {
     "export": ("tasks.exchange:export",),
     "import": ("tasks.exchange:import_effect",),
     "map": ("tasks.map:make_map",),
+    "watch": ("tasks.watch:watch",),
     "edit": ("tasks.editing:edit",),
     "splice": ("tasks.editing:splice",),
     "resample": ("tasks.editing:resample_file",),

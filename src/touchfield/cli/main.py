@@ -135,6 +135,7 @@ TYPER_INTERRUPTED = 130
 COMMANDS: Final = {
     **dict.fromkeys(("encode", "filter", "field", "plan"), "encode"),
     "map": "map",
+    "watch": "watch",
     "decode": "decode",
     **dict.fromkeys(("export", "import"), "encode"),
     **dict.fromkeys(("edit", "splice", "resample", "lod", "partition"), "editing"),

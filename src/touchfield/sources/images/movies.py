@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from touchfield.arrays import Float64s
 from touchfield.errors import SourceError, TouchfieldError, import_extra
-from touchfield.files import file_error
+from touchfield.files import file_error, readable, require_plain
 from touchfield.sources.camera import MAX_FRAMES
 from touchfield.sources.images.pictures import (
     PHOTO_FORMATS,
@@ -48,6 +48,7 @@ _FORMATS: Final = {".mkv": "matroska", ".avi": "avi", ".mov": "mov", ".mp4": "mo
 VIDEO_SUFFIXES: Final = tuple(_FORMATS)
 _OPTIONS: Final = {"err_detect": "crccheck+explode", "trans_color": "0"}
 """Decoder options: damaged data are an error, and transparent pixels of a GIF are black."""
+_READ: Final = "a video that can be read"
 _GIF_TAIL: Final = 4096  # bytes at the end, zeros of a padding included
 _UNEVEN: Final = 1.5  # longest over shortest time between frames, from which a note is given
 _ROUNDED_S: Final = 1.5e-3  # times in whole milliseconds, as Matroska stores them, differ by one
@@ -114,6 +115,8 @@ def uneven_note(path: Path, gaps_s: Float64s, rate_hz: float | None) -> tuple[st
 class GreyVideo(InOrder):
     """The frames of a grey video.
 
+    `times_s` float64 [frames] are their times on the clock of the movie, ascending, in seconds.
+
     Raises `MissingExtra` if PyAV is not installed.
     """
 
@@ -124,11 +127,15 @@ class GreyVideo(InOrder):
         self.path = path
         with _opened(path) as (container, stream, self.header):
             self._stamps, self._keys = _scan(path, container, stream, self.header.rate_hz)
-            gaps_s = np.diff(np.sort(self._stamps)) * float(stream.time_base or 0)
+            self.times_s = np.sort(self._stamps) * float(stream.time_base or 0)
         super().__init__(str(path), len(self._stamps))
         self.size, self.rate_hz = (self.header.width, self.header.height), self.header.rate_hz
         tracks = (self.header.track_note,) if self.header.track_note else ()
-        self.notes = (*tracks, *unfinished_note(path), *uneven_note(path, gaps_s, self.rate_hz))
+        self.notes = (
+            *tracks,
+            *unfinished_note(path),
+            *uneven_note(path, np.diff(self.times_s), self.rate_hz),
+        )
 
     def _decode_start(self, frame: int) -> int:
         return self._keys[bisect_right(self._keys, frame) - 1]
@@ -224,15 +231,18 @@ def _depth_track(streams: Any) -> tuple[Any, str]:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[Any, Any, VideoHeader]]:
-    """Open the container, the video stream that is read (`video_header`) and its header.
+def opened_container(path: Path) -> Iterator[Any]:
+    """Open a movie with PyAV, in the container format of its suffix.
 
-    FFmpeg's errors become `SourceError`.
+    FFmpeg's errors within the block become `SourceError`. Raises `MissingExtra` if PyAV is not installed.
     """
     av = import_extra("av", "a video", "PyAV", "video")
     form = _FORMATS.get(path.suffix.lower())
     if form is None:
         raise SourceError(str(path), f"the suffix {path.suffix!r}", " ".join(VIDEO_SUFFIXES))
+    require_plain(path, _READ)
+    with readable(path, _READ):
+        path.stat()
     try:
         with av.open(
             str(path.absolute()),
@@ -240,18 +250,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any, VideoHeader]]:
             options={"protocol_whitelist": "file"},
             metadata_errors="replace",
         ) as container:
-            if not container.streams.video:
-                raise SourceError(str(path), "no video in the file", "a video stream")
-            stream, track_note = _depth_track(container.streams.video)
-            context, rate = stream.codec_context, stream.average_rate
-            if context is None:  # the codec's name is damaged
-                raise SourceError(
-                    str(path), "a video of no codec that is known", "a whole video", "Copy it again."
-                )
-            bound_pixels(path, context.width, context.height)
-            pixels, rate_hz = context.pix_fmt or "unknown pixels", float(rate) if rate and rate > 0 else None
-            header = VideoHeader(context.width, context.height, pixels, context.name, rate_hz, track_note)
-            yield container, stream, header
+            yield container
     except TouchfieldError:
         raise
     except (
@@ -262,7 +261,25 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any, VideoHeader]]:
         found = f"a video that cannot be read ({getattr(error, 'strerror', None) or error})"
         raise SourceError(str(path), found, "a whole video", "Copy the file again.") from error
     except OSError as error:
-        raise file_error(path, error, "a video that can be read") from error
+        raise file_error(path, error, _READ) from error
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[Any, Any, VideoHeader]]:
+    """Open the container, the video stream that is read (`video_header`) and its header."""
+    with opened_container(path) as container:
+        if not container.streams.video:
+            raise SourceError(str(path), "no video in the file", "a video stream")
+        stream, track_note = _depth_track(container.streams.video)
+        context, rate = stream.codec_context, stream.average_rate
+        if context is None:  # the codec's name is damaged
+            raise SourceError(
+                str(path), "a video of no codec that is known", "a whole video", "Copy it again."
+            )
+        bound_pixels(path, context.width, context.height)
+        pixels, rate_hz = context.pix_fmt or "unknown pixels", float(rate) if rate and rate > 0 else None
+        header = VideoHeader(context.width, context.height, pixels, context.name, rate_hz, track_note)
+        yield container, stream, header
 
 
 # -- colour ------------------------------------------------------------------------------------------------

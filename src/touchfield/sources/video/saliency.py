@@ -58,6 +58,9 @@ FADE_S: Final = 2.0  # time in which a past peak decays to 1/e
 FLOORS: Final = (0.02, 0.15, 0.15)
 """Smallest peaks of spectral residual, centre-surround and temporal contrast; a step black to white is 1."""
 
+MAX_EVEN_HZ: Final = 60.0
+MAX_REPEATED: Final = 20  # frames for a picture, on average
+MAX_PAUSE_S: Final = 60.0  # frames for any number of pictures
 NOISE_LEVEL: Final = 0.02
 """Standard deviation of white noise that is not salient: 5 of 255 grey levels."""
 _MIN_TOTAL_PEAK: Final = 1 / 3  # of the average of the parts: one part at its peak
@@ -128,6 +131,37 @@ def _spectral_residual(luminance: Float32s) -> Float64s:
     return np.asarray(ndimage.gaussian_filter(salient, _RESIDUAL_PX, mode="nearest") * scale)
 
 
+class EvenPictures:
+    """The pictures of a video at one rate: where they are at unequal times, each stays until the next one.
+
+    `rate_hz` is that of the shortest times between pictures then, at most `MAX_EVEN_HZ`; `is_uneven` tells.
+    SourceError if pictures are so far apart that few of them would become many frames.
+    """
+
+    def __init__(self, video: moving.ColourVideo) -> None:
+        self._video, self.size = video, video.size
+        times_s = video.times_s - video.times_s[0]
+        self.rate_hz = video.rate_hz or 0.0
+        even_s = np.arange(len(times_s)) / (self.rate_hz or 1.0)
+        self.is_uneven = not self.rate_hz or bool((np.abs(times_s - even_s) > 0.5 / self.rate_hz).any())
+        self._pictures: Any = range(len(times_s))
+        if self.is_uneven and len(times_s) > 1:
+            gaps_s = np.diff(times_s)
+            self.rate_hz = float(np.clip(round(1 / max(np.quantile(gaps_s, 0.1), 1e-3)), 1, MAX_EVEN_HZ))
+            count = round((times_s[-1] + float(np.median(gaps_s))) * self.rate_hz)
+            if count > max(MAX_PAUSE_S * self.rate_hz, MAX_REPEATED * len(times_s)):
+                found = f"{len(times_s)} pictures in {times_s[-1]:.4g} s"
+                raise SourceError(video.name, found, "pictures without long pauses", "Cut the video.")
+            half = 0.5 / self.rate_hz  # the nearest frame, so that rounded times change nothing
+            shown = np.searchsorted(times_s, np.arange(count) / self.rate_hz + half, "right") - 1
+            self._pictures = np.maximum(shown, 0)
+        self.frame_count = len(self._pictures)
+
+    def values(self, frame: int) -> NDArray[np.uint8]:
+        """Return the values of a frame; see ``camera.Frames``."""
+        return self._video.values(int(self._pictures[frame]))
+
+
 class SaliencyMaps(InOrder):
     """The saliency maps of pictures over time.
 
@@ -154,7 +188,7 @@ class SaliencyScene(Scene):
     same: a frame shows the latest picture.
     """
 
-    tags = ("symbolic",)
+    tags: tuple[str, ...] = ("symbolic",)
 
     def __init__(
         self,

@@ -1,0 +1,1 @@
+"""The sound of movies: its samples, and where it is low or starts."""
