@@ -437,7 +437,7 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "on-air-s": case("2.5", "broadcast.spec.seconds", 2.5),
     },
     "mux": {"at-s": case("12.5", "mux.at_s", 12.5), "sidecar": case(None, "mux.has_sidecar", True)},
-    "demux": {},
+    "demux": {"track": case("sound", "demux.track", "sound")},
     "measure": {
         **_scene(without=("device",)),
         "device": case("tshirt-32x32", "spec.devices", ("tshirt-32x32",)),

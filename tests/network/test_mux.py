@@ -247,10 +247,10 @@ def test_a_movie_that_was_cut_or_changed_gives_an_error_and_no_file(
     assert refused > 5
     found = ts_streams.find_touch
 
-    def without_third_segment(source: ByteSource) -> TouchTrack:
-        track = found(source)
+    def without_third_segment(source: ByteSource) -> tuple[TouchTrack, ...]:
+        (track,) = found(source)
         starts = [n for n, sample in enumerate(track.samples) if KLV in sample.data]
-        return replace(track, samples=track.samples[: starts[2]])
+        return (replace(track, samples=track.samples[: starts[2]]),)
 
     monkeypatch.setattr(ts_streams, "find_touch", without_third_segment)
     with pytest.raises(TouchfieldError, match=r"both\.ts: INDX\.segments: found 6 frames; expected 9"):

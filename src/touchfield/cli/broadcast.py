@@ -201,13 +201,16 @@ def mux(
     return Answer(done.summary(), str(out))
 
 
-@command("Broadcast", "demux with-touch.mp4 room.touch")
+@command("Broadcast", "demux with-touch.mp4 room.touch", "demux watched.mp4 sound.touch --track sound")
 def demux(
     movie: Annotated[Path, "A movie that `mux` made, also if other programs copied it; or .m3u8."],
     out: Annotated[Path, "The .touch file to write."],
+    track: Annotated[
+        str | None, "Of several: a tag, such as sound or picture, or a number; default: the first."
+    ] = None,
 ) -> Answer:
     """Take the touch out of a movie: the file that was put in, byte for byte."""
     from touchfield.network.demux import demux as run
 
-    done = run(movie, out)
+    done = run(movie, out, track)
     return Answer(done.summary(), str(out), done.notes)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -54,11 +54,12 @@ _DROPPED: Final = (
 )
 
 
-def demux(movie: str | Path, out: str | Path) -> Muxed:
+def demux(movie: str | Path, out: str | Path, track: str | None = None) -> Muxed:
     """Extract the ``.touch`` file of a movie; each segment is checked.
 
-    Raises SourceError if the movie cannot be read, or has no touch; FormatError if the touch is damaged, or
-    its beginning is missing.
+    `track` selects one of several: the first with this tag in its head, such as "sound", or its number from 1
+    on; None is the first. Raises SourceError if the movie cannot be read, or has no touch; InvalidArgument if
+    no touch has the tag; FormatError if the touch is damaged, or its beginning is missing.
     """
     require_ending(out, "OUT.touch")
     movie = Path(movie)
@@ -67,7 +68,7 @@ def demux(movie: str | Path, out: str | Path) -> Muxed:
         raise InvalidArgument(str(movie), "a DASH manifest", "a movie with touch in it", hint)
     refuse_overwriting(out, movie)
     with _opened(movie) as source:
-        found = _found(source, movie, Path(out))
+        found = _found(source, movie, Path(out), track)
     file: Any = BytesIO(found.data)
     file.name = str(movie)
     with TouchReader(file) as reader, atomic_path(Path(out)) as temporary:
@@ -90,30 +91,71 @@ class _Found(NamedTuple):
     notes: tuple[str, ...]
 
 
-def _found(source: ByteSource, movie: Path, out: Path) -> _Found:
-    """The touch of a movie of any supported form, or that of the sidecar of a movie without touch."""
-    start = source.read_at(0, min(source.size, _START_BYTES))
-    if mkv_attachments.is_matroska(start):
-        track = mkv_attachments.find_touch(source)
-    elif mp4_tracks.is_mp4(start):
-        track = mp4_tracks.find_touch(source)
-    elif ts_streams.packet_layout(start) is not None:
-        track = ts_streams.find_touch(source)
-    else:
-        raise SourceError(str(movie), f"a file that starts with {start[:8]!r}", _EXPECTED)
-    if track.attachment:
-        return _whole_file(track.attachment, track, str(movie))
-    if track.samples:
-        joined = _joined(track, str(movie))
-        return _Found(joined.data, joined.sample_bytes, *start_of(joined, track))
+def _found(source: ByteSource, movie: Path, out: Path, requested: str | None) -> _Found:
+    """The requested touch of a movie of any supported form, or the sidecar of a movie without touch."""
+    tracks = _tracks(source, movie)
+    if any(track.has_touch for track in tracks):
+        return _selected(tracks, str(movie), requested)
     path = movie.with_suffix(".touch")
     if not path.is_file():
         hint = _DROPPED.format(name=path.name)
         raise SourceError(str(movie), "no track of touch", "a movie that touchfield mux made", hint)
     refuse_overwriting(out, path)
-    found = _whole_file(read_bytes(path, MAX_BYTES, "a .touch file"), track, str(path))
+    found = _whole_file(read_bytes(path, MAX_BYTES, "a .touch file"), tracks[0], str(path))
     note = f"The movie has no touch: {path.name} next to it is used."
+    if requested not in (None, "1", *_tags(found, str(path))):
+        raise InvalidArgument("--track", f"{requested!r:.80}", f"the tag of {path.name}, or 1")
     return found._replace(notes=(note, *found.notes))
+
+
+def _tracks(source: ByteSource, movie: Path) -> tuple[TouchTrack, ...]:
+    start = source.read_at(0, min(source.size, _START_BYTES))
+    if mkv_attachments.is_matroska(start):
+        return mkv_attachments.find_touch(source)
+    if mp4_tracks.is_mp4(start):
+        return mp4_tracks.find_touch(source)
+    if ts_streams.packet_layout(start) is not None:
+        return ts_streams.find_touch(source)
+    raise SourceError(str(movie), f"a file that starts with {start[:8]!r}", _EXPECTED)
+
+
+def _read(track: TouchTrack, name: str) -> _Found:
+    if track.attachment:
+        return _whole_file(track.attachment, track, name)
+    joined = _joined(track, name)
+    return _Found(joined.data, joined.sample_bytes, *start_of(joined, track))
+
+
+def _selected(tracks: Sequence[TouchTrack], name: str, requested: str | None) -> _Found:
+    """The touch with a tag or a number; by default the first, with a note if there are more."""
+    numbers = {str(n + 1): track for n, track in enumerate(tracks)}
+    if requested in numbers:
+        return _read(numbers[requested], name)
+    if requested is not None:
+        return _with_tag(tracks, name, requested)
+    found = _read(tracks[0], name)
+    if len(tracks) == 1:
+        return found
+    note = f"The movie has {len(tracks)} tracks of touch: the first is taken (--track takes another)."
+    return found._replace(notes=(note, *found.notes))
+
+
+def _with_tag(tracks: Sequence[TouchTrack], name: str, requested: str) -> _Found:
+    tags = list[str]()
+    for track in tracks:
+        found = _read(track, name)
+        if requested in _tags(found, name):
+            return found
+        tags += _tags(found, name)
+    expected = f"one of {', '.join(dict.fromkeys(tags))}, or a number from 1 to {len(tracks)}"
+    raise InvalidArgument("--track", f"{requested!r:.80}", expected, f"{name} has no other touch.")
+
+
+def _tags(found: _Found, name: str) -> tuple[str, ...]:
+    file: Any = BytesIO(found.data)
+    file.name = name
+    with TouchReader(file) as reader:
+        return reader.head.tags
 
 
 def _joined(track: TouchTrack, name: str) -> JoinedTouch:

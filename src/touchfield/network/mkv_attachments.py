@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 from touchfield.container.records import MAGIC
 from touchfield.container.wire import ByteSource
 from touchfield.errors import CorruptFile, SourceError
-from touchfield.network.touch_track import MAX_BYTES, TouchTrack, Window
+from touchfield.network.touch_track import MAX_BYTES, TouchTrack, Window, require_few
 
 _EBML: Final = b"\x1a\x45\xdf\xa3"
 _ATTACHMENTS, _FILE, _FILE_DATA = 0x1941A469, 0x61A7, 0x465C
@@ -37,14 +37,15 @@ def is_matroska(start: bytes) -> bool:
     return start.startswith(_EBML)
 
 
-def find_touch(source: ByteSource) -> TouchTrack:
-    """The first attachment that is a ``.touch`` file, empty if there is none."""
-    data, window = b"", Window(source)
+def find_touch(source: ByteSource) -> tuple[TouchTrack, ...]:
+    """The attachments that are ``.touch`` files, in their order; one that is empty if there is none."""
+    files, window = list[bytes](), Window(source)
     scale, time, video = 1_000_000, 0, set[int]()
     number, times, parents = 0, dict[bool, list[int]](), set(_PARENTS)
     for kind, start, stop in _elements(window, source.name, parents):
-        if kind == _FILE_DATA and not data:
-            data = _touch_data(source, start, stop)
+        if kind == _FILE_DATA:
+            files += filter(None, [_touch_data(source, start, stop)])
+            require_few(files, source.name)
         elif kind == _TIMESTAMP_SCALE:
             scale = _number(window, start, stop)
         elif kind == _TRACK_NUMBER:
@@ -58,12 +59,12 @@ def find_touch(source: ByteSource) -> TouchTrack:
             found = times.setdefault(track in video, [])
             if len(found) < _BLOCKS:
                 found.append(time + shift)
-            elif data and (track in video or not video):
+            elif files and (track in video or not video):
                 break
             elif track in video:
                 parents.discard(_CLUSTER)  # no more is needed of them
     first = min(times.get(True) or times.get(False) or [0])
-    return TouchTrack(attachment=data, picture_s=first * scale / 1e9)
+    return tuple(TouchTrack(attachment=data, picture_s=first * scale / 1e9) for data in files or [b""])
 
 
 def _elements(window: Window, name: str, parents: set[int]) -> Iterator[_Element]:

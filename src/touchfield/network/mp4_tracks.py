@@ -23,6 +23,7 @@ from touchfield.network.touch_track import (
     Window,
     collect,
     is_touch,
+    require_few,
 )
 
 _BOX: Final = struct.Struct(">I4s")
@@ -99,8 +100,8 @@ class _Track:
         return self.delay_s + (time - self.media_start) / self.timescale
 
 
-def find_touch(source: ByteSource) -> TouchTrack:
-    """The first touch track of a movie, with no samples if there is none.
+def find_touch(source: ByteSource) -> tuple[TouchTrack, ...]:
+    """The touch tracks of a movie, in its order; one without samples if there is none.
 
     CorruptFile or TruncatedFile if boxes do not fit into each other.
     """
@@ -119,12 +120,16 @@ def find_touch(source: ByteSource) -> TouchTrack:
             runs = sum(len(track.runs) for track in tracks.values())
             if runs > _MAX_RUNS:
                 raise CorruptFile(source.name, f"more than {_MAX_RUNS} runs of samples", "fewer")
-    touch = next((track for track in tracks.values() if _is_touch(track, source)), None)
-    picture_s = _first_picture_s([track for track in tracks.values() if track is not touch])
-    if touch is None:
-        return TouchTrack(picture_s=picture_s)
-    samples = collect(_read_samples(touch, source), source.size, source.name)
-    return TouchTrack(samples, picture_s=picture_s, is_start_unknown=_is_start_unknown(touch))
+    touches = {key: track for key, track in tracks.items() if _is_touch(track, source)}
+    require_few(touches, source.name)
+    picture_s = _first_picture_s([track for key, track in tracks.items() if key not in touches])
+    found, size = list[TouchTrack](), source.size
+    for touch in touches.values():
+        samples = collect(_read_samples(touch, source), size, source.name)
+        size -= sum(len(sample.data) for sample in samples)
+        is_start_unknown = _is_start_unknown(touch)
+        found.append(TouchTrack(samples, picture_s=picture_s, is_start_unknown=is_start_unknown))
+    return tuple(found) or (TouchTrack(picture_s=picture_s),)
 
 
 def _top_boxes(source: ByteSource) -> Iterator[_Box]:

@@ -19,9 +19,11 @@ import os
 import re
 import shutil
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
+from heapq import merge
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final
 from xml.sax.saxutils import escape
@@ -49,7 +51,9 @@ _SPARE_S: Final = 0.01
 many samples at the end, at this distance, hold only the record of the start, and are no loss.
 """
 
-_FORMS: Final = (".mp4", ".m4v", ".mov", ".ts", ".mkv", ".mpd")
+_FILES: Final = (".mp4", ".m4v", ".mov", ".ts", ".mkv")
+_FORMS: Final = (*_FILES, ".mpd")
+_LABEL: Final = "touch: {}"
 
 
 @dataclass(frozen=True)
@@ -70,6 +74,22 @@ class Muxed:
         values = {**self.__dict__, "other_tracks": list(self.other_tracks), "sidecars": list(self.sidecars)}
         del values["notes"]
         return values
+
+
+@dataclass(frozen=True)
+class TimedStream:
+    """A ``.touch`` file for a movie.
+
+    path : Path
+    start_s : float
+        Seconds after the first picture, or without pictures the first sound, at which frame 0 shows.
+    name : str
+        Label of its track, such as "sound".
+    """
+
+    path: Path
+    start_s: float
+    name: str
 
 
 def mux(
@@ -116,12 +136,41 @@ def mux(
             return Muxed(str(out), len(reader.segments), reader.size, seconds, at_s, names)
         zero_s, picture_s = _starts_s(source)
         start_s = zero_s + at_s - picture_s
-        size, names = _write_movie(source, reader, out, (zero_s + at_s, start_s), report)
+        touch = _Touch(reader, zero_s + at_s, start_s)
+        sizes, names = _write_movie(source, [touch], out, report)
         if sidecar is not None:
             with atomic_path(sidecar) as temporary:
                 temporary.write_bytes(_with_sync(reader, start_s))
     files = () if sidecar is None else (str(sidecar),)
-    return Muxed(str(out), len(reader.segments), size, seconds, at_s, names, files)
+    return Muxed(str(out), len(reader.segments), sizes[0], seconds, at_s, names, files)
+
+
+def mux_streams(
+    movie: str | Path, streams: Sequence[TimedStream], out: str | Path, report: Progress = silent
+) -> tuple[tuple[int, ...], tuple[str, ...]]:
+    """Mux several ``.touch`` files with the tracks of a movie, which are copied unchanged; each has a track.
+
+    `out` is .mp4, .m4v, .mov, .ts or .mkv. Returns the bytes of each touch in the movie, and the types of the
+    tracks that were copied. Raises as `mux` does.
+    """
+    out = Path(out)
+    require_movie(out)
+    refuse_overwriting(out, movie, *(stream.path for stream in streams))
+    with ExitStack() as stack:
+        source = stack.enter_context(_opened(movie))
+        _, picture_s = _starts_s(source)
+        touches = list[_Touch]()
+        for stream in streams:
+            reader = stack.enter_context(TouchReader(stream.path))
+            warn_unbounded(stream_of(reader).error_bound().get("error_bound_note"))
+            touches.append(_Touch(reader, picture_s + stream.start_s, stream.start_s, stream.name))
+        return _write_movie(source, touches, out, report)
+
+
+def require_movie(out: Path) -> None:
+    """Raise InvalidArgument unless `out` ends as a movie that holds several tracks of touch does."""
+    if out.suffix.lower() not in _FILES:
+        raise InvalidArgument(str(out), f"the ending {out.suffix!r}", f"one of {', '.join(_FILES)}")
 
 
 def _check(out: Path, at_s: float, sidecar: Path | None) -> None:
@@ -145,33 +194,49 @@ def _starts_s(source: Any) -> tuple[float, float]:
     return picture_s if source.format.name == "mpegts" else 0.0, picture_s
 
 
-def _write_movie(
-    source: Any, reader: TouchReader, out: Path, starts_s: tuple[float, float], report: Progress
-) -> tuple[int, tuple[str, ...]]:
-    """Write a movie with touch that starts at `starts_s`, on its clock and after its first picture.
+@dataclass(frozen=True)
+class _Touch:
+    """A stream that starts at `first_s` on the clock of a movie, and at `start_s` after its first picture."""
 
-    Returns the bytes of the touch, and the types of the other tracks.
-    """
+    reader: TouchReader
+    first_s: float
+    start_s: float
+    name: str = ""
+
+
+def _write_movie(
+    source: Any, touches: Sequence[_Touch], out: Path, report: Progress
+) -> tuple[tuple[int, ...], tuple[str, ...]]:
+    """Write a movie with touch; return the bytes of each touch, and the types of the other tracks."""
     kind = out.suffix.lower()
     form = {".ts": "mpegts", ".mkv": "matroska"}.get(kind, "mp4")
     options = {"movflags": "frag_keyframe+delay_moov+default_base_moof"} if form == "mp4" else {}
     tracks = [track for track in source.streams if track.type in ("video", "audio", "subtitle")]
-    samples, attachment = list[_Sample](), b""
-    if form == "matroska":
-        attachment = _with_sync(reader, starts_s[1])
-    else:
-        samples = list(_samples(reader, *starts_s, is_ts=form == "mpegts"))
+    timed, attached = list[_TimedTrack](), list[tuple[str, bytes]]()
+    for touch in touches:
+        if form == "matroska":
+            data = _with_sync(touch.reader, touch.start_s)
+            attached.append((f"{touch.name or 'movie'}.touch", data))
+        else:
+            timed.append((touch.name, list(_samples(touch, is_ts=form == "mpegts"))))
     with atomic_path(out) as temporary:
-        _copy(source, tracks, out, temporary, form, options, samples, report, attachment)
-    size = len(attachment) + sum(len(data) for _, _, data in samples)
-    return size, tuple(track.type for track in tracks)
+        _copy(source, tracks, out, temporary, form, options, timed, report, attached)
+    sizes = tuple(
+        [len(data) for _, data in attached]
+        or [sum(len(data) for _, _, data in samples) for _, samples in timed]
+    )
+    return sizes, tuple(track.type for track in tracks)
 
 
 _Sample = tuple[float, float, bytes]
 """Start in the movie in seconds, duration in seconds, and bytes."""
 
+_TimedTrack = tuple[str, list[_Sample]]
+"""Name of a track of touch, and its samples in the order of time."""
 
-def _samples(reader: TouchReader, first_s: float, start_s: float, is_ts: bool) -> Iterator[_Sample]:
+
+def _samples(touch: _Touch, is_ts: bool) -> Iterator[_Sample]:
+    reader, first_s, start_s = touch.reader, touch.first_s, touch.start_s
     data, position, rate_hz = reader.read_all(), 0, reader.head.rate_hz
     head = data[: reader.segments[0].offset] + sync_record(start_s)
     for i, entry in enumerate(reader.segments):
@@ -201,48 +266,68 @@ def _copy(
     temporary: Path,
     form: str,
     options: dict[str, str],
-    samples: Sequence[_Sample] = (),
+    timed: Sequence[_TimedTrack] = (),
     report: Progress = silent,
-    attachment: bytes = b"",
+    attached: Sequence[tuple[str, bytes]] = (),
 ) -> None:
-    """Copy the packets of some tracks of a movie and, between them in time, the samples, if there are any."""
+    """Copy the packets of some tracks of a movie and, between them in time, the tracks of touch."""
     import av
 
-    if attachment and not hasattr(av.container.OutputContainer, "add_attachment"):
+    if attached and not hasattr(av.container.OutputContainer, "add_attachment"):
         hint = "Upgrade it: pip install --upgrade av"
         raise InvalidArgument(str(out), f"PyAV {av.__version__}", "one that can attach files", hint)
-    waiting = list(reversed(samples))
-    piece = _PES_BYTES if form == "mpegts" else _MAX_BYTES
     try:
         with av.open(str(temporary), "w", format=form, options=options) as sink:
             tracks = {track.index: sink.add_stream_from_template(track) for track in source_tracks}
-            touch: Any = sink.add_data_stream("klv" if form == "mpegts" else "bin_data") if samples else None
-
-            def put(until_s: float) -> None:
-                while waiting and waiting[-1][0] <= until_s:
-                    start_s, length_s, data = waiting.pop()
-                    for i, start in enumerate(range(0, len(data), piece)):
-                        packet = av.Packet(data[start : start + piece])
-                        packet.stream, packet.time_base = touch, _CLOCK
-                        packet.pts = packet.dts = round(start_s / _CLOCK) + i
-                        packet.duration = round(length_s / _CLOCK)
-                        sink.mux(packet)
-                    if len(waiting) >= _SPARE_SAMPLES:
-                        report(len(samples) - len(waiting), len(samples) - _SPARE_SAMPLES)
-
-            if touch is not None:
-                touch.time_base = _CLOCK
-            if attachment:
-                sink.add_attachment("movie.touch", MEDIA_TYPE, attachment)
+            writer = _TouchTracks(sink, timed, form, report)
+            for name, data in attached:
+                sink.add_attachment(name, MEDIA_TYPE, data)
             for packet in source.demux(source_tracks):
                 if packet.dts is None:
                     continue
-                put(float(packet.dts * packet.time_base))
+                writer.write(float(packet.dts * packet.time_base))
                 packet.stream = tracks[packet.stream.index]
                 sink.mux(packet)
-            put(float("inf"))
+            writer.write(float("inf"))
     except (av.FFmpegError, ValueError) as error:
         raise InvalidArgument(str(out), str(error), "a form that holds the tracks of the movie") from None
+
+
+class _TouchTracks:
+    """The tracks of touch of a movie that is written, and their samples that are not written yet."""
+
+    def __init__(self, sink: Any, timed: Sequence[_TimedTrack], form: str, report: Progress) -> None:
+        self._sink, self._report = sink, report
+        self._piece = _PES_BYTES if form == "mpegts" else _MAX_BYTES
+        self._tracks = [_touch_track(sink, name, form) for name, _ in timed]
+        numbered = (((*sample, n) for sample in samples) for n, (_, samples) in enumerate(timed))
+        self._waiting = list(merge(*numbered, key=itemgetter(0)))[::-1]
+        self._total = len(self._waiting) - _SPARE_SAMPLES * len(timed)
+        self._written = 0
+
+    def write(self, until_s: float) -> None:
+        """Write the samples that start up to a time of the movie, seconds."""
+        import av
+
+        while self._waiting and self._waiting[-1][0] <= until_s:
+            start_s, length_s, data, number = self._waiting.pop()
+            for i, start in enumerate(range(0, len(data), self._piece)):
+                packet = av.Packet(data[start : start + self._piece])
+                packet.stream, packet.time_base = self._tracks[number], _CLOCK
+                packet.pts = packet.dts = round(start_s / _CLOCK) + i
+                packet.duration = round(length_s / _CLOCK)
+                self._sink.mux(packet)
+            self._written += 1
+            if self._written <= self._total:
+                self._report(self._written, self._total)
+
+
+def _touch_track(sink: Any, name: str, form: str) -> Any:
+    track = sink.add_data_stream("klv" if form == "mpegts" else "bin_data")
+    track.time_base = _CLOCK
+    if name:
+        track.metadata["handler_name"] = _LABEL.format(name)
+    return track
 
 
 @contextmanager

@@ -11,7 +11,7 @@ import math
 import struct
 import zlib
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from statistics import median
@@ -48,6 +48,9 @@ _MIN_SAMPLE_BYTES, _ANY_SAMPLES = 64, 1 << 10
 PROBED_SAMPLES: Final = 16
 PROBED_BYTES: Final = 64
 """A track is touch if one of its first samples starts as touch does: so many are read, of each so much."""
+
+MAX_TRACKS: Final = 16
+"""More tracks of touch in a movie are an error: each is read as a whole."""
 
 _MAX_LABEL_BYTES: Final = 16
 """Programs may write so many bytes before a triplet, such as the header of an access unit of metadata."""
@@ -103,6 +106,11 @@ class TouchTrack:
     picture_s: float = 0.0
     is_start_unknown: bool = False
 
+    @property
+    def has_touch(self) -> bool:
+        """False for the track that stands for a movie without touch."""
+        return bool(self.samples or self.attachment)
+
 
 def is_touch(start: bytes) -> bool:
     """Whether a sample that starts with these bytes is touch, in a triplet or not."""
@@ -126,6 +134,12 @@ def _spare_size(data: bytes, start_s: float) -> int:
     while data.endswith(record, 0, len(data) - size):
         size += len(record)
     return size
+
+
+def require_few(tracks: Collection[object], name: str) -> None:
+    """Raise SourceError if a movie has more than `MAX_TRACKS` tracks of touch."""
+    if len(tracks) > MAX_TRACKS:
+        raise SourceError(name, f"{len(tracks)} tracks of touch", f"at most {MAX_TRACKS}")
 
 
 def collect(samples: Iterable[Sample], max_bytes: int, name: str) -> tuple[Sample, ...]:

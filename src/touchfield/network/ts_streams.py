@@ -6,7 +6,7 @@ stamps of 33 bits at 90 kHz.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
@@ -20,6 +20,7 @@ from touchfield.network.touch_track import (
     TouchTrack,
     collect,
     is_touch,
+    require_few,
 )
 
 _SYNC: Final = 0x47
@@ -66,8 +67,8 @@ class _Stream:
     is_touch: bool = False
 
 
-def find_touch(source: ByteSource) -> TouchTrack:
-    """The first touch stream of a movie, with no samples if there is none.
+def find_touch(source: ByteSource) -> tuple[TouchTrack, ...]:
+    """The touch streams of a movie, in its order; one without samples if there is none.
 
     The clock of a stream has any start: that of the movie is its first picture. Packets without the sync byte
     are left out; the checks of the touch find what they leave incomplete.
@@ -75,14 +76,22 @@ def find_touch(source: ByteSource) -> TouchTrack:
     streams = dict[int, _Stream]()
     for number, _, payload in _packets(source, None):
         _probe(streams.setdefault(number, _Stream()), payload)
-    pid = next((key for key, stream in streams.items() if stream.is_touch), None)
-    stamps = (stamp for key, stream in streams.items() if pid in (None, key) for stamp in stream.stamps)
-    reference = next(stamps, 0)
-    samples = () if pid is None else collect(_samples(source, pid, reference), source.size, source.name)
+    pids = [key for key, stream in streams.items() if stream.is_touch]
+    require_few(pids, source.name)
+    references = (streams[key].stamps for key in pids) if pids else (s.stamps for s in streams.values())
+    reference = next((stamp for stamps in references for stamp in stamps), 0)
     kinds = (range(0xE0, 0xF0), range(0xBD, 0x100))  # pictures, else anything: sound has several kinds
-    firsts = (_first_s(streams, pid, reference, kind) for kind in kinds)
+    firsts = (_first_s(streams, pids, reference, kind) for kind in kinds)
     picture_s = next((first for first in firsts if first is not None), 0.0)
-    return TouchTrack(samples, zero_s=picture_s, picture_s=picture_s)
+    found = tuple(
+        TouchTrack(
+            collect(_samples(source, pid, reference), source.size, source.name),
+            zero_s=picture_s,
+            picture_s=picture_s,
+        )
+        for pid in pids
+    )
+    return found or (TouchTrack(zero_s=picture_s, picture_s=picture_s),)
 
 
 def _packets(source: ByteSource, pid: int | None) -> Iterator[tuple[int, bool, bytes]]:
@@ -163,12 +172,14 @@ def _since(stamp: int, reference: int) -> float:
     return ticks / _TICKS
 
 
-def _first_s(streams: dict[int, _Stream], pid: int | None, reference: int, kinds: range) -> float | None:
+def _first_s(
+    streams: dict[int, _Stream], touches: Sequence[int], reference: int, kinds: range
+) -> float | None:
     return min(
         (
             _since(stamp, reference)
             for number, stream in streams.items()
-            if number != pid and stream.kind in kinds
+            if number not in touches and stream.kind in kinds
             for stamp in stream.stamps
         ),
         default=None,
