@@ -43,7 +43,7 @@ class Strength:
 
 
 def require_ascending(where: str, strengths: Sequence[Strength], frame_count: int) -> None:
-    """Raise `InvalidArgument` unless runs follow each other without overlap, within the frames of a medium."""
+    """Raise `InvalidArgument` unless runs ascend without overlap, within the frames of a medium."""
     for before, after in zip(strengths, strengths[1:]):
         if after.first_frame < before.stop_frame:
             found = f"frame {after.first_frame} after a run that stops at {before.stop_frame}"
@@ -52,9 +52,7 @@ def require_ascending(where: str, strengths: Sequence[Strength], frame_count: in
         raise InvalidArgument(where, f"frame {strengths[-1].stop_frame}", f"at most {frame_count} frames")
 
 
-def scale_frames(
-    medium: HapticMedium, strengths: Sequence[Strength], force_max_n: float
-) -> HapticMedium:
+def scale_frames(medium: HapticMedium, strengths: Sequence[Strength], force_max_n: float) -> HapticMedium:
     """Return a medium whose frames have the given strengths; frames of no run have 100 %.
 
     `strengths` ascend and do not overlap; `force_max_n` is the largest force of the result, newtons. Raises

@@ -167,6 +167,13 @@ def mux_streams(
         return _write_movie(source, touches, out, report)
 
 
+def after_picture_s(movie: str | Path, at_s: float) -> float:
+    """Convert a second of a movie to seconds after its first picture, as `TimedStream` has them."""
+    with _opened(movie) as source:
+        zero_s, picture_s = _starts_s(source)
+    return zero_s + at_s - picture_s
+
+
 def require_movie(out: Path) -> None:
     """Raise InvalidArgument unless `out` ends as a movie that holds several tracks of touch does."""
     if out.suffix.lower() not in _FILES:
@@ -300,7 +307,7 @@ class _TouchTracks:
         self._sink, self._report = sink, report
         self._piece = _PES_BYTES if form == "mpegts" else _MAX_BYTES
         self._tracks = [_touch_track(sink, name, form) for name, _ in timed]
-        numbered = (((*sample, n) for sample in samples) for n, (_, samples) in enumerate(timed))
+        numbered = [[(*sample, n) for sample in samples] for n, (_, samples) in enumerate(timed)]
         self._waiting = list(merge(*numbered, key=itemgetter(0)))[::-1]
         self._total = len(self._waiting) - _SPARE_SAMPLES * len(timed)
         self._written = 0

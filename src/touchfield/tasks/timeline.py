@@ -158,9 +158,7 @@ def _write_movie(
     mux_streams(source, streams, out, report)
 
 
-def _write_touch(
-    pairs: Sequence[tuple[TouchTrack, TrackEdits]], paths: Sequence[Path], out: Path
-) -> None:
+def _write_touch(pairs: Sequence[tuple[TouchTrack, TrackEdits]], paths: Sequence[Path], out: Path) -> None:
     if len(pairs) > 1:
         found = f"{len(pairs)} tracks of touch"
         raise InvalidArgument(str(out), found, "a movie, which holds several: OUT.mp4")

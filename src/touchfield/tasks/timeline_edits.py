@@ -1,4 +1,4 @@
-"""Reads the edit list that the page of a movie's touch saves: strengths by frames, mute and offset of each track.
+"""Reads the edit list that the page of a movie's touch saves: strengths by frames, mute and offset by track.
 
 A run of strengths counts frames of its own track, so it moves with the track when the offset changes. All
 numbers are whole: the page plays what the command writes.

@@ -41,7 +41,7 @@ def is_movie(path: str | Path) -> bool:
 
 
 def touch_tracks(source: str | Path, folder: Path) -> tuple[tuple[TouchTrack, ...], tuple[str, ...]]:
-    """Return the tracks of a movie, which are written to `folder`, or the ``.touch`` file `source`; and notes.
+    """Return the tracks of a movie, written to `folder`, or the ``.touch`` file `source`; and notes.
 
     Raises SourceError or FormatError if it cannot be read.
     """
