@@ -1,4 +1,4 @@
-"""Movies with two tracks of touch for a vest: a picture that moves at 25 Hz, and beats of a sound at 200 Hz."""
+"""Movies with two tracks of touch for a vest: a picture that moves at 25 Hz, and beats at 200 Hz."""
 
 from __future__ import annotations
 

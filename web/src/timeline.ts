@@ -551,7 +551,7 @@ function wireControls(): void {
   byId("selection").onsubmit = (event): void => event.preventDefault();
   byId("speed").onchange = (): void => player.setPace(Number(byId<HTMLSelectElement>("speed").value));
   byId("track").onchange = (): void => setTarget(Number(byId<HTMLSelectElement>("track").value));
-  for (const id of ["from", "to"]) input(id).onchange = (): void => selectTyped();
+  for (const id of ["from", "to"] as const) input(id).onchange = (): void => selectTyped(id);
   input("scroll").oninput = (): void => look(input("scroll").valueAsNumber, input("scroll").valueAsNumber + span.to - span.from);
   input("gain").oninput = (): void => {
     output.gain = input("gain").valueAsNumber / 100;
@@ -570,9 +570,14 @@ function wireControls(): void {
   };
 }
 
-function selectTyped(): void {
-  const [from, to] = [input("from").valueAsNumber, input("to").valueAsNumber];
-  select(from || 0, Number.isFinite(to) ? to : player.duration);
+/** Select from typed seconds; an end beyond the other one moves that with it. */
+function selectTyped(id: keyof Span): void {
+  const typed = input(id).valueAsNumber;
+  if (!Number.isFinite(typed)) return showSelection();
+  const length = selection ? selection.to - selection.from : JUMP_S;
+  const before = selection ?? { from: 0, to: player.duration };
+  if (id === "from") select(typed, before.to > typed ? before.to : typed + length);
+  else select(before.from < typed ? before.from : typed - length, typed);
 }
 
 function wireWindow(): void {

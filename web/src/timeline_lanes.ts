@@ -53,7 +53,8 @@ export function drawTrack(canvas: HTMLCanvasElement, track: Track, edits: TrackE
   const surface = prepared(canvas);
   if (!surface) return;
   const { context, width, height } = surface;
-  const [length, full] = [span.to - span.from, Math.max(track.highest, 1)];
+  const strongest = edits.runs.reduce((most, run) => Math.max(most, run.percent), 100) / 100;
+  const [length, full] = [span.to - span.from, Math.min(FULL, Math.max(track.highest * strongest, 1))];
   const frameAt = (x: number): number => track.frameAt(span.from + (x / width) * length, edits);
   const y = (value: number): number => height - MARGIN_PX - (height - 2 * MARGIN_PX) * Math.min(1, value / full);
   const original: TrackEdits = plain(edits);
