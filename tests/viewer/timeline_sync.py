@@ -48,7 +48,7 @@ def measure_sync(folder: Path, page: Path, onsets_s: tuple[float, ...], seconds:
     assert result.errors == []
     recorded = result.answers[-1]
     calls = [call for call in recorded["calls"] if call["kind"] == "pad"]
-    pictures = np.array(recorded["pictures"])
+    pictures = np.array(recorded["pictures"]).reshape(-1, 2)
     clock_ms, picture_ms = list[float](), list[float]()
     for onset_s in onsets_s:
         call = _first_call(calls, onset_s)
@@ -56,8 +56,7 @@ def measure_sync(folder: Path, page: Path, onsets_s: tuple[float, ...], seconds:
             continue
         clock_ms.append(1e3 * (call["time"] - onset_s))
         away_ms = call["at"] - pictures[:, 0]
-        near = int(np.argmin(np.abs(away_ms)))
-        if abs(away_ms[near]) < _NEAR_MS:
+        for near in np.flatnonzero(np.abs(away_ms) < _NEAR_MS)[:1]:
             picture_ms.append(1e3 * (pictures[near, 1] - onset_s) + away_ms[near])
     return SyncErrors(np.array(clock_ms), np.array(picture_ms), len(onsets_s) - len(clock_ms))
 
