@@ -16,7 +16,7 @@ import touchfield as tf
 from timeline_makers import BEATS_S, LOSSLESS, SECONDS, picture_medium, write_movie
 from touchfield.cli.main import _exit_code
 from touchfield.codec.vibration import MAX_RELATIVE_ERROR
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, SourceError
 from touchfield.network.demux import demux_all
 from touchfield.pipeline.array_medium import array_drives
 from touchfield.pipeline.stream import stream_device
@@ -63,9 +63,18 @@ def test_a_movie_for_an_array_gets_the_timeline(movie: Path, tmp_path: Path) -> 
             tf.view(movie, **wrong)
     with pytest.raises(InvalidArgument, match="a medium in memory"):
         tf.view(picture_medium(), page="timeline")
+    with pytest.raises(InvalidArgument, match="an address"):
+        tf.view("https://example.org/both.mp4", page="timeline")
     golden = ROOT / "conformance" / "v1" / "touch-mask.touch"
     with pytest.raises(InvalidArgument, match="touch for an array"):
         tf.view(golden, page="timeline")
+
+
+def test_a_movie_that_no_browser_opens_is_refused(movie: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("touchfield.tasks.timeline_view.MAX_MOVIE_BYTES", movie.stat().st_size - 1)
+    for page in ("timeline", "field"):
+        with pytest.raises(SourceError, match="a movie that fits into a page"):
+            tf.view(movie, page=page)
 
 
 def test_foreign_texts_stay_within_their_element() -> None:

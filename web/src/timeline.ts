@@ -25,6 +25,7 @@ const STEP_S = 0.04;
 const JUMP_S = 1;
 const CLICK_PX = 4;
 const PERCENT_STEP = 10;
+const DROP_MS = 100;
 
 let given: Given;
 let tracks: Track[] = [];
@@ -123,12 +124,20 @@ function arrayText(): string {
   return `strongest actuator in row ${Math.floor(strongest / given.columns) + 1}, column ${(strongest % given.columns) + 1}, ${drive} percent`;
 }
 
+let isFollowing = false;
+
+function startFollowing(): void {
+  if (!isFollowing) requestAnimationFrame(follow);
+  isFollowing = true;
+}
+
 function follow(): void {
   player.checkEnd();
   const time = player.time;
   if (!isWhole && (time > span.to || time < span.from)) look(time, time + span.to - span.from);
   showNow();
-  if (player.isPlaying) requestAnimationFrame(follow);
+  isFollowing = player.isPlaying;
+  if (isFollowing) requestAnimationFrame(follow);
 }
 
 function showPlaying(): void {
@@ -137,7 +146,7 @@ function showPlaying(): void {
   button.setAttribute("aria-pressed", String(player.isPlaying));
   if (player.isPlaying) {
     output.start();
-    requestAnimationFrame(follow);
+    startFollowing();
   } else output.stop();
   redraw();
 }
@@ -266,7 +275,7 @@ function showEdits(): void {
     if (!own) continue;
     strip.parentElement!.classList.toggle("is-muted", own.isMuted);
     input(`mute-${n}`).setAttribute("aria-pressed", String(own.isMuted));
-    if (document.activeElement !== input(`offset-${n}`)) input(`offset-${n}`).value = String(own.offsetMs);
+    input(`offset-${n}`).value = String(own.offsetMs);
   }
   byId<HTMLButtonElement>("undo").disabled = !history.canUndo;
   byId<HTMLButtonElement>("redo").disabled = !history.canRedo;
@@ -563,11 +572,19 @@ function wireControls(): void {
     redraw();
   };
   input("percent").onchange = (): void => setStrength(input("percent").valueAsNumber);
+  // a slider that is moved and moved back changes nothing, and reports no change
+  for (const name of ["pointerup", "blur"]) input("percent").addEventListener(name, () => setTimeout(dropDraft, DROP_MS));
   input("file").onchange = (): void => {
     const file = input("file").files?.[0];
     input("file").value = "";
     if (file) void openEdits(file);
   };
+}
+
+function dropDraft(): void {
+  if (!draft) return;
+  draft = null;
+  showEdits();
 }
 
 /** Select from typed seconds; an end beyond the other one moves that with it. */

@@ -17,6 +17,8 @@ export class Player {
     this.hasMovie = true;
     this.movie.src = URL.createObjectURL(new Blob([data], { type }));
     this.movie.onended = (): void => this.pause();
+    // keys of the system start and stop a movie, too
+    this.movie.onplay = (): void => void (this.isRunning || this.start());
     this.movie.onpause = (): void => void (this.isRunning && !this.movie.ended && this.pause());
     this.movie.ondurationchange = (): void => this.onchange();
     this.movie.onerror = (): void => {
@@ -57,9 +59,13 @@ export class Player {
 
   play(): void {
     if (this.time >= this.duration - 0.01 || this.movie.ended) this.seek(0);
+    this.start();
+    if (this.hasMovie) this.movie.play().catch(() => this.pause());
+  }
+
+  private start(): void {
     this.startedAt = performance.now();
     this.isRunning = true;
-    if (this.hasMovie) this.movie.play().catch(() => this.pause());
     this.onchange();
   }
 

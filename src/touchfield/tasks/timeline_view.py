@@ -13,6 +13,7 @@ from touchfield.compute.threads import Progress, silent
 from touchfield.container import TouchReader
 from touchfield.devices import Device
 from touchfield.errors import InvalidArgument
+from touchfield.files import read_bytes
 from touchfield.network.opening import open_stream
 from touchfield.pipeline.array_medium import Drives, array_drives
 from touchfield.pipeline.stream import stream_device
@@ -20,6 +21,8 @@ from touchfield.tasks.touch_tracks import TouchTrack, touch_tracks
 from touchfield.viewer.timeline import timeline_page
 
 MAX_TABLE_BYTES: Final = 1 << 28
+MAX_MOVIE_BYTES: Final = 1 << 28
+"""Of a movie within a page: as text it takes a third more, and browsers open texts up to 2^29 characters."""
 _FULL: Final = 255
 _ARRAY: Final = 2
 
@@ -29,6 +32,11 @@ class TimelinePage(NamedTuple):
 
     html: str
     figures: dict[str, Any]
+
+
+def movie_bytes(path: str | Path) -> bytes:
+    """Return a movie that is put into a page; SourceError if it has more than `MAX_MOVIE_BYTES`."""
+    return read_bytes(path, MAX_MOVIE_BYTES, "a movie that fits into a page")
 
 
 def is_for_array(path: str | Path) -> bool:
@@ -64,7 +72,7 @@ def view_timeline(source: str | Path, kind: str | None, report: Progress = silen
         "notes": list(notes),
         "tracks": rows,
     }
-    movie = None if kind is None else (Path(source).read_bytes(), kind)
+    movie = None if kind is None else (movie_bytes(source), kind)
     figures = {"tracks": [{key: row[key] for key in ("name", "frames", "rate_hz", "at_s")} for row in rows]}
     page = timeline_page(given, tables, movie)
     return TimelinePage(page, figures | ({"movie_notes": list(notes)} if notes else {}))

@@ -31,7 +31,7 @@ from touchfield.pipeline.spec import EncodeSpec
 from touchfield.pipeline.stream import OpenStream
 from touchfield.render.point_device import BOX_AXES, axes_matrix
 from touchfield.tasks.measure import MeasureSpec, measure_medium
-from touchfield.tasks.timeline_view import is_for_array, view_timeline
+from touchfield.tasks.timeline_view import is_for_array, movie_bytes, view_timeline
 from touchfield.viewer.browser import page_of
 from touchfield.viewer.page import write_png
 from touchfield.viewer.picture import shadows
@@ -127,7 +127,7 @@ def view(
         done = demux(movie, path)
         if page == "auto" and against is None and not devices and is_for_array(path):
             return _timeline(movie, None, (), report)
-        film = None if kind is None else (movie.read_bytes(), kind, done.at_s)
+        film = None if kind is None else (movie_bytes(movie), kind, done.at_s)
         shown = _page(path, against, report, devices, film)
         notes = [*done.notes, *((_without_pictures(movie, done.at_s),) if kind is None else ())]
         return replace(shown, figures={**shown.figures, **({"movie_notes": notes} if notes else {})})
@@ -139,6 +139,8 @@ def _timeline(
     """The page that edits the touch of a movie, or of a ``.touch`` file without picture."""
     if isinstance(medium, HapticMedium):
         raise InvalidArgument("--page timeline", "a medium in memory", "a movie with touch, or a .touch file")
+    if is_remote(medium):
+        raise InvalidArgument("--page timeline", "an address", "a file", "Download it first.")
     if against is not None or devices:
         hint = "Take them out, or show the page of the field: --page field."
         raise InvalidArgument("--page timeline", "--source or --device", "neither", hint)
