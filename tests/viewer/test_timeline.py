@@ -55,6 +55,9 @@ def test_a_movie_for_an_array_gets_the_timeline(movie: Path, tmp_path: Path) -> 
     ]  # fmt: skip
     assert 'id="given-timeline">{"movie": "both.mp4"' in page.html
     assert "given-timeline" not in tf.view(movie, page="field").html
+    matroska = write_movie(tmp_path, "both.mkv")
+    figures = tf.view(matroska).figures
+    assert len(figures["tracks"]) == 2 and "not every browser plays .mkv" in figures["movie_notes"][-1]
     stream = movie.parent / "picture.touch"
     assert tf.view(stream).html.count("given-timeline") == 0
     assert "given-timeline" in tf.view(stream, page="timeline").html

@@ -17,7 +17,7 @@ from touchfield.files import read_bytes
 from touchfield.network.opening import open_stream
 from touchfield.pipeline.array_medium import Drives, array_drives
 from touchfield.pipeline.stream import stream_device
-from touchfield.tasks.touch_tracks import TouchTrack, touch_tracks
+from touchfield.tasks.touch_tracks import TouchTrack, is_movie, touch_tracks
 from touchfield.viewer.timeline import timeline_page
 
 MAX_TABLE_BYTES: Final = 1 << 28
@@ -54,6 +54,9 @@ def view_timeline(source: str | Path, kind: str | None, report: Progress = silen
     """
     with tempfile.TemporaryDirectory() as folder:
         tracks, notes = touch_tracks(source, Path(folder))
+        if kind is None and is_movie(source):
+            ending = Path(source).suffix
+            notes += (f"Without picture: not every browser plays {ending}. In .mp4 it plays with the touch.",)
         device = _device_of(tracks, str(source))
         _check_size(tracks, device, str(source))
         total, done = sum(track.frame_count for track in tracks), 0
