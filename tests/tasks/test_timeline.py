@@ -110,6 +110,7 @@ def test_the_command_applies_strength_mute_and_offset(
     command = ["edit", str(movie), str(out), "--timeline", str(edits), "--mode", "lossless", "--json"]
     assert _exit_code(command) == 0
     figures = json.loads(capsys.readouterr().out)
+    assert not [note for note in figures["notes"] if "empty" in note], "it has vibrations, and no forces"
     assert [(row["name"], row["offset_ms"], row["regions"]) for row in figures["tracks"]] == [
         ("picture", 120, 0), ("sound", 0, 2),
     ]  # fmt: skip
@@ -147,6 +148,10 @@ def test_a_touch_file_is_edited_without_a_movie(tmp_path: Path) -> None:
     expected = amplitudes_n(picture_medium())
     expected[5:60] *= np.float32(0.8)
     assert amplitudes_n(tf.decode(out)) == pytest.approx(expected, rel=1e-6)
+    nothing = edit_list(tmp_path / "n.json", source, tmp_path, picture={"strengths": runs_of((0, 75, 0))})
+    done = edit_timeline(source, tmp_path / "silent.touch", nothing)
+    assert not amplitudes_n(tf.decode(tmp_path / "silent.touch")).any()
+    assert any("The result is empty" in note for note in done.notes)
     shifted = edit_list(tmp_path / "s.json", source, tmp_path, picture={"offset_ms": 5})
     with pytest.raises(InvalidArgument, match="an offset of 5 ms"):
         edit_timeline(source, tmp_path / "new.touch", shifted)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -119,7 +119,8 @@ def _edited(
     """The ``.touch`` file of a track with its strengths: its own, if there are none."""
     path, limited = track.path, 0
     if edits.strengths:
-        prepared = read_medium(track.path, spec)
+        # a track that is silent in all its frames is what was wanted
+        prepared = read_medium(track.path, replace(spec or EncodeSpec(), allow_empty=True))
         force_max_n = prepared.device.force_max_n
         limited = count_limited(prepared.medium, edits.strengths, force_max_n)
         medium = scale_frames(prepared.medium, edits.strengths, force_max_n)
