@@ -35,7 +35,11 @@ HERE = Path(__file__).parent
 QUICK_LIMIT_S, LIMIT_S = 600.0, 3600.0
 """Seconds after which a script is ended."""
 GUARD = "guard"
-NEEDS = {"cuda": ("an NVIDIA GPU", ("nvidia-smi",)), "page": ("node and Chromium", ("node", "chromium"))}
+NEEDS = {
+    "cuda": ("an NVIDIA GPU", ("nvidia-smi",)),
+    "page": ("node and Chromium", ("node", "chromium")),
+    "timeline": ("node and Chromium", ("node", "chromium")),
+}
 """Requirements that not every machine meets, and the programs that indicate them."""
 
 

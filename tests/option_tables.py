@@ -277,6 +277,8 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "region": case("force:1..2", "edit.region", "force:1..2"),
         "feather": case("2mm", "edit.feather_m", 0.002),
         "frames": case("2:5", "edit.frames", (2, 5)),
+        # what it does: tests/tasks/test_timeline.py
+        "timeline": Case("edits.json", refused="--operator has no effect with --timeline"),
         **_coder(),
     },
     "splice": {
@@ -338,6 +340,7 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
             {"view().save": CALLED, "view().save.0": "{tmp}/page.html", "view().open.0": STUB},
         ),
         "no-open": Case(None, {"view().open": MISSING}, "--out {tmp}/page.html"),
+        "page": case("field", "view.page", "field"),
     },
     "compare": {
         "picture": case(_DRAWN, "compare().draw.0", _DRAWN),

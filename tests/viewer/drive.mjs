@@ -62,6 +62,7 @@ const actions = {
     await download.saveAs(path);
     return download.suggestedFilename();
   },
+  attach: ({ id, file }) => page.setInputFiles(`#${id}`, file),
   fill: ({ id, value }) => page.fill(`#${id}`, value),
   move: async ({ x, y }) => { await page.mouse.move(x, y); await page.waitForTimeout(200); },
   drag: async ({ from, to, steps = 8 }) => {

@@ -1,5 +1,5 @@
 // Turns the force at the probe into sound, into rumble of a game pad, and into vibration of a phone.
-const RENEW_MS = 100; // an effect is renewed long before it ends, so that a force that stays has no gaps
+export const RENEW_MS = 100; // an effect is renewed long before it ends, so that a force that stays has no gaps
 const EFFECT_MS = 300;
 const LEAST_MS = 40; // between two effects
 const EMPHASIS_MS = 60;
@@ -101,7 +101,7 @@ export class Sound {
 }
 
 /** Rumble of a pad; where its triggers have motors, the trigger on the side to which the force points rumbles, too. */
-function shakePad(pad: Gamepad | null, strong: number, weak: number, side: number): void {
+export function shakePad(pad: Gamepad | null, strong: number, weak: number, side: number): void {
   const actuator = pad?.vibrationActuator as (GamepadHapticActuator & { effects?: string[] }) | null | undefined;
   if (!actuator?.playEffect) return;
   const effect = { duration: EFFECT_MS, strongMagnitude: strong, weakMagnitude: weak };

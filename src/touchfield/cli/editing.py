@@ -27,6 +27,7 @@ from touchfield.filters.registry import length_m
 from touchfield.pipeline.spec import Motion, ReductionSpec
 from touchfield.sources.recordings.recording import STANDARD_GRAVITY_M_S2
 from touchfield.tasks import editing
+from touchfield.tasks.timeline import edit_timeline
 
 if TYPE_CHECKING:
     from touchfield.render.material import Material
@@ -44,20 +45,28 @@ DEFAULT_RELAX_S: Final = 0.05
 _COUNTS = "NX,NY,NZ, such as 64,64,32"
 
 
-@command("Make", 'edit room.touch soft.touch --region "ball:0mm,10mm,0mm,15mm" --operator gain:0.5')
+@command(
+    "Make",
+    'edit room.touch soft.touch --region "ball:0mm,10mm,0mm,15mm" --operator gain:0.5',
+    "edit both.mp4 edited.mp4 --timeline both.edits.json",
+)
 @with_options(CODER)
 def edit(
     options: Options,
-    medium: Medium,
-    out: Out,
+    medium: Annotated[
+        str, typer.Argument(help="A .touch file, or a stored field (.npz, .vti); with --timeline a movie.")
+    ],
+    out: Annotated[
+        Path, typer.Argument(help="OUT.touch, or a field: FIELD.npz, FIELD.vti; with --timeline a movie.")
+    ],
     operator: Annotated[
-        list[str],
+        list[str] | None,
         typer.Option(
             help="gain:2, erase, limit:1.5, move:DX,DY,DZ, turn:AX,AY,AZ,DEG[,X,Y,Z], "
             "mirror:NX,NY,NZ[,X,Y,Z]; "
             "over:, add:, max: or replace:FILE; or a filter, gaussian:sigma=2mm. May be repeated."
         ),
-    ],
+    ] = None,
     region: Annotated[
         str,
         "everywhere, box:X,Y,Z,X,Y,Z, ball:X,Y,Z,R, half-space:NX,NY,NZ,X,Y,Z (lengths as 2mm) or "
@@ -65,14 +74,30 @@ def edit(
     ] = "everywhere",
     feather: Annotated[str, "Width of the transition outside the region, such as 2mm."] = "0mm",
     frames: Annotated[str | None, "Frames to edit, START:STOP; default: all."] = None,
+    timeline: Annotated[
+        Path | None, "Edits that the page of a movie saved (.json): strength by time, mute, offset."
+    ] = None,
 ) -> Answer:
-    """Change MEDIUM within a region; outside it every sample stays as it was."""
+    """Change MEDIUM within a region, or over time; the rest stays as it was."""
+    if timeline is not None:
+        regional = {"region": (region, "everywhere"), "feather": (feather, "0mm"), "frames": (frames, None)}
+        refuse_unused({"operator": (operator, None), **regional}, "with --timeline")
+        with progress("edit") as report:
+            edited = edit_timeline(medium, out, timeline, coder_spec(options), report)
+        return Answer(edited.summary(), str(out), edited.notes)
     if frames is not None and ":" not in frames:
         raise InvalidArgument("--frames", repr(frames), "START:STOP, such as 0:24")
     span = frames_of("--frames", frames)
     with progress("edit") as report:
         done = editing.edit(
-            medium, out, region, operator, length_m(feather, "--feather"), span, coder_spec(options), report
+            medium,
+            out,
+            region,
+            operator or (),
+            length_m(feather, "--feather"),
+            span,
+            coder_spec(options),
+            report,
         )
     return Answer(done.summary(), str(done.path), done.notes)
 

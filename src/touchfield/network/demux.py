@@ -62,16 +62,42 @@ def demux(movie: str | Path, out: str | Path, track: str | None = None) -> Muxed
     no touch has the tag; FormatError if the touch is damaged, or its beginning is missing.
     """
     require_ending(out, "OUT.touch")
-    movie = Path(movie)
-    if movie.suffix.lower() == ".mpd":
-        hint = f"Its touch is in the file next to it: {movie.with_suffix('.touch').name}."
-        raise InvalidArgument(str(movie), "a DASH manifest", "a movie with touch in it", hint)
+    movie = _movie(movie)
     refuse_overwriting(out, movie)
     with _opened(movie) as source:
         found = _found(source, movie, Path(out), track)
+    return _write(found, movie, Path(out))
+
+
+def demux_all(movie: str | Path, folder: Path) -> tuple[Muxed, ...]:
+    """Extract every ``.touch`` file of a movie, in its order, to ``1.touch``, ``2.touch``, ... in a folder.
+
+    Raises as `demux` does.
+    """
+    movie = _movie(movie)
+    with _opened(movie) as source:
+        tracks = [track for track in _tracks(source, movie) if track.has_touch]
+        if tracks:
+            files = [_read(track, str(movie)) for track in tracks]
+        else:
+            files = [_found(source, movie, folder / "1.touch", None)]
+    return tuple(_write(found, movie, folder / f"{n}.touch") for n, found in enumerate(files, 1))
+
+
+def _movie(movie: str | Path) -> Path:
+    """The path of a movie that has its touch in itself; InvalidArgument for a DASH manifest."""
+    path = Path(movie)
+    if path.suffix.lower() == ".mpd":
+        hint = f"Its touch is in the file next to it: {path.with_suffix('.touch').name}."
+        raise InvalidArgument(str(path), "a DASH manifest", "a movie with touch in it", hint)
+    return path
+
+
+def _write(found: _Found, movie: Path, out: Path) -> Muxed:
+    """Check every segment of a touch, and write it."""
     file: Any = BytesIO(found.data)
     file.name = str(movie)
-    with TouchReader(file) as reader, atomic_path(Path(out)) as temporary:
+    with TouchReader(file) as reader, atomic_path(out) as temporary:
         for i in range(reader.object_count):
             reader.read_object(i)
         for i in range(len(reader.segments)):

@@ -167,6 +167,13 @@ def mux_streams(
         return _write_movie(source, touches, out, report)
 
 
+def after_picture_s(movie: str | Path, at_s: float) -> float:
+    """Convert a second of a movie to seconds after its first picture, as `TimedStream` has them."""
+    with _opened(movie) as source:
+        zero_s, picture_s = _starts_s(source)
+    return zero_s + at_s - picture_s
+
+
 def require_movie(out: Path) -> None:
     """Raise InvalidArgument unless `out` ends as a movie that holds several tracks of touch does."""
     if out.suffix.lower() not in _FILES:

@@ -58,7 +58,9 @@ class Encoded:
     def notes(self) -> tuple[str, ...]:
         """Notes for the user."""
         notes = (*self.prepared.notes, *self.prepared.learnt, *self.coding_notes)
-        return notes if self.supported_voxels else (*notes, "The result is empty: no sample has a force.")
+        if self.supported_voxels or self.prepared.medium.vibration is not None:
+            return notes
+        return (*notes, "The result is empty: no sample has a force.")
 
     def summary(self) -> dict[str, Any]:
         """Stable keys for people and programs."""

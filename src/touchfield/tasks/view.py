@@ -18,7 +18,7 @@ from touchfield.atomic import atomic_path
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.compute.threads import Progress, silent
 from touchfield.devices import device_names
-from touchfield.errors import InvalidArgument
+from touchfield.errors import InvalidArgument, require_one_of
 from touchfield.files import is_remote
 from touchfield.medium import HapticMedium
 from touchfield.network.demux import demux
@@ -31,6 +31,7 @@ from touchfield.pipeline.spec import EncodeSpec
 from touchfield.pipeline.stream import OpenStream
 from touchfield.render.point_device import BOX_AXES, axes_matrix
 from touchfield.tasks.measure import MeasureSpec, measure_medium
+from touchfield.tasks.timeline_view import is_for_array, movie_bytes, view_timeline
 from touchfield.viewer.browser import page_of
 from touchfield.viewer.page import write_png
 from touchfield.viewer.picture import shadows
@@ -40,6 +41,7 @@ _HEIGHT_PX: Final = 640
 _MOVIES: Final = {".mp4": "video/mp4", ".m4v": "video/mp4", ".mov": "video/mp4"}
 _UNPLAYED: Final = (".mkv", ".webm", ".ts", ".mts", ".m2ts", ".m3u8", ".mpd")
 """Movies whose touch is shown alone: not every browser plays them."""
+PAGES: Final = ("auto", "field", "timeline")
 _DRAWN_FRAMES: Final = 3  # the first, the middle one and the last
 MAX_SOURCE_BYTES: Final = 1 << 25  # maximum size of the source within a page
 _ERROR_FRACTIONS: Final = (0.1, 0.3)
@@ -94,6 +96,7 @@ def view(
     against: Source | None = None,
     report: Progress = silent,
     devices: tuple[str, ...] = (),
+    page: str = "auto",
 ) -> Page:
     """Return the page of a ``.touch`` file, of a movie with touch, or of a medium.
 
@@ -101,26 +104,49 @@ def view(
     shown, and a note says how to see its pictures. `against` is the source that was encoded: a path, scene,
     medium or field. The page then contains it, shows it and the difference, and states the NMSE and the
     vibration of the coding. `devices` are profiles whose capacity, WMR and HIL are shown with the entropy of
-    the medium; with a source and no profile, that of the stream. Raises TouchfieldError if the file cannot be
-    read, or the page does not support its coder.
+    the medium; with a source and no profile, that of the stream. `page` is one of `PAGES`: the page of the
+    field, or the one that plays and edits the touch of a movie on a timeline; "auto" takes the timeline for a
+    movie whose touch is for an array, without `against` and `devices`. Raises TouchfieldError if the file
+    cannot be read, or the page does not support its coder.
     """
+    require_one_of("--page", page, PAGES)
+    if page == "timeline":
+        return _timeline(medium, against, devices, report)
     with tempfile.TemporaryDirectory() as folder:
         if isinstance(medium, HapticMedium):
             path, spec = Path(folder) / "medium.touch", EncodeSpec(touch=TouchSpec(effort="fast"))
             encode(medium[:_MAX_FRAMES], path, spec)
-            page = _page(path, against, report, devices)
+            shown = _page(path, against, report, devices)
             extra_figures = {"frames_of": len(medium)} if len(medium) > _MAX_FRAMES else {}
-            return replace(page, figures={**page.figures, **extra_figures})
+            return replace(shown, figures={**shown.figures, **extra_figures})
         movie = Path(str(medium))
         kind = _MOVIES.get(movie.suffix.lower())
         if is_remote(medium) or (kind is None and movie.suffix.lower() not in _UNPLAYED):
             return _page(medium, against, report, devices)
         path = Path(folder) / f"{movie.stem}.touch"
         done = demux(movie, path)
-        film = None if kind is None else (movie.read_bytes(), kind, done.at_s)
-        page = _page(path, against, report, devices, film)
+        if page == "auto" and against is None and not devices and is_for_array(path):
+            return _timeline(movie, None, (), report)
+        film = None if kind is None else (movie_bytes(movie), kind, done.at_s)
+        shown = _page(path, against, report, devices, film)
         notes = [*done.notes, *((_without_pictures(movie, done.at_s),) if kind is None else ())]
-        return replace(page, figures={**page.figures, **({"movie_notes": notes} if notes else {})})
+        return replace(shown, figures={**shown.figures, **({"movie_notes": notes} if notes else {})})
+
+
+def _timeline(
+    medium: str | Path | HapticMedium, against: Source | None, devices: tuple[str, ...], report: Progress
+) -> Page:
+    """The page that edits the touch of a movie, or of a ``.touch`` file without picture."""
+    if isinstance(medium, HapticMedium):
+        raise InvalidArgument("--page timeline", "a medium in memory", "a movie with touch, or a .touch file")
+    if is_remote(medium):
+        raise InvalidArgument("--page timeline", "an address", "a file", "Download it first.")
+    if against is not None or devices:
+        hint = "Take them out, or show the page of the field: --page field."
+        raise InvalidArgument("--page timeline", "--source or --device", "neither", hint)
+    movie = Path(str(medium))
+    shown = view_timeline(movie, _MOVIES.get(movie.suffix.lower()), report)
+    return Page(shown.html, shown.figures)
 
 
 def _without_pictures(movie: Path, at_s: float) -> str:
