@@ -1,4 +1,4 @@
-// The page in one file: wasm, worker, styles and scripts in page.html; its sources' hash lies in it.
+// The pages, each in one file: wasm, worker, styles and scripts in it, and the hash of the sources of all.
 import { build } from "esbuild";
 import { execFileSync } from "node:child_process";
 import { createHash } from "node:crypto";
@@ -20,8 +20,14 @@ const SAMPLE = "../conformance/v1/touch-large.touch";
 /** Headers of c/ that touch_wasm.c and hand.c include. */
 const HEADERS = ["", ...["cells", "effects", "encode", "friction", "log", "media_clock", "model", "play", "proxy", "proxy_jump", "proxy_search", "query", "receiver", "render", "seam", "segment_blend", "settings", "shared", "slopes", "timing", "tool", "vector", "write"].map((name) => `_${name}`)].map((name) => `../c/touch${name}.h`);
 
-/** Every file that the page is made from; tests/viewer/test_page.py hashes the same. */
-const SOURCES = [...HEADERS, "build.mjs", "build_wasm.sh", "hand.c", "package-lock.json", "page.css", "page.h", "page.html", "record.h", "relief.h", "surface.h", "three_core.mjs", "touch_wasm.c", "unused_methods.mjs",
+/** The pages: the file that is written, its markup, its styles, and the script that runs. */
+const PAGES = [
+  { name: "page.html", html: "page.html", css: "page.css", entry: "main.ts" },
+  { name: "map.html", html: "map.html", css: "map.css", entry: "map.ts" },
+];
+
+/** Every file that the pages are made from; tests/viewer/test_page.py hashes the same. */
+const SOURCES = [...HEADERS, "build.mjs", "build_wasm.sh", "hand.c", "package-lock.json", ...PAGES.flatMap(({ html, css }) => [html, css]), "page.h", "record.h", "relief.h", "surface.h", "three_core.mjs", "touch_wasm.c", "unused_methods.mjs",
   ...listed("freestanding", ""), ...listed("src", ".ts")];
 const sources = createHash("sha256");
 for (const name of SOURCES) sources.update(name).update("\0").update(read(name)).update("\0");
@@ -42,13 +48,18 @@ const wasm = join(tmpdir(), `touch-${process.pid}.wasm`);
 execFileSync("sh", [join(here, "build_wasm.sh"), wasm], { stdio: "inherit" });
 const packed = gzipSync(readFileSync(wasm), { level: 9 });
 packed[9] = 255; // of no system in particular
-const [main, worker] = [await bundle("main.ts"), await bundle("worker.ts")];
-const css = read("page.css").replaceAll(/\n\s*/g, "\n").trim();
-const parts = {
-  SCRIPT: hashOf(main), STYLE: hashOf(css), SOURCES: sources.digest("hex"), CSS: css, WASM: packed.toString("base64"), WORKER: worker, LICENCE: read("node_modules/three/LICENSE").trim(), SAMPLE: readFileSync(join(here, SAMPLE)).toString("base64"), MAIN: main,
+const worker = await bundle("worker.ts");
+const shared = {
+  SOURCES: sources.digest("hex"), WASM: packed.toString("base64"), WORKER: worker, LICENCE: read("node_modules/three/LICENSE").trim(), SAMPLE: readFileSync(join(here, SAMPLE)).toString("base64"),
 };
-const page = read("page.html").replaceAll(/@([A-Z]+)@/g, (whole, name) => parts[name] ?? whole);
-mkdirSync(out, { recursive: true });
-writeFileSync(join(out, "page.html"), page);
 const kb = (data) => (gzipSync(data, { level: 9 }).length / 1000).toFixed(1);
-console.log(`wasm ${kb(readFileSync(wasm))} kB gz, main ${kb(main)}, worker ${kb(worker)}, whole page ${kb(page)} kB gz`);
+console.log(`wasm ${kb(readFileSync(wasm))} kB gz, worker ${kb(worker)}`);
+mkdirSync(out, { recursive: true });
+for (const { name, html, css, entry } of PAGES) {
+  const main = await bundle(entry);
+  const styles = read(css).replaceAll(/\n\s*/g, "\n").trim();
+  const parts = { ...shared, SCRIPT: hashOf(main), STYLE: hashOf(styles), CSS: styles, MAIN: main };
+  const page = read(html).replaceAll(/@([A-Z]+)@/g, (whole, key) => parts[key] ?? whole);
+  writeFileSync(join(out, name), page);
+  console.log(`${name}: main ${kb(main)} kB gz, whole page ${kb(page)} kB gz`);
+}
