@@ -9,6 +9,7 @@ import pytest
 
 from container_strategies import example_file
 from touchfield.container.fields import FieldType, Listed
+from touchfield.container.map_record import LAYOUTS
 from touchfield.container.records import (
     MAX_BRICKS,
     MAX_OBJECTS,
@@ -22,7 +23,7 @@ from touchfield.container.records import (
 
 FOLDER = Path(__file__).resolve().parents[2] / "docs" / "format"
 CONTAINER = (FOLDER / "container.md").read_text(encoding="utf-8")
-CHAPTERS = ("container.md", "bits.md", "paper.md", "touch.md", "objects.md", "vibration.md")
+CHAPTERS = ("container.md", "bits.md", "paper.md", "touch.md", "objects.md", "vibration.md", "maps.md")
 
 
 def type_and_bounds(kind: FieldType) -> tuple[str, str]:
@@ -44,6 +45,11 @@ def table(layout: type) -> str:
 @pytest.mark.parametrize("layout", [*(record.layout for record in RECORDS), Pair, SegmentEntry])
 def test_tables(layout: type) -> None:
     assert table(layout) in CONTAINER
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_tables_of_maps(layout: type) -> None:
+    assert table(layout) in (FOLDER / "maps.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("record", RECORDS, ids=lambda record: record.tag)

@@ -15,6 +15,7 @@ from threading import Lock
 from types import MappingProxyType
 from typing import BinaryIO, Final
 
+from touchfield.container.map_record import MAX_RECORD_BYTES, TAG as MAP_TAG, TactileMap, decode_map
 from touchfield.container.records import (
     MAX_OBJECTS,
     OBJECTS_CODER,
@@ -76,6 +77,8 @@ class TouchReader:
         Number of objects of a file of coder `objects`; otherwise 0.
     has_vibration : bool
         Whether the file has vibrations; of a remote file, whether its first segment has.
+    has_map : bool
+        Whether the file has the levels and the index of a tactile map.
     """
 
     def __init__(self, file: str | os.PathLike[str] | BinaryIO) -> None:
@@ -133,6 +136,22 @@ class TouchReader:
             raise CorruptFile(found.where, wrong, right, FETCH_AGAIN)
         return vibration.body
 
+    def read_map(self) -> TactileMap | None:
+        """Levels and index of a tactile map (docs/format/maps.md); None if the file has none.
+
+        Raises `FormatError` if they are invalid, which does not concern the frames.
+        """
+        if not self._maps:
+            return None
+        if len(self._maps) > 1:
+            raise CorruptFile(self._maps[1].where, f"a second {MAP_TAG}", "at most one", FETCH_AGAIN)
+        found = self._maps[0]
+        if found.payload_length > MAX_RECORD_BYTES:
+            size, expected = f"{found.payload_length} bytes", f"at most {MAX_RECORD_BYTES}"
+            raise CorruptFile(found.where, size, expected, FETCH_AGAIN)
+        payload = self._source.read_at(found.offset + FRAME_SIZE, found.payload_length)
+        return decode_map(payload, self.name)
+
     def read_object(self, index: int) -> ObjectRecord:
         """Object `index`, 0 to ``object_count - 1``, checked against its CRC-32."""
         if not 0 <= index < self.object_count:
@@ -177,11 +196,12 @@ class TouchReader:
         starts = [*(entry.offset for entry in self.segments), index_record.offset, end_record.offset]
         self._gaps = dict(enumerate(zip(stops, starts, strict=True)))
         self._vibrations: dict[int, FoundRecord] = {}
+        self._maps: list[FoundRecord] = []
         self.provenance: Mapping[str, str] = MappingProxyType({})
         last = len(self.segments)
         for gap in (0, last, last + 1) if source.remote else range(last + 2):
             self._read_gap(gap)
-        self.has_vibration = bool(self._vibrations)
+        self.has_vibration, self.has_map = bool(self._vibrations), bool(self._maps)
 
     def _read_end(self, head_end: int) -> tuple[FoundRecord, End]:
         """The end record and its position."""
@@ -271,6 +291,8 @@ class TouchReader:
                     vibration = found  # read and checked on request
                 elif found.offset not in objects:
                     check_crc(self._source, found)
+                    if found.tag == MAP_TAG and gap == len(self.segments) and len(self._maps) < 2:
+                        self._maps.append(found)
                     if (record := known_record(found)) is not None:
                         expected = f"{found.tag} {record.position}"
                         raise CorruptFile(

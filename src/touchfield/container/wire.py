@@ -150,9 +150,13 @@ def encode_record(tag: str, value: Any) -> bytes:
     InvalidArgument if a field of `value` is out of bounds.
     """
     record = RECORD_OF[tag]
-    payload = record.kind.encode(value, tag)
-    framed = FRAME.pack(tag.encode("ascii"), REQUIRED if record.required else 0, len(payload)) + payload
-    return framed + struct.pack("<I", zlib.crc32(framed))
+    return framed(tag, record.kind.encode(value, tag), is_required=record.required)
+
+
+def framed(tag: str, payload: bytes, *, is_required: bool) -> bytes:
+    """The bytes of a record of this payload, its CRC-32 last."""
+    data = FRAME.pack(tag.encode("ascii"), REQUIRED if is_required else 0, len(payload)) + payload
+    return data + struct.pack("<I", zlib.crc32(data))
 
 
 # -- reading -----------------------------------------------------------------------------------------------

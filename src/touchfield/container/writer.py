@@ -15,6 +15,8 @@ from types import TracebackType
 from typing import Any, BinaryIO, Final
 
 from touchfield.atomic import atomic_path
+from touchfield.container.fields import Cursor
+from touchfield.container.map_record import TAG as MAP_TAG, TactileMap, encode_map
 from touchfield.container.records import (
     MAX_OBJECTS,
     OBJECTS_CODER,
@@ -27,7 +29,7 @@ from touchfield.container.records import (
     Provenance,
     SegmentEntry,
 )  # fmt: skip
-from touchfield.container.wire import CRC_SIZE, FRAME_SIZE, OPENING, encode_record
+from touchfield.container.wire import CRC_SIZE, FRAME_SIZE, OPENING, encode_record, framed
 from touchfield.errors import InvalidArgument, SourceError, reason
 
 MENDS: Final = {
@@ -207,3 +209,21 @@ def index_and_end(entries: Iterable[SegmentEntry], position: int, chain: bytes) 
     return index + encode_record(
         "TEND", End(index_offset=position, file_length=length, chain_crc32=chain_crc32)
     )
+
+
+def with_map(data: bytes, value: TactileMap) -> bytes:
+    """The bytes of a file without a map, with the levels and the index of one.
+
+    The record stands before the index; every other record keeps its bytes, but for the position of the index
+    in the last one. Raises `InvalidArgument` for a value out of bounds.
+    """
+    tail = FRAME_SIZE + RECORD_OF["TEND"].kind.smallest + CRC_SIZE
+    end: End = RECORD_OF["TEND"].kind.decode(Cursor(data, MAP_TAG, 0, len(data) - tail + FRAME_SIZE), "TEND")
+    record = framed(MAP_TAG, encode_map(value), is_required=False)
+    moved = End(
+        index_offset=end.index_offset + len(record),
+        file_length=len(data) + len(record),
+        chain_crc32=end.chain_crc32,
+    )
+    index = data[end.index_offset : len(data) - tail]
+    return data[: end.index_offset] + record + index + encode_record("TEND", moved)

@@ -20,8 +20,8 @@ from typing import Final
 import numpy as np
 from scipy import ndimage
 
-from touchfield.arrays import Bools
-from touchfield.maps.board import Board, Layout, Placed, parts_of
+from touchfield.arrays import Bools, Int32s
+from touchfield.maps.board import FREE, Board, Layout, Placed, parts_of
 from touchfield.maps.braille import Braille
 from touchfield.maps.features import Feature
 from touchfield.maps.guidelines import PinRules, guidelines
@@ -45,6 +45,8 @@ class Drawn:
     unlabelled : tuple of str; Names for which there was no room.
     counts : mapping of str to (int, int); For each class, features in the window and features drawn.
     notes : tuple of str; What was left out, and why.
+    named : tuple of (str, str); Class and name of the named features that have pins, each once.
+    name_at : int32 [rows, columns]; Index in `named` of the feature to which a pin belongs, `FREE` for none.
     """
 
     layout: Layout
@@ -52,6 +54,8 @@ class Drawn:
     unlabelled: tuple[str, ...]
     counts: Mapping[str, tuple[int, int]]
     notes: tuple[str, ...]
+    named: tuple[tuple[str, str], ...]
+    name_at: Int32s
 
 
 @dataclass
@@ -65,20 +69,22 @@ class _Drawing:
     drawn: Counter[str] = field(default_factory=Counter)
     requests: list[LabelRequest] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    named: dict[tuple[str, str], int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.name_at = np.full(self.board.shape, FREE, np.int32)
 
     def request(self, feature: Feature, pins: Bools, *, must_be_inside: bool = False) -> None:
-        """Ask for a label of a feature that is drawn on some pins."""
+        """Ask for a label of a feature that is drawn on some pins, and note its name there."""
         if feature.name and pins.any():
+            self.name_at[pins] = self.named.setdefault((feature.kind, feature.name), len(self.named))
             self.requests.append(LabelRequest(feature.name, feature.kind, pins, must_be_inside))
 
 
 def draw(features: Sequence[Feature], window: Window, rules: PinRules, braille: Braille | None) -> Drawn:
     """Draw features in a window; without `braille` there are no labels."""
-    by_kind: dict[str, list[Feature]] = {}
-    for feature in features:
-        by_kind.setdefault(feature.kind, []).append(feature)
-    drawing = _Drawing(Board(window.rows, window.columns, rules), window, by_kind)
-    _limit_kinds(drawing)
+    by_kind, notes = _told_apart(features)
+    drawing = _Drawing(Board(window.rows, window.columns, rules), window, by_kind, notes=notes)
     _draw_lines(drawing)
     _draw_points(drawing)
     _draw_areas(drawing, is_solid=True)
@@ -87,16 +93,38 @@ def draw(features: Sequence[Feature], window: Window, rules: PinRules, braille: 
     labels, unlabelled = put_labels(drawing.board, drawing.requests, braille)
     _draw_areas(drawing, is_solid=False, masks=areas)
     counts = {kind: (drawing.seen[kind], drawing.drawn[kind]) for kind in drawing.seen}
-    return Drawn(drawing.board.layout(), labels, unlabelled, counts, tuple(drawing.notes))
+    return Drawn(
+        drawing.board.layout(),
+        labels,
+        unlabelled,
+        counts,
+        tuple(drawing.notes),
+        tuple(drawing.named),
+        drawing.name_at,
+    )
 
 
-def _limit_kinds(drawing: _Drawing) -> None:
-    """Leave out classes that feel like a more important one, and those beyond the greatest number."""
+def told_apart(features: Sequence[Feature]) -> list[Feature]:
+    """Return the features of the classes that can be told apart on one map; windows of it show no others."""
+    by_kind, _ = _told_apart(features)
+    return [feature for feature in features if feature.kind in by_kind]
+
+
+def _told_apart(features: Sequence[Feature]) -> tuple[dict[str, list[Feature]], list[str]]:
+    """Return the features of each class, and notes.
+
+    Left out are classes that feel like a more important one, and those beyond the greatest number.
+    """
+    by_kind: dict[str, list[Feature]] = {}
+    for feature in features:
+        by_kind.setdefault(feature.kind, []).append(feature)
+    notes = []
     limit = int(guidelines()["max_kinds"].value)
     for shape in ("line", "area", "point"):
         looks: dict[object, str] = {}
         for symbol in symbols().values():
-            if symbol.shape != shape or not symbol.is_drawn or not _count_of(drawing, symbol):
+            count = _count_of(by_kind, symbol)
+            if symbol.shape != shape or not symbol.is_drawn or not count:
                 continue
             if symbol.look in looks:
                 reason = f"they would feel like {looks[symbol.look]}"
@@ -105,20 +133,19 @@ def _limit_kinds(drawing: _Drawing) -> None:
             else:
                 looks[symbol.look] = symbol.titled("en")
                 continue
-            drawing.notes.append(
-                f"Left out: {_count_of(drawing, symbol)} of {symbol.titled('en')}: {reason}."
-            )
-            drawing.features = {
+            notes.append(f"Left out: {count} of {symbol.titled('en')}: {reason}.")
+            by_kind = {
                 kind: features
-                for kind, features in drawing.features.items()
+                for kind, features in by_kind.items()
                 if symbol.name not in (kind, symbols()[kind].outline if kind in symbols() else "")
             }
+    return by_kind, notes
 
 
-def _count_of(drawing: _Drawing, symbol: Symbol) -> int:
+def _count_of(by_kind: Mapping[str, list[Feature]], symbol: Symbol) -> int:
     """Return the number of features of a class, and of those that are drawn by its line."""
     kinds = [symbol.name, *(other.name for other in symbols().values() if other.outline == symbol.name)]
-    return sum(len(drawing.features.get(kind, ())) for kind in kinds)
+    return sum(len(by_kind.get(kind, ())) for kind in kinds)
 
 
 # -- lines -------------------------------------------------------------------------------------------------
