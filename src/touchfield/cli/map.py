@@ -34,6 +34,9 @@ def make_map_command(
     ] = None,
     level: Annotated[str | None, "The floor of a building."] = None,
     language: Annotated[str, "Language of the Braille, such as de, or a table of liblouis."] = "en",
+    zooms: Annotated[
+        int | None, "Zoom levels for a display; default: until every feature and name is shown, at most 4."
+    ] = None,
     no_labels: Annotated[bool, typer.Option("--no-labels", help="Draw no Braille.")] = False,
     svg: Annotated[Path | None, "Also write a drawing for swell paper, .svg."] = None,
     stl: Annotated[Path | None, "Also write a plate for 3-D printers, .stl."] = None,
@@ -46,7 +49,7 @@ def make_map_command(
     corners = None
     if box is not None:
         corners = numbers_of("--box", box, (4,), "four numbers, such as 10.06,48.13,10.08,48.14")
-    spec = MapSpec(device, corners, level, language, not no_labels)
+    spec = MapSpec(device, corners, level, language, not no_labels, zooms)
     with progress("map"):
         made = make_map(source, out, spec, svg=svg, stl=stl)
     if plot is not None:

@@ -55,7 +55,7 @@ class MapName:
     """A name of one or more features."""
 
     text: str = row(Text(512, min_bytes=1), "The name.")
-    cells: bytes = row(Octets(1024), "Its Braille; empty if the map has none.")
+    cells: bytes = row(Octets(256), "Its Braille; empty if the map has none.")
 
 
 @dataclass(frozen=True, kw_only=True)

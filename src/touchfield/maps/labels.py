@@ -9,7 +9,7 @@ import re
 import unicodedata
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from scipy import ndimage
@@ -24,6 +24,13 @@ MAX_NAME_CELLS: Final = 5
 """Longest name that stands on the map itself, cells; longer ones would fill the display."""
 SWATCH_PINS: Final = 9
 """Columns of the sample of a symbol in the legend."""
+
+
+class Translator(Protocol):
+    """Writes Braille: `touchfield.maps.braille.Braille`, or the stored cells of a map."""
+
+    def cells(self, text: str) -> tuple[int, ...]:
+        """Return the dots of each cell: bit n is dot n + 1."""
 
 
 @dataclass(frozen=True)
@@ -187,7 +194,7 @@ def _sample(kind: str) -> Bools:
 
 
 def legend_pages(
-    lines: Sequence[LegendLine], braille: Braille, rows: int, columns: int, rules: PinRules
+    lines: Sequence[LegendLine], braille: Translator, rows: int, columns: int, rules: PinRules
 ) -> tuple[tuple[Bools, ...], tuple[str, ...]]:
     """Lay out the legend on pages of pins, bool [rows, columns] each; returns them and notes.
 

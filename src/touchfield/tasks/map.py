@@ -10,10 +10,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from touchfield.arrays import Bools
+from touchfield.arrays import Bools, Float64s
+from touchfield.atomic import atomic_path
 from touchfield.codec.touch.spec import TouchSpec
+from touchfield.container.map_record import TactileMap
+from touchfield.container.writer import with_map
 from touchfield.devices import Device, device
-from touchfield.errors import InvalidArgument, SourceError, require_ending
+from touchfield.errors import InvalidArgument, SourceError, require_between, require_ending
 from touchfield.exchange.symbolic import ArrayEffect, effect_medium
 from touchfield.filters.device_spec import device_grid
 from touchfield.maps.braille import Braille
@@ -25,7 +28,9 @@ from touchfield.maps.labels import LegendLine, legend_lines, legend_pages
 from touchfield.maps.layout import Drawn, draw
 from touchfield.maps.pins import Window
 from touchfield.maps.reader import box_of, on_level, read_map
+from touchfield.maps.zooms import MAX_LEVELS, Level, draw_levels
 from touchfield.pipeline.encoding import encode_prepared
+from touchfield.pipeline.map_index import map_record
 from touchfield.pipeline.preparation import prepare
 from touchfield.pipeline.provenance import file_provenance
 from touchfield.pipeline.source import FixedLatticeScene
@@ -50,6 +55,8 @@ class MapSpec:
     level : str or None; The floor of a building.
     language : str; Of the Braille: a key of `touchfield.maps.braille.TABLES`, or a table of liblouis.
     has_labels : bool; False draws symbols only.
+    zooms : int or None; Zoom levels for a display, 1 to `touchfield.maps.zooms.MAX_LEVELS`. None makes
+        as many as show every feature and name, at most `touchfield.maps.zooms.DEFAULT_LEVELS`.
     """
 
     device: str = "graphiti"
@@ -57,6 +64,11 @@ class MapSpec:
     level: str | None = None
     language: str = "en"
     has_labels: bool = True
+    zooms: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.zooms is not None:
+            require_between(1, MAX_LEVELS, zooms=self.zooms)
 
 
 @dataclass(frozen=True)
@@ -105,8 +117,9 @@ def make_map(
     """Make a tactile map.
 
     `source` is GeoJSON, an extract of OpenStreetMap (``.osm``, ``.osm.pbf``) or an SVG drawing. `out` is a
-    medium of one frame for the device; the pages of its legend are ``OUT.legend-1.touch`` and so on. `svg`
-    is a drawing for swell paper, with the legend; `stl` a plate for printers.
+    medium of one frame for the device, with zoom levels and an index of names for a display; the pages of its
+    legend are ``OUT.legend-1.touch`` and so on. `svg` is a drawing for swell paper, with the legend; `stl` a
+    plate for printers.
 
     Raises TouchfieldError if the source cannot be read, nothing can be drawn, or labels are requested and
     liblouis is missing; no file is then left.
@@ -117,7 +130,8 @@ def make_map(
     rows, columns, rules = _pins_of(target)
     read = read_map(source)
     read = on_level(read, spec.level) if spec.level is not None else read
-    window = Window.around(*box_of(read, spec.box), rows, columns)
+    box = box_of(read, spec.box)
+    window = Window.around(*box, rows, columns)
     braille = _braille(read, spec, rules)
     drawn = draw(read.features, window, rules, braille)
     if not drawn.layout.symbols:
@@ -125,8 +139,10 @@ def make_map(
         raise SourceError(str(source), found, "a feature of a line's or a symbol's size", _SMALLER)
     lines = legend_lines(drawn.layout, drawn.labels, spec.language) if braille else ()
     pages, page_notes = legend_pages(lines, braille, rows, columns, rules) if braille else ((), ())
-    files = _write(path, drawn, pages, target, source)
     title = Path(source).name
+    levels, zoom_notes = _levels(read, box, (window, drawn), braille, spec, target)
+    record, index_notes = map_record(read, box, levels, title, spec.language, braille)
+    files = _write(path, drawn, pages, target, source, record)
     if svg is not None:
         write_svg(Path(svg), drawn.layout, pages, lines, title, read.attribution)
         files += (Path(svg),)
@@ -135,9 +151,13 @@ def make_map(
         files += (Path(stl),)
     checked = check(drawn.layout)
     figures = _figures(read, window, target, drawn, checked, lines, files) | {"title": title}
+    if target.is_array:
+        figures |= _level_figures(levels, record)
     pages_left_out = bool(pages) and not target.is_array
     notes = _notes(read, drawn, checked, braille, pages_left_out=pages_left_out)
-    return MadeMap(drawn, checked, pages, lines, files, figures, (*notes, *page_notes))
+    return MadeMap(
+        drawn, checked, pages, lines, files, figures, (*notes, *zoom_notes, *index_notes, *page_notes)
+    )
 
 
 _SMALLER: Final = "Draw a smaller part: --box."
@@ -165,8 +185,29 @@ def _braille(read: MapSource, spec: MapSpec, rules: PinRules) -> Braille | None:
     return Braille(spec.language)
 
 
+def _levels(
+    read: MapSource,
+    box: tuple[Float64s, Float64s],
+    whole: tuple[Window, Drawn],
+    braille: Braille | None,
+    spec: MapSpec,
+    target: Device,
+) -> tuple[tuple[Level, ...], tuple[str, ...]]:
+    """Draw the zoom levels of a map for a display; a point device shows the whole map only."""
+    if target.is_array:
+        return draw_levels(read.features, box, whole, braille, spec.zooms)
+    levels, _ = draw_levels(read.features, box, whole, braille, 1)
+    note = f"{target.name}, a point device, shows the whole map: zoom levels are for pin displays."
+    return levels, (note,) if (spec.zooms or 1) > 1 else ()
+
+
 def _write(
-    path: Path, drawn: Drawn, pages: tuple[Bools, ...], target: Device, source: str | Path
+    path: Path,
+    drawn: Drawn,
+    pages: tuple[Bools, ...],
+    target: Device,
+    source: str | Path,
+    record: TactileMap,
 ) -> tuple[Path, ...]:
     if not target.is_array:
         heights_mm, spacing_mm = relief_mm(drawn.layout, POINT_HEIGHT_MM, 0.0)
@@ -175,8 +216,11 @@ def _write(
         encode_prepared(prepared, path, file_provenance(source, prepared))
         return (path,)
     files = [path, *(legend_path(path, n + 1) for n in range(len(pages)))]
-    for file, pins in zip(files, (drawn.layout.raised, *pages)):
-        _write_pins(file, pins, target, source)
+    with atomic_path(path) as temporary:
+        _write_pins(temporary, drawn.layout.raised, target, source)
+        temporary.write_bytes(with_map(temporary.read_bytes(), record))
+        for file, pins in zip(files[1:], pages):
+            _write_pins(file, pins, target, source)
     return tuple(files)
 
 
@@ -219,6 +263,17 @@ def _figures(
         "unlabelled": list(drawn.unlabelled),
         "attribution": read.attribution or None,
         "files": [str(file) for file in files],
+    }
+
+
+def _level_figures(levels: tuple[Level, ...], record: TactileMap) -> dict[str, Any]:
+    """Return what the zoom levels and the index have, and what a check of every view finds."""
+    checked = [check(drawn.layout) for level in levels for drawn in level.views]
+    return {
+        "zoom_levels": len(levels),
+        "views": len(record.views),
+        "violations": sum(len(found.violations) for found in checked),
+        "named_features": len(record.places),
     }
 
 
