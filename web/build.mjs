@@ -1,4 +1,4 @@
-// The pages, each in one file: wasm, worker, styles and scripts in it, and the hash of the sources of all.
+// The pages, each in one file with its styles and scripts, and page.html also with wasm and worker; the hash of all sources lies in each.
 import { build } from "esbuild";
 import { execFileSync } from "node:child_process";
 import { createHash } from "node:crypto";
@@ -20,14 +20,8 @@ const SAMPLE = "../conformance/v1/touch-large.touch";
 /** Headers of c/ that touch_wasm.c and hand.c include. */
 const HEADERS = ["", ...["cells", "effects", "encode", "friction", "log", "media_clock", "model", "play", "proxy", "proxy_jump", "proxy_search", "query", "receiver", "render", "seam", "segment_blend", "settings", "shared", "slopes", "timing", "tool", "vector", "write"].map((name) => `_${name}`)].map((name) => `../c/touch${name}.h`);
 
-/** The pages: the file that is written, its markup, its styles, and the script that runs. */
-const PAGES = [
-  { name: "page.html", html: "page.html", css: "page.css", entry: "main.ts" },
-  { name: "map.html", html: "map.html", css: "map.css", entry: "map.ts" },
-];
-
-/** Every file that the pages are made from; tests/viewer/test_page.py hashes the same. */
-const SOURCES = [...HEADERS, "build.mjs", "build_wasm.sh", "hand.c", "package-lock.json", ...PAGES.flatMap(({ html, css }) => [html, css]), "page.h", "record.h", "relief.h", "surface.h", "three_core.mjs", "touch_wasm.c", "unused_methods.mjs",
+/** Every file that the page is made from; tests/viewer/test_page.py hashes the same. */
+const SOURCES = [...HEADERS, "build.mjs", "build_wasm.sh", "hand.c", "map.css", "map.html", "package-lock.json", "page.css", "page.h", "page.html", "record.h", "relief.h", "surface.h", "three_core.mjs", "touch_wasm.c", "unused_methods.mjs",
   ...listed("freestanding", ""), ...listed("src", ".ts")];
 const sources = createHash("sha256");
 for (const name of SOURCES) sources.update(name).update("\0").update(read(name)).update("\0");
@@ -44,22 +38,26 @@ async function bundle(name) {
 
 const hashOf = (text) => `'sha256-${createHash("sha256").update(text).digest("base64")}'`;
 
+/** Each page in one file: its name, markup, style sheet and script. */
+const PAGES = [
+  { name: "page.html", html: "page.html", css: "page.css", entry: "main.ts" },
+  { name: "map.html", html: "map.html", css: "map.css", entry: "map.ts" },
+];
+
 const wasm = join(tmpdir(), `touch-${process.pid}.wasm`);
 execFileSync("sh", [join(here, "build_wasm.sh"), wasm], { stdio: "inherit" });
 const packed = gzipSync(readFileSync(wasm), { level: 9 });
 packed[9] = 255; // of no system in particular
-const worker = await bundle("worker.ts");
 const shared = {
-  SOURCES: sources.digest("hex"), WASM: packed.toString("base64"), WORKER: worker, LICENCE: read("node_modules/three/LICENSE").trim(), SAMPLE: readFileSync(join(here, SAMPLE)).toString("base64"),
+  SOURCES: sources.digest("hex"), WASM: packed.toString("base64"), WORKER: await bundle("worker.ts"), LICENCE: read("node_modules/three/LICENSE").trim(), SAMPLE: readFileSync(join(here, SAMPLE)).toString("base64"),
 };
 const kb = (data) => (gzipSync(data, { level: 9 }).length / 1000).toFixed(1);
-console.log(`wasm ${kb(readFileSync(wasm))} kB gz, worker ${kb(worker)}`);
 mkdirSync(out, { recursive: true });
 for (const { name, html, css, entry } of PAGES) {
-  const main = await bundle(entry);
-  const styles = read(css).replaceAll(/\n\s*/g, "\n").trim();
-  const parts = { ...shared, SCRIPT: hashOf(main), STYLE: hashOf(styles), CSS: styles, MAIN: main };
+  const [main, style] = [await bundle(entry), read(css).replaceAll(/\n\s*/g, "\n").trim()];
+  const parts = { ...shared, SCRIPT: hashOf(main), STYLE: hashOf(style), CSS: style, MAIN: main };
   const page = read(html).replaceAll(/@([A-Z]+)@/g, (whole, key) => parts[key] ?? whole);
   writeFileSync(join(out, name), page);
-  console.log(`${name}: main ${kb(main)} kB gz, whole page ${kb(page)} kB gz`);
+  console.log(`${name}: script ${kb(main)} kB gz, whole ${kb(page)} kB gz`);
 }
+console.log(`wasm ${kb(readFileSync(wasm))} kB gz, worker ${kb(shared.WORKER)} kB gz`);

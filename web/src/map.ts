@@ -17,6 +17,7 @@ const FINGER_PX = 18;
 const DRAG_PX = 5;
 const WHEEL = 0.0015;
 const RULER_PX = 90;
+const SHIFT_PINS = 3; // by which a symbol moves from level to level
 
 const byId = <T extends HTMLElement>(id: string): T => document.getElementById(id) as T;
 const canvas = byId<HTMLCanvasElement>("view");
@@ -72,7 +73,7 @@ async function arrive(before = "", reach = 0, isPointer = false): Promise<void> 
 
 function isSame(a: Met | null, b: Met | null): boolean {
   if (!a || !b) return a === b;
-  return a.symbol === b.symbol && a.names.join() === b.names.join();
+  return a.symbol.kind === b.symbol.kind && a.symbol.role === b.symbol.role && a.names.join() === b.names.join();
 }
 
 const sentence = (...parts: string[]): string => parts.filter(Boolean).join(". ");
@@ -161,13 +162,17 @@ function pan(right: number, down: number): void {
 }
 
 /** Zoom to the next level, or beyond the last. */
-function zoom(direction: 1 | -1): void {
+async function zoom(direction: 1 | -1): Promise<void> {
   const { scales, scale } = view;
-  const { cursor } = open!;
+  const own = open!;
+  const { cursor, met } = own;
   const next = direction > 0 ? scales.findIndex((value) => value < scale * 0.999) : scales.filter((value) => value > scale * 1.001).length - 1;
   if (next >= 0) view.goTo(next, cursor);
   else view.zoom(direction > 0 ? 0.5 : 2, cursor);
   snap();
+  const near = await meet(SHIFT_PINS);
+  if (open !== own) return;
+  if (near && isSame(near, met)) own.cursor = pointOf(view.level, near.pin); // symbols are drawn anew at each level
   const isEnd = view.scale === scale;
   void arrive(isEnd ? (direction > 0 ? t("finest") : t("wholeMap")) : zoomText());
 }
@@ -338,7 +343,7 @@ const ARROWS: Record<string, [number, number]> = { ArrowRight: [1, 0], ArrowLeft
 
 /** Keys that need a map. */
 const MAP_KEYS: Record<string, () => void> = {
-  "+": () => zoom(1), "=": () => zoom(1), ">": () => zoom(1), "-": () => zoom(-1), "<": () => zoom(-1), Home: whole,
+  "+": () => void zoom(1), "=": () => void zoom(1), ">": () => void zoom(1), "-": () => void zoom(-1), "<": () => void zoom(-1), Home: whole,
   "/": () => search.focus(), f: () => search.focus(), t: () => void describe(), Enter: () => void describe(), g: toggleGuiding, j: toggleGuiding, l: () => byId("list-title").focus(),
 };
 
@@ -444,7 +449,7 @@ function wirePointer(): void {
 
 function wireControls(): void {
   const clicks: Record<string, () => void> = {
-    in: () => zoom(1), out: () => zoom(-1), whole, left: () => pan(-1, 0), right: () => pan(1, 0), up: () => pan(0, -1), down: () => pan(0, 1), guide: toggleGuiding,
+    in: () => void zoom(1), out: () => void zoom(-1), whole, left: () => pan(-1, 0), right: () => pan(1, 0), up: () => pan(0, -1), down: () => pan(0, 1), guide: toggleGuiding,
     open: () => byId("file").click(), keys: () => toggleHelp(), contrast: KEYS.h!, speech: KEYS.s!, sound: KEYS.m!, vibration: KEYS.v!, other: () => translate(currentLanguage() === "en" ? "de" : "en"),
   };
   for (const [id, act] of Object.entries(clicks)) byId(id).onclick = act;

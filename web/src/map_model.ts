@@ -123,7 +123,8 @@ export function metAt(map: TactileMap, level: Level, view: View, at: Pin, pin: P
   return best && { ...best, names: namesAt(map, level, best) };
 }
 
-const NAME_REACH = 2; // pins by which a symbol may stand beside its feature
+const NAME_REACH = 2; // pins around the box of a place in which its name is meant
+const PLACE_REACH = 6; // pins by which a point symbol or a label may stand beside its place
 
 /** Names of a symbol at a pin: its only one, or those of the places whose box is there. */
 function namesAt(map: TactileMap, level: Level, { symbol, pin }: Met): string[] {
@@ -141,16 +142,20 @@ const distanceToBox = ([x, y]: Point, [west, south, east, north]: Box): number =
 
 /** The pin of a view that shows a place, the one nearest to the middle of its box; null if it is not drawn there. */
 export function pinOfPlace(map: TactileMap, level: Level, view: View, at: Pin, place: Place): Pin | null {
-  const [x, y] = centreOf(place.box);
+  const isNamed = ({ kind, names }: MapSymbol): boolean => kind === place.kind && names.includes(place.name);
+  const symbol = view.symbols.map((own) => isNamed(own) && own.role !== "label");
+  const label = view.symbols.map((own) => isNamed(own) && own.role === "label"); // a word of a drawing has no symbol
+  return nearestPin(map, level, view, at, place, symbol) ?? nearestPin(map, level, view, at, place, label);
+}
+
+function nearestPin(map: TactileMap, level: Level, view: View, at: Pin, { box }: Place, isWanted: boolean[]): Pin | null {
+  const [x, y] = centreOf(box);
   let [best, least]: [Pin | null, number] = [null, Infinity];
-  const named = view.symbols.map(({ role, kind, names }) => role !== "label" && kind === place.kind && names.includes(place.name));
-  const boxed = view.symbols.map(({ names }) => names.length > 1);
   for (const [n, word] of view.pins.entries()) {
-    const symbol = (word & ~UP) - 1;
-    if (!named[symbol]) continue;
+    if (!isWanted[(word & ~UP) - 1]) continue;
     const pin: Pin = [at[0] * level.panRows + Math.floor(n / map.columns), at[1] * level.panColumns + (n % map.columns)];
     const point = pointOf(level, pin);
-    if (boxed[symbol] && distanceToBox(point, place.box) > NAME_REACH * level.pinStep) continue;
+    if (distanceToBox(point, box) > PLACE_REACH * level.pinStep) continue; // another one of the same name
     const distance = Math.hypot(point[0] - x, point[1] - y);
     if (distance < least) [best, least] = [pin, distance];
   }

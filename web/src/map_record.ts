@@ -69,6 +69,7 @@ const MAX_RECORD_BYTES = 2 ** 26;
 const MAX_PINS = 2 ** 14;
 const MAX_INDEX = 2 ** 16;
 const MAX_VIEWS = 4096;
+const MAX_VIEW_BYTES = 2 ** 20;
 const MAX_SIDE = 1024;
 const MAX_SYMBOLS_BYTES = 2 ** 18;
 const MAX_POSITION = 1e9;
@@ -95,13 +96,14 @@ class Fields {
   u32 = (name: string, low: number, high: number): number => within(name, this.view.getUint32(this.skip(4), true), low, high);
   f64 = (name: string, low: number, high: number): number => within(name, this.view.getFloat64(this.skip(8), true), low, high);
 
-  octets(name: string, max: number, size = this.u16(name, 0, max)): Uint8Array<ArrayBuffer> {
+  /** Bytes, after their number if that is not known. */
+  octets(name: string, max: number, size = this.u32(name, 0, max)): Uint8Array<ArrayBuffer> {
     const at = this.skip(size);
     return this.data.subarray(at, at + size);
   }
 
   text(name: string, max: number): string {
-    const bytes = this.octets(name, max);
+    const bytes = this.octets(name, max, this.u16(name, 0, max));
     try {
       const text = this.decoder.decode(bytes);
       if (!/[\0-\x1f\x7f-\x9f]/.test(text)) return text;
@@ -175,7 +177,7 @@ function mapOf(payload: Uint8Array<ArrayBuffer>): TactileMap {
     count += level.viewRows * level.viewColumns;
     return level;
   });
-  const views = from.list("views", from.u32("views", 0, MAX_VIEWS), () => from.octets("view", 2 ** 20, from.u32("view", 0, 2 ** 20)));
+  const views = from.list("views", from.u32("views", 0, MAX_VIEWS), () => from.octets("view", MAX_VIEW_BYTES));
   if (views.length !== count) throw corrupt(`${views.length} views in place of ${count}`);
   if (from.left) throw corrupt(`${from.left} bytes after its end`);
   if (places.some(({ firstLevel }) => firstLevel > levels.length)) throw corrupt("a place on a level that is not there");

@@ -50,6 +50,7 @@ export class Search {
     this.places = sortedPlaces(map);
     this.clear();
     this.list(map.kinds);
+    legend(map.kinds);
   }
 
   focus(): void {
@@ -163,6 +164,16 @@ export class Search {
   /** Write anew where places are from the cursor. */
   private renewRows(rows: HTMLUListElement, places: Place[]): void {
     for (const [n, button] of [...rows.querySelectorAll("button")].entries()) button.querySelector("span")!.textContent = this.actions.way(places[n]!);
+  }
+}
+
+/** Write what the colours mean. */
+function legend(kinds: Kind[]): void {
+  const rows = byId("legend");
+  rows.replaceChildren();
+  for (const kind of kinds) {
+    const row = element("li", "", rows);
+    row.append(swatch(kind), titleOf(kind, currentLanguage()));
   }
 }
 

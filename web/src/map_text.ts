@@ -15,7 +15,7 @@ const PAPER = {
 };
 
 const ENGLISH = {
-  open: "Open a map", contrast: "High contrast", keys: "Keys", other: "Deutsch", map: "Map", or: "or", label: "label",
+  open: "Open a map", contrast: "High contrast", keys: "Keys", other: "Deutsch", map: "Map", or: "or", label: "label", legend: "Legend",
   hint: "Arrow keys move the cursor, plus and minus zoom, slash finds a place, question mark lists all keys.",
   zoomIn: "Zoom in", zoomOut: "Zoom out", whole: "Whole map", left: "Move the map west", right: "Move the map east", up: "Move the map north", down: "Move the map south",
   speech: "Speech", sound: "Sound", vibration: "Vibration", on: "on", off: "off", noSpeech: "this browser has no speech", underCursor: "Under the cursor",
@@ -27,7 +27,7 @@ const ENGLISH = {
 };
 
 const GERMAN: typeof ENGLISH = {
-  open: "Karte öffnen", contrast: "Hoher Kontrast", keys: "Tasten", other: "English", map: "Karte", or: "oder", label: "Beschriftung",
+  open: "Karte öffnen", contrast: "Hoher Kontrast", keys: "Tasten", other: "English", map: "Karte", or: "oder", label: "Beschriftung", legend: "Legende",
   hint: "Pfeiltasten bewegen den Zeiger, Plus und Minus ändern die Stufe, Schrägstrich sucht einen Ort, Fragezeichen nennt alle Tasten.",
   zoomIn: "Größer", zoomOut: "Kleiner", whole: "Ganze Karte", left: "Karte nach Westen", right: "Karte nach Osten", up: "Karte nach Norden", down: "Karte nach Süden",
   speech: "Sprache", sound: "Ton", vibration: "Vibration", on: "an", off: "aus", noSpeech: "dieser Browser hat keine Sprache", underCursor: "Unter dem Zeiger",

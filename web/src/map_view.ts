@@ -222,7 +222,7 @@ export class MapView {
     const view = this.views!.get(indexOf(level, at));
     if (!view) return;
     const size = level.pinStep / this.scale;
-    const [low, high, accent] = [ink("--down"), ink("--ink"), ink("--accent")];
+    const [low, high, label, accent] = [ink("--down"), ink("--ink"), ink("--label"), ink("--accent")];
     const paths = new Map<string, Path2D>();
     for (const [n, word] of view.pins.entries()) {
       const pin: Pin = [at[0] * level.panRows + Math.floor(n / map.columns), at[1] * level.panColumns + (n % map.columns)];
@@ -231,7 +231,7 @@ export class MapView {
       if (others.some((other) => hasPin(map, level, other, pin))) continue;
       const symbol = view.symbols[(word & ~UP) - 1];
       const isUp = (word & UP) !== 0;
-      const colour = !symbol || symbol.role === "label" ? high : classOf(symbol.kind.name).colours[scheme];
+      const colour = !symbol ? high : symbol.role === "label" ? label : classOf(symbol.kind.name).colours[scheme];
       if (symbol && symbol.role === "area") addTo(paths, `ground ${colour}`).rect(x - size / 2, y - size / 2, size + 0.3, size + 0.3);
       if (symbol && symbol === this.marks.met && isUp) addDisc(addTo(paths, `met ${accent}`), x, y, 0.56 * size);
       addDisc(addTo(paths, isUp ? `up ${colour}` : `down ${symbol ? colour : low}`), x, y, size * (isUp ? PIN_RADIUS : 0.1));

@@ -32,7 +32,12 @@ if TYPE_CHECKING:
     from touchfield.measure.quantity import Quantity
 
 
-@command("Look", "view room.touch", "view room.touch --source scan.ply --out room.html --no-open")
+@command(
+    "Look",
+    "view room.touch",
+    "view room.touch --source scan.ply --out room.html --no-open",
+    "view town.touch --out town.html",
+)
 def view(
     stream: Stream,
     source: Annotated[
@@ -43,19 +48,22 @@ def view(
     ] = None,
     out: Annotated[Path | None, "HTML file to write; default: a temporary one."] = None,
     no_open: Annotated[bool, "Open no browser."] = False,
+    page: Annotated[
+        str, "field, or map, to explore and find places; auto: map for a file of touchfield map."
+    ] = "auto",
 ) -> Answer:
     """Open STREAM in the browser: seen, played, probed and heard, without any network."""
     from touchfield.tasks.view import view as run
 
     check_results((stream, source), out)
     with progress("view") as report:
-        page = run(stream, source, report, tuple(device or ()))
-    path = page.save(out) if out else None
+        shown = run(stream, source, report, tuple(device or ()), page)
+    path = shown.save(out) if out else None
     if not no_open:
-        path = page.open(path)
+        path = shown.open(path)
     if path is None:
         raise InvalidArgument("--no-open", "no --out", "an HTML file to write", "Name one: --out page.html.")
-    return Answer({"page": str(path), "page_bytes": path.stat().st_size, **page.figures}, str(stream))
+    return Answer({"page": str(path), "page_bytes": path.stat().st_size, **shown.figures}, str(stream))
 
 
 @command("Look", "compare scan.ply scan.touch", "compare scan.ply scan.touch --no-picture --json")

@@ -18,7 +18,7 @@ from touchfield.atomic import atomic_path
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.compute.threads import Progress, silent
 from touchfield.devices import device_names
-from touchfield.errors import InvalidArgument
+from touchfield.errors import FormatError, InvalidArgument, require_one_of
 from touchfield.files import is_remote
 from touchfield.medium import HapticMedium
 from touchfield.network.demux import demux
@@ -31,7 +31,7 @@ from touchfield.pipeline.spec import EncodeSpec
 from touchfield.pipeline.stream import OpenStream
 from touchfield.render.point_device import BOX_AXES, axes_matrix
 from touchfield.tasks.measure import MeasureSpec, measure_medium
-from touchfield.viewer.browser import page_of
+from touchfield.viewer.browser import map_page_of, page_of
 from touchfield.viewer.page import write_png
 from touchfield.viewer.picture import shadows
 
@@ -40,6 +40,7 @@ _HEIGHT_PX: Final = 640
 _MOVIES: Final = {".mp4": "video/mp4", ".m4v": "video/mp4", ".mov": "video/mp4"}
 _UNPLAYED: Final = (".mkv", ".webm", ".ts", ".mts", ".m2ts", ".m3u8", ".mpd")
 """Movies whose touch is shown alone: not every browser plays them."""
+PAGES: Final = ("auto", "field", "map")
 _DRAWN_FRAMES: Final = 3  # the first, the middle one and the last
 MAX_SOURCE_BYTES: Final = 1 << 25  # maximum size of the source within a page
 _ERROR_FRACTIONS: Final = (0.1, 0.3)
@@ -94,6 +95,7 @@ def view(
     against: Source | None = None,
     report: Progress = silent,
     devices: tuple[str, ...] = (),
+    page: str = "auto",
 ) -> Page:
     """Return the page of a ``.touch`` file, of a movie with touch, or of a medium.
 
@@ -101,26 +103,73 @@ def view(
     shown, and a note says how to see its pictures. `against` is the source that was encoded: a path, scene,
     medium or field. The page then contains it, shows it and the difference, and states the NMSE and the
     vibration of the coding. `devices` are profiles whose capacity, WMR and HIL are shown with the entropy of
-    the medium; with a source and no profile, that of the stream. Raises TouchfieldError if the file cannot be
-    read, or the page does not support its coder.
+    the medium; with a source and no profile, that of the stream. `page` is one of `PAGES`: the page of the
+    field, or that of a tactile map; "auto" takes the map of a file that has one, without `against` and
+    `devices`. Raises TouchfieldError if the file cannot be read, or the page does not support its coder.
     """
+    require_one_of("--page", page, PAGES)
+    if page == "map":
+        return _required_map_page(medium, against, devices)
     with tempfile.TemporaryDirectory() as folder:
         if isinstance(medium, HapticMedium):
             path, spec = Path(folder) / "medium.touch", EncodeSpec(touch=TouchSpec(effort="fast"))
             encode(medium[:_MAX_FRAMES], path, spec)
-            page = _page(path, against, report, devices)
+            shown = _page(path, against, report, devices)
             extra_figures = {"frames_of": len(medium)} if len(medium) > _MAX_FRAMES else {}
-            return replace(page, figures={**page.figures, **extra_figures})
+            return replace(shown, figures={**shown.figures, **extra_figures})
         movie = Path(str(medium))
         kind = _MOVIES.get(movie.suffix.lower())
         if is_remote(medium) or (kind is None and movie.suffix.lower() not in _UNPLAYED):
-            return _page(medium, against, report, devices)
+            is_plain = page == "auto" and against is None and not devices
+            map_page, notes = _map_page(medium) if is_plain else (None, [])
+            if map_page is not None:
+                return map_page
+            shown = _page(medium, against, report, devices)
+            return replace(shown, figures={**shown.figures, **({"map_notes": notes} if notes else {})})
         path = Path(folder) / f"{movie.stem}.touch"
         done = demux(movie, path)
         film = None if kind is None else (movie.read_bytes(), kind, done.at_s)
-        page = _page(path, against, report, devices, film)
+        shown = _page(path, against, report, devices, film)
         notes = [*done.notes, *((_without_pictures(movie, done.at_s),) if kind is None else ())]
-        return replace(page, figures={**page.figures, **({"movie_notes": notes} if notes else {})})
+        return replace(shown, figures={**shown.figures, **({"movie_notes": notes} if notes else {})})
+
+
+def _map_page(path: str | Path) -> tuple[Page | None, list[str]]:
+    """Return the page of the tactile map in a file, and notes; None if it has none that can be read."""
+    with open_stream(path) as opened:
+        reader = opened.reader
+        if not reader.has_map:
+            return None, []
+        try:
+            record = reader.read_map()
+        except FormatError as error:  # the frame is shown nevertheless
+            return None, [f"the map is not shown: {error}"]
+        data, name = reader.read_all(), PurePath(reader.name).name
+    if record is None:
+        return None, []
+    figures = {
+        "title": record.title,
+        "zoom_levels": len(record.levels),
+        "views": len(record.views),
+        "named_features": len(record.places),
+    }
+    return Page(map_page_of(data, name), figures), []
+
+
+def _required_map_page(
+    medium: str | Path | HapticMedium, against: Source | None, devices: tuple[str, ...]
+) -> Page:
+    """Return the page of the tactile map in a file; raises InvalidArgument if it has none."""
+    if isinstance(medium, HapticMedium):
+        raise InvalidArgument("--page map", "a medium in memory", "a .touch file of touchfield map")
+    if against is not None or devices:
+        hint = "Take them out, or show the page of the field: --page field."
+        raise InvalidArgument("--page map", "--source or --device", "neither", hint)
+    shown, notes = _map_page(medium)
+    if shown is None:
+        found = notes[0] if notes else "a file without a map"
+        raise InvalidArgument(f"--page map: {medium}", found, "a .touch file of touchfield map")
+    return shown
 
 
 def _without_pictures(movie: Path, at_s: float) -> str:
