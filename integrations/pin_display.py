@@ -2,6 +2,8 @@
 
     python integrations/pin_display.py [PORT]
 
+Type a key and Enter while it shows a map: left, right, up, down, in, out, home or legend.
+
 It follows the protocol of `touchfield.devices.drivers.pins` with the standard library alone: a pattern for
 the program or board of a real display. A pin that is up is drawn as its height, one that is down as a point.
 """
@@ -11,6 +13,7 @@ from __future__ import annotations
 import binascii
 import socket
 import sys
+import threading
 from collections.abc import Callable
 
 DIGITS = "0123456789abcdefghijklmnopqrstuvwxyz"
@@ -28,6 +31,7 @@ class Display:
         self.pins, self.columns, self.levels = 0, 0, 0
         self.heights = ""
         self.is_resting = True
+        self.keys: list[str] = []  # pressed, and not reported yet
 
     def rest(self) -> None:
         """Lower all pins: after the time-out, and when the connection is closed."""
@@ -49,6 +53,9 @@ class Display:
                 return self._pins(int(number), *heights)
             if word == "keep" and not heights:
                 return f"{'rest' if self.is_resting else 'ok'} {int(number)}"
+            if word == "keys" and not heights:
+                keys, self.keys = self.keys, []
+                return " ".join(["ok", str(int(number)), *keys])
         except (ValueError, TypeError):
             pass
         return "err unknown line"
@@ -103,14 +110,28 @@ def draw(heights: str, columns: int) -> None:
     print("\n".join(row.replace("0", ".") for row in rows), end="\n\n", flush=True)
 
 
+KEYS = ("left", "right", "up", "down", "in", "out", "home", "legend")
+
+
+def read_keys(display: Display) -> None:
+    """Take keys from standard input, a word a line."""
+    for line in sys.stdin:
+        if (key := line.strip()) in KEYS:
+            display.keys.append(key)
+        elif key:
+            print(f"keys: {', '.join(KEYS)}", flush=True)
+
+
 def main() -> None:
     port = int(sys.argv[1]) if len(sys.argv) > 1 else 7000
     with socket.create_server(("127.0.0.1", port)) as server:
         print(f"pins:127.0.0.1:{port}", flush=True)
+        display = Display(draw)
+        threading.Thread(target=read_keys, args=(display,), daemon=True).start()
         while True:
             line, _ = server.accept()
             with line:
-                serve(Display(draw), line)
+                serve(display, line)
 
 
 if __name__ == "__main__":

@@ -167,6 +167,9 @@ def test_the_sample_display_answers_by_the_protocol() -> None:
     ):
         assert display.answer(line) == answer
     assert display.heights == "0110" and display.timeout_s == 1.0
+    display.keys += ["left", "in"]
+    assert display.answer(checked("keys 5")) == "ok 5 left in"
+    assert display.answer(checked("keys 6")) == "ok 6"
     display.rest()
     assert display.heights == "0000" and display.answer(checked("keep 5")) == "rest 5"
 

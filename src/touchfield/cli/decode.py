@@ -9,7 +9,8 @@ from typing import Annotated, Any
 
 from touchfield.cli.main import Stream, command
 from touchfield.cli.output import Answer, progress
-from touchfield.errors import CorruptFile, warn_unbounded
+from touchfield.container import TouchReader
+from touchfield.errors import CorruptFile, FormatError, warn_unbounded
 from touchfield.files import refuse_overwriting
 
 
@@ -27,7 +28,23 @@ def info(
         if voxels:
             with progress("decode") as report:
                 summary |= opened.bits_of_voxels(opened.supported_voxels(report))
-    return Answer(summary, str(stream), print_text=lambda: Answer(_shortened_spec(summary), stream).show())
+        found, notes = ({}, ()) if opened.is_live else map_summary(opened.reader)
+    text = Answer(_shortened_spec(summary) | found, stream, notes, {"map_levels": "levels of the map"})
+    return Answer(summary | found, str(stream), notes, print_text=text.show)
+
+
+def map_summary(reader: TouchReader) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Return what a file tells of its map, by stable keys, and a note if its map cannot be read."""
+    from touchfield.pipeline.stored_map import StoredMap
+
+    try:
+        record = reader.read_map()
+    except FormatError as error:
+        return {}, (f"The map cannot be read; the frame can: {error}",)
+    if record is None:
+        return {}, ()
+    stored = StoredMap(record, reader.name)
+    return {"map": stored.summary(), "map_levels": stored.level_rows()}, ()
 
 
 def _shortened_spec(summary: dict[str, Any]) -> dict[str, Any]:

@@ -241,14 +241,24 @@ class StoredMap:
             "title": record.title,
             "pins": f"{record.columns} x {record.rows}, {record.pitch_mm:g} mm apart",
             "language": record.language or None,
-            "levels": [
-                {"scale": self.scale_text(n), "views": f"{level.view_columns} x {level.view_rows}"}
-                for n, level in enumerate(record.levels)
-            ],
+            "classes": ", ".join(kind.title for kind in record.kinds),
             "named_features": dict(classes.most_common()),
             "not_drawn": sum(place.first_level >= len(record.levels) for place in record.places),
             "attribution": record.attribution or None,
         }
+
+    def level_rows(self) -> list[dict[str, object]]:
+        """Return a row for each level: scale, views, and named features that it is the first to show."""
+        first = Counter(place.first_level for place in self.record.places)
+        return [
+            {
+                "level": n + 1,
+                "scale": self.scale_text(n),
+                "views": f"{level.view_columns} x {level.view_rows}",
+                "new_names": first[n],
+            }
+            for n, level in enumerate(self.record.levels)
+        ]
 
 
 def _plain(text: str) -> str:

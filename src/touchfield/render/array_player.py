@@ -446,6 +446,13 @@ class ArrayDevice(ABC):
         `DeviceError` if the device is gone.
         """
 
+    def pressed_keys(self) -> tuple[str, ...]:
+        """Return the keys of the device that were pressed since the last call, by what they request.
+
+        These are moves of `touchfield.tasks.map_play.ALL_MOVES`. Raises `DeviceError` if the device is gone.
+        """
+        return ()
+
     def keep_alive(self) -> None:
         """Let the device show the latest drives for longer; called after `put_drives` only.
 

@@ -31,6 +31,7 @@ from touchfield.devices.drivers.registry import (
 from touchfield.devices.drivers.simulated import STIFFNESS_N_PER_M
 from touchfield.devices.drivers.touch_down import touch_down
 from touchfield.errors import (
+    FormatError,
     InvalidArgument,
     naming_file,
     require_between,
@@ -44,6 +45,7 @@ from touchfield.network.live_medium import LiveEnd, LiveStream
 from touchfield.network.opening import open_stream
 from touchfield.options import duration_s, option
 from touchfield.pipeline.array_medium import array_drives
+from touchfield.pipeline.stored_map import StoredMap
 from touchfield.pipeline.stream import OpenStream, stream_device
 from touchfield.render.array_player import ArrayPlayer
 from touchfield.render.block import FLAGS
@@ -52,6 +54,8 @@ from touchfield.render.offline import run_offline
 from touchfield.render.player import MAX_SPEED, Player
 from touchfield.render.readiness import MAX_WAIT_S
 from touchfield.render.spec import RenderSpec
+from touchfield.tasks.map_keys import TerminalKeys
+from touchfield.tasks.map_play import MapWalk, SimulatedDisplay, go_to, moves_in, play_map
 from touchfield.viewer.interaction import InteractionView, draw_interaction
 
 OnNote = Callable[[str], None]
@@ -105,6 +109,10 @@ class PlaySpec:
     render: RenderSpec = field(default_factory=RenderSpec)
     trace: Path | None = option(
         None, "As --trajectory, but in the metres and axes of the scene: a recording."
+    )
+    find: str | None = option(None, "Of a map: start at the place of this name.")
+    pans: str | None = option(
+        None, "Of a map: what to do at the start, by commas: left, right, up, down, in, out, home, legend."
     )
     coarse: str | None = option(None, "Address of a live stream's coarse layer, for what is lost or late.")
 
@@ -201,6 +209,9 @@ def play(
             raise InvalidArgument(
                 "start_s", f"{spec.start_s:g} s", f"0 to below {seconds:g} s, the medium's end"
             )
+        walk = _map_walk(stream, spec, on_note)
+        if walk is not None and (is_array_device(spec.device) or is_simulated_display(spec.device, stream)):
+            return _play_map(walk, stream, spec, on_note)
         if is_array_device(spec.device):
             return _play_array(stream, spec, report, on_note)
         return _play_point(stream, Path(path).name, spec, report, on_note, on_player)
@@ -405,6 +416,65 @@ def _play_array(stream: OpenStream, spec: PlaySpec, report: Progress, on_note: O
         raise error
     notes = (*player.notes, *([] if error is None else [str(error)]))
     figures["stalled_share"] = figures["stalled"] / max(figures["sent"], 1)
+    return Played({"device": spec.device, "profile": driver.profile.name, **figures}, None, None, notes)
+
+
+# -- maps --------------------------------------------------------------------------------------------------
+def is_simulated_display(name: str, stream: OpenStream) -> bool:
+    """True if a stream for an array is played without a device."""
+    return name.strip().lower() == "sim" and stream.reader.head.device_type == 2
+
+
+def _map_walk(stream: OpenStream, spec: PlaySpec, on_note: OnNote) -> MapWalk | None:
+    """Return the start of the map of a stream, or None if it has none or its map cannot be read."""
+    options = {"--find": spec.find, "--pans": spec.pans}
+    requested = [name for name, value in options.items() if value is not None]
+    name = stream.reader.name
+    if stream.is_live or not stream.reader.has_map:
+        if requested:
+            hint = "Make a map by: touchfield map."
+            raise InvalidArgument(requested[0], f"{name}, which is no map", "a map for a display", hint)
+        return None
+    try:
+        record = stream.reader.read_map()
+    except FormatError as error:
+        if requested:
+            raise
+        on_note(f"Only the whole map is shown, as its zoom levels cannot be read: {error}")
+        return None
+    return None if record is None else MapWalk(StoredMap(record, name))
+
+
+def _play_map(walk: MapWalk, stream: OpenStream, spec: PlaySpec, on_note: OnNote) -> Played:
+    """Play a map on a display, or on none."""
+    moves = moves_in(spec.pans or "")
+    if spec.trajectory is not None or spec.trace is not None:
+        raise _for_points("trajectory" if spec.trajectory else "trace")
+    if spec.is_logged:
+        raise _for_points("log or --plot")
+    declared = stream_device(stream)
+    profile = device(spec.profile) if spec.profile else None
+    if is_array_device(spec.device):
+        if spec.offline:
+            raise InvalidArgument(f"--offline works with --device sim, not with {spec.device}")
+        driver = array_device(spec.device, profile, declared)
+    else:
+        driver = SimulatedDisplay(profile or declared)
+    columns, rows, _ = driver.profile.lattice
+    is_other = (rows, columns) != (walk.stored.record.rows, walk.stored.record.columns)
+    if is_other and is_array_device(spec.device) and not (moves or spec.find):
+        on_note(
+            f"{driver.profile.name} has other pins than the map: it shows the whole map, without zooming."
+        )
+        return _play_array(stream, spec, silent, on_note)
+    for line in go_to(walk, spec.find) if spec.find is not None else ():
+        on_note(line)
+    seconds = spec.seconds
+    if spec.offline or (isinstance(driver, SimulatedDisplay) and not TerminalKeys().is_available):
+        seconds = 0.0  # nobody can do more than the moves
+    wait_s = duration_s(spec.wait, "wait")
+    figures = play_map(walk, driver, moves, panel=spec.panel, seconds=seconds, wait_s=wait_s, on_note=on_note)
+    notes = tuple(figures.pop("device_notes"))
     return Played({"device": spec.device, "profile": driver.profile.name, **figures}, None, None, notes)
 
 

@@ -8,7 +8,9 @@ everything before the blank and star::
     line     size ROWS COLUMNS LEVELS TIMEOUT *CRC   first, and again if there is no answer; its number is 0
     line     pins NUMBER HEIGHTS *CRC                NUMBER from 1
     line     keep NUMBER *CRC                        the pins stay; NUMBER goes on
+    line     keys NUMBER *CRC                        while a map is shown: which keys were pressed?
     answer   ok NUMBER                               it is shown; sent after every line
+    answer   ok NUMBER KEY KEY ...                   to keys: those since the last such line, the oldest first
     answer   rest NUMBER                             to keep: the pins are at rest, after the time-out
     answer   err TEXT                                it is not
 
@@ -22,6 +24,9 @@ value ffff) as four hexadecimal digits. For 2 x 2 pins that are up or down::
 
 The next line is sent after the previous one was answered; a second ``ok 0`` is ignored. A frame that changes
 no pin is not sent.
+
+``KEY`` is left, right, up, down, in, out, home or legend, for maps (docs/how-to/map.md). A display without
+keys may answer ``err``: it is not asked again.
 
 **The display lowers all pins if, after an answer, no byte arrives for TIMEOUT milliseconds, and when the
 connection is closed.** So a program that was killed, has stopped or lost its cable leaves no pin up. While
@@ -56,6 +61,8 @@ MAX_ANSWER_BYTES: Final = 256
 TIMEOUT_S: Final = 2.0
 REST_S: Final = 1.0
 """Time without a byte after which the display lowers its pins; part of its first line."""
+KEYS: Final = frozenset({"left", "right", "up", "down", "in", "out", "home", "legend"})
+_KEYS_EVERY_S: Final = 0.05
 _CLOSE_TIMEOUT_S: Final = 0.5
 _HINT: Final = "Check that it is on, that the port is the right one, and that it speaks this protocol"
 _FORM: Final = "pins:PORT[@BAUD] | pins:HOST:PORT"
@@ -90,6 +97,7 @@ class Pins(ArrayDevice):
         self._digits = np.frombuffer(DIGITS, np.uint8)
         self._number = 0
         self._heights, self._answered_s = b"", 0.0
+        self._has_keys, self._keys_s = True, 0.0
 
     def open(self) -> None:
         """See `ArrayDevice`."""
@@ -117,6 +125,22 @@ class Pins(ArrayDevice):
         elif heights:
             self._send(heights, self._timeout_s)
 
+    def pressed_keys(self) -> tuple[str, ...]:
+        """See `ArrayDevice`."""
+        if not self._has_keys or monotonic() - self._keys_s < _KEYS_EVERY_S:
+            return ()
+        self._number += 1
+        answer = self._answer(b"keys %d" % self._number, self._number, self._timeout_s)
+        self._keys_s = monotonic()
+        start, *keys = answer.split(b" ")[1:] if answer.startswith(b"ok ") else [b""]
+        names = tuple("".join(chr(byte) if 32 < byte < 127 else "?" for byte in key) for key in keys)
+        if answer.startswith(b"err "):
+            self._has_keys = False
+            self.notes = (*self.notes, "The display has no keys: pan and zoom by the keys of the terminal.")
+        elif start != b"%d" % self._number or not KEYS.issuperset(names):
+            raise self._unexpected(answer, f"ok {self._number} and keys of {', '.join(sorted(KEYS))}")
+        return names
+
     def _put_off(self, off: Float32s) -> None:
         self._show(steps_of(self.profile, off, self._levels), _CLOSE_TIMEOUT_S)
 
@@ -135,6 +159,20 @@ class Pins(ArrayDevice):
 
     def _exchange(self, content: bytes, number: int, timeout_s: float, *others: bytes) -> bytes:
         """Send a line; returns the word of its answer, b"ok" or one of `others`."""
+        answer = self._answer(content, number, timeout_s)
+        for word in (b"ok", *others):
+            if answer == b"%s %d" % (word, number):
+                return word
+        if answer.startswith(b"err "):
+            refused = f"that it refuses line {number}: {_printable(answer)[4:]}"
+            raise DeviceError(self._where, refused, f"ok {number}")
+        raise self._unexpected(answer, f"ok {number}")
+
+    def _unexpected(self, answer: bytes, expected: str) -> DeviceError:
+        return DeviceError(self._where, f"the answer '{_printable(answer)}'", expected, _HINT)
+
+    def _answer(self, content: bytes, number: int, timeout_s: float) -> bytes:
+        """Send a line; returns its answer."""
         if self._line is None:
             raise DeviceError(self._where, "no connection", "one that was opened")
         deadline_s = monotonic() + timeout_s
@@ -151,13 +189,11 @@ class Pins(ArrayDevice):
                 self._where, f"that it is gone ({error or 'it was closed'})", hint=_HINT
             ) from error
         self._answered_s = monotonic()
-        for word in (b"ok", *others):
-            if answer == b"%s %d" % (word, number):
-                return word
-        text = "".join(chr(byte) if 32 <= byte < 127 else "?" for byte in answer[:80])
-        if answer.startswith(b"err "):
-            raise DeviceError(self._where, f"that it refuses line {number}: {text[4:]}", f"ok {number}")
-        raise DeviceError(self._where, f"the answer '{text}'", f"ok {number}", _HINT)
+        return bytes(answer)
+
+
+def _printable(answer: bytes) -> str:
+    return "".join(chr(byte) if 32 <= byte < 127 else "?" for byte in answer[:80])
 
 
 def _make(text: str, profile: Device) -> ArrayDevice:
