@@ -76,6 +76,11 @@ const actions = {
     await tablet.send("Input.dispatchMouseEvent", { type, x, y, force, button: "left", buttons: type === "mouseReleased" ? 0 : 1, clickCount: 1, pointerType: "pen" });
     await page.waitForTimeout(300);
   },
+  touch: async ({ type, points }) => {
+    const screen = await frame.newCDPSession(page);
+    await screen.send("Input.dispatchTouchEvent", { type, touchPoints: points.map(([x, y], id) => ({ x, y, id })) });
+    await page.waitForTimeout(300);
+  },
   place: ({ selector }) => page.locator(selector).boundingBox(),
   wait: ({ ms }) => page.waitForTimeout(ms),
   text: ({ id }) => page.textContent(`#${id}`),

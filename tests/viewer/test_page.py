@@ -13,6 +13,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -24,11 +25,12 @@ import touchfield as tf
 from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument
 from touchfield.tasks.view import fine_source
-from touchfield.viewer.browser import empty_page, page_of
+from touchfield.viewer.browser import empty_map_page, empty_page, page_of
 
 WEB = ROOT / "web"
 GOLDEN = ROOT / "conformance" / "v1"
 PAGE_GZ, WASM_GZ = 204_000, 91_000  # the module has decoder, encoder and receiver
+MAP_GZ = 24_000
 
 HEADERS = (
     "cells", "effects", "encode", "friction", "log", "media_clock", "model", "play", "proxy", "proxy_jump",
@@ -45,6 +47,8 @@ def sources() -> list[str]:
         "build.mjs",
         "build_wasm.sh",
         "hand.c",
+        "map.css",
+        "map.html",
         "package-lock.json",
         "page.css",
         "page.h",
@@ -64,15 +68,19 @@ def sources() -> list[str]:
     ]
 
 
-def test_the_page_is_built_from_the_current_sources() -> None:
+PAGES = {"page.html": empty_page, "map.html": empty_map_page}
+
+
+@pytest.mark.parametrize("page", PAGES.values(), ids=PAGES)
+def test_a_page_is_built_from_the_current_sources(page: Callable[[], str]) -> None:
     digest = hashlib.sha256()
     for name in sources():
         digest.update(name.encode() + b"\0" + (WEB / name).read_bytes() + b"\0")
-    recorded = re.search(r'name="touchfield-sources" content="([0-9a-f]{64})"', empty_page())
+    recorded = re.search(r'name="touchfield-sources" content="([0-9a-f]{64})"', page())
     assert recorded and recorded[1] == digest.hexdigest(), "web/ or c/touch.h has changed: make web"
 
 
-def test_building_again_gives_the_same_page(tmp_path: Path) -> None:
+def test_building_again_gives_the_same_pages(tmp_path: Path) -> None:
     if shutil.which("node") is None or not (WEB / "node_modules" / "esbuild").is_dir():
         pytest.skip("node and web/node_modules are not here: make web")
     if find_spec("ziglang") is None and "TOUCHFIELD_ZIG_PYTHON" not in os.environ:
@@ -83,17 +91,20 @@ def test_building_again_gives_the_same_page(tmp_path: Path) -> None:
         command, cwd=WEB, env={**os.environ, "PYTHON": python}, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
-    assert (tmp_path / "page.html").read_text(encoding="utf-8") == empty_page()
+    for name, page in PAGES.items():
+        assert (tmp_path / name).read_text(encoding="utf-8") == page()
 
 
 def test_the_page_is_small() -> None:
     packed = re.search(r'id="decoder">([^<]+)<', empty_page())
     assert packed and len(base64.b64decode(packed[1])) < WASM_GZ
     assert len(gzip.compress(empty_page().encode(), 9)) < PAGE_GZ
+    assert len(gzip.compress(empty_map_page().encode(), 9)) < MAP_GZ
 
 
-def test_the_page_allows_only_its_script_and_no_network() -> None:
-    page = empty_page()
+@pytest.mark.parametrize("empty", PAGES.values(), ids=PAGES)
+def test_a_page_allows_only_its_script_and_no_network(empty: Callable[[], str]) -> None:
+    page = empty()
     policy = re.search(r'Content-Security-Policy" content="([^"]+)"', page)
     assert policy is not None
     rules = dict(rule.strip().split(" ", 1) for rule in policy[1].split(";"))

@@ -2,7 +2,7 @@
 // are found by name.
 import { Fault } from "./container";
 import {
-  boxOf, centreOf, columnsOf, hasPin, indexOf, metAt, middleOf, nearestPlace, pinOf, pinOfPlace, pointOf, rowsOf, symbolAt, viewAt, Views, type Met, type Pin, type Point,
+  boxOf, centreOf, columnsOf, hasPin, indexOf, isLike, metAt, middleOf, nearestPlace, pinOf, pinOfPlace, pointOf, rowsOf, symbolAt, viewAt, Views, type Met, type Pin, type Point,
 } from "./map_model";
 import { readMap, type MapSymbol, type Place, type TactileMap } from "./map_record";
 import { Search } from "./map_search";
@@ -45,12 +45,12 @@ const pin = (): Pin => pinOf(open!.map, view.level, open!.cursor);
 // -- the cursor -----------------------------------------------------------------------------------------------------------
 
 /** What is under the cursor, or within some pins of it; views that are missing are awaited. */
-async function meet(reach: number): Promise<Met | null> {
+async function meet(reach: number, like: MapSymbol | null = null): Promise<Met | null> {
   const { map, views } = open!;
   const { level } = view;
   const [at, own] = [viewOf(pin()), pin()];
   const loaded = await views.load(indexOf(level, at));
-  return loaded && metAt(map, level, loaded, at, own, reach);
+  return loaded && metAt(map, level, loaded, at, own, reach, like);
 }
 
 /** The view in which a pin is seen: the one that is shown, or the one around it. */
@@ -72,8 +72,7 @@ async function arrive(before = "", reach = 0, isPointer = false): Promise<void> 
 }
 
 function isSame(a: Met | null, b: Met | null): boolean {
-  if (!a || !b) return a === b;
-  return a.symbol.kind === b.symbol.kind && a.symbol.role === b.symbol.role && a.names.join() === b.names.join();
+  return a && b ? isLike(a.symbol, b.symbol) && a.names.join() === b.names.join() : a === b;
 }
 
 const sentence = (...parts: string[]): string => parts.filter(Boolean).join(". ");
@@ -170,9 +169,9 @@ async function zoom(direction: 1 | -1): Promise<void> {
   if (next >= 0) view.goTo(next, cursor);
   else view.zoom(direction > 0 ? 0.5 : 2, cursor);
   snap();
-  const near = await meet(SHIFT_PINS);
+  const near = met && (await meet(SHIFT_PINS, met.symbol));
   if (open !== own) return;
-  if (near && isSame(near, met)) own.cursor = pointOf(view.level, near.pin); // symbols are drawn anew at each level
+  if (near) own.cursor = pointOf(view.level, near.pin); // symbols are drawn anew at each level
   const isEnd = view.scale === scale;
   void arrive(isEnd ? (direction > 0 ? t("finest") : t("wholeMap")) : zoomText());
 }
@@ -536,9 +535,10 @@ function movePad(right: number, up: number): void {
   step(i, j);
 }
 
-/** For tests: what is open and said. */
+/** For tests, and for a page that has this one in a frame. */
 Object.assign(window, {
   touchfield: {
+    open: (data: ArrayLike<number>, name: string) => openBytes(Uint8Array.from(data), name),
     state: () => ({
       state: document.documentElement.dataset.state, cursor: open?.cursor, level: open && view.levelNumber, view: open && view.at, scale: open && view.scale, centre: open && view.centre,
       met: open?.met && { names: open.met.names, kind: open.met.symbol.kind.name, role: open.met.symbol.role }, sentences: voice.sentences,

@@ -105,8 +105,12 @@ export function symbolAt(map: TactileMap, level: Level, view: View, at: Pin, [ro
   return view.symbols[(view.pins[n]! & ~UP) - 1] ?? null;
 }
 
-/** What is under a pin, or beside it within some pins: points first, then lines, then areas, and of each the nearest. */
-export function metAt(map: TactileMap, level: Level, view: View, at: Pin, pin: Pin, reach: number): Met | null {
+/** Whether two symbols, also of two views, show the same. */
+export const isLike = (a: MapSymbol, b: MapSymbol): boolean => a.kind === b.kind && a.role === b.role && a.names.join() === b.names.join();
+
+/** What is under a pin, or beside it within some pins: points first, then lines, then areas, and of each the nearest; or what is
+ * like a symbol. */
+export function metAt(map: TactileMap, level: Level, view: View, at: Pin, pin: Pin, reach: number, like: MapSymbol | null = null): Met | null {
   let [best, rank]: [Met | null, number] = [null, Infinity];
   const whole = Math.floor(reach);
   for (let i = -whole; i <= whole; i++) {
@@ -115,7 +119,7 @@ export function metAt(map: TactileMap, level: Level, view: View, at: Pin, pin: P
       const distance = Math.hypot(i, j);
       if (distance > reach || !hasPin(map, level, at, beside)) continue;
       const symbol = symbolAt(map, level, view, at, beside);
-      if (!symbol || (symbol.role === "area" && distance > 0)) continue;
+      if (!symbol || (like ? !isLike(symbol, like) : symbol.role === "area" && distance > 0)) continue;
       const own = 1000 * PRIORITY[symbol.role] + distance;
       if (own < rank) [best, rank] = [{ symbol, names: [], pin: beside }, own];
     }

@@ -96,14 +96,12 @@ export class MapView {
     this.moveTo([about[0] + (this.centre[0] - about[0]) * ratio, about[1] + (this.centre[1] - about[1]) * ratio]);
   }
 
-  /** Move the window to a point of the map; what is beyond the map's edge does not fill it. */
-  moveTo(point: Point): void {
-    const box = boxOf(this.map);
-    this.centre = point.map((value, n) => {
-      const half = (0.5 - MARGIN) * this.scale * (n ? this.height : this.width);
-      const [low, high] = [box[n]! + half, box[n + 2]! - half];
-      return low > high ? (low + high) / 2 : Math.min(Math.max(value, low), high);
-    }) as Point;
+  /** Move the window to a point of the map, at most to the middle of the outermost views: each of them can be shown. */
+  moveTo([x, y]: Point): void {
+    const { map, level } = this;
+    const [west, north] = middleOf(map, level, [0, 0]);
+    const [east, south] = middleOf(map, level, [level.viewRows - 1, level.viewColumns - 1]);
+    this.centre = [Math.min(Math.max(x, west), east), Math.min(Math.max(y, south), north)];
     this.due();
     this.changed();
   }

@@ -23,9 +23,15 @@ _MEDIUM: Final = '<script type="text/plain" id="given-medium" data-name=""></scr
 
 
 @cache
-def empty_page(name: str = "page.html") -> str:
-    """Return the page ``page.html`` or ``map.html`` without a file; the user drops or opens one."""
-    return resources.files("touchfield.viewer").joinpath("web", name).read_text(encoding="utf-8")
+def empty_page() -> str:
+    """Return the page without a file; the user drops or opens one."""
+    return resources.files("touchfield.viewer").joinpath("web/page.html").read_text(encoding="utf-8")
+
+
+@cache
+def empty_map_page() -> str:
+    """Return the page of maps without a file; the user drops or opens one."""
+    return resources.files("touchfield.viewer").joinpath("web/map.html").read_text(encoding="utf-8")
 
 
 @cache
@@ -71,7 +77,7 @@ def page_of(
 
 def map_page_of(data: bytes, name: str) -> str:
     """Return the page of maps with a ``.touch`` file that has a tactile map."""
-    return _with_medium(empty_page("map.html"), data, name)
+    return _with_medium(empty_map_page(), data, name)
 
 
 def _with_medium(page: str, data: bytes, name: str) -> str:
