@@ -141,8 +141,7 @@ def test_the_page_guides_and_lists_places(url: str, tmp_path: Path) -> None:
         step("press", key="ArrowLeft"),
         *[step("press", key="ArrowUp") for _ in range(5)],
         step("until", code=f"!{STATE}.isGuiding"),
-        step("until", code=f"{STATE}.sentences.at(-1).includes('arrived')"),
-        step("text", id="spoken"),
+        step("run", code=f"{STATE}.sentences.find((found) => found.includes('arrived'))"),
         *[step("press", key=key) for key in ("l", "Tab", "Enter", "Tab", "Enter")],
         step("until", code=f"{STATE}.met?.names[0] === 'High Street'"),
         step("text", id="spoken"),
@@ -176,7 +175,7 @@ def test_arrow_keys_say_what_is_under_the_cursor(url: str, record: TactileMap, t
         np.testing.assert_allclose(move, (0, 1) if n < 4 else (1, 0), atol=1e-6)
         assert after["sentences"][-1] == below(record, 0, after["cursor"])
     heard = {after["sentences"][-1] for after in states[1:]}
-    assert len(heard) > 2, "the walk meets several things"
+    assert {"nothing here", "High Street, road"} <= heard
     for after in states[-2:]:
         assert after["sentences"][-1] == below(record, 0, after["cursor"]) != "nothing here"
 

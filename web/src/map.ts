@@ -17,6 +17,7 @@ const FINGER_PX = 18;
 const DRAG_PX = 5;
 const WHEEL = 0.0015;
 const RULER_PX = 90;
+const MAX_LEAP_VIEWS = 4; // that are searched for the next thing
 const SHIFT_PINS = 3; // by which a symbol moves from level to level
 
 const byId = <T extends HTMLElement>(id: string): T => document.getElementById(id) as T;
@@ -67,8 +68,10 @@ async function arrive(before = "", reach = 0, isPointer = false): Promise<void> 
   if (met && isNew) voice.touch(met.symbol.kind.name, met.symbol.role);
   showMet();
   const guided = guidance();
-  if (isPointer && !(isNew && met) && (own.isGuiding || !guided)) return;
-  voice.announce(sentence(before, met ? metText(met) : isPointer ? "" : t("nothing"), guided));
+  const hasArrived = guided !== "" && !own.isGuiding;
+  if (isPointer && !(isNew && met) && !hasArrived) return;
+  const say = (report: string): void => (hasArrived ? voice.sayNow(report) : voice.announce(report)); // no later sentence takes its place
+  say(sentence(before, met ? metText(met) : isPointer ? "" : t("nothing"), guided));
 }
 
 function isSame(a: Met | null, b: Met | null): boolean {
@@ -97,10 +100,10 @@ function showMet(): void {
   view.mark({ cursor: pin(), met: met?.symbol ?? null, target: found && isGuiding ? found.point : null });
 }
 
-/** The nearest place. */
+/** The nearest place that is not under the cursor. */
 function aroundText(): string {
-  const place = nearestPlace(open!.map, open!.cursor);
-  return place ? `; ${t("nearest")} ${way(place)}: ${placeText(place)}` : "";
+  const place = nearestPlace(open!.map, open!.cursor, open!.met?.names ?? []);
+  return place ? `; ${[t("nearest"), way(place)].filter(Boolean).join(" ")}: ${placeText(place)}` : "";
 }
 
 const way = (place: Place): string => (open ? wayText(open.cursor, centreOf(place.box), open.map) : "");
@@ -125,7 +128,7 @@ async function leap(right: number, up: number): Promise<void> {
   let at = pin();
   const start = await symbolOf(at);
   let hasLeft = false;
-  for (;;) {
+  for (let left = MAX_LEAP_VIEWS * Math.max(own.map.rows, own.map.columns); left > 0; left--) {
     const next: Pin = [at[0] - up, at[1] + right];
     if (next[0] < 0 || next[1] < 0 || next[0] > last || next[1] > end) break;
     at = next;
@@ -334,6 +337,8 @@ function toggleHelp(close = false): void {
   const help = byId("help");
   help.hidden = close || !help.hidden;
   byId("keys").setAttribute("aria-expanded", String(!help.hidden));
+  if (help.hidden) canvas.focus();
+  else help.focus(); // a screen reader reads it
 }
 
 // -- keys and pointers -----------------------------------------------------------------------------------------------------
@@ -475,6 +480,7 @@ async function openFile(file: File | undefined): Promise<void> {
 }
 
 async function openBytes(data: Uint8Array<ArrayBuffer>, name: string): Promise<void> {
+  document.documentElement.dataset.state = "loading";
   try {
     const map = readMap(data);
     const views = new Views(map, () => view.due(), (error) => reportFault(error, name));
@@ -490,8 +496,8 @@ async function openBytes(data: Uint8Array<ArrayBuffer>, name: string): Promise<v
     setGuiding(false);
     open.met = await meet(0);
     showMet();
-    document.documentElement.dataset.state = "ready";
     canvas.focus();
+    if (document.documentElement.dataset.state === "loading") document.documentElement.dataset.state = "ready"; // no view was damaged
   } catch (error) {
     reportFault(error, name);
   }
@@ -506,7 +512,9 @@ function reportFault(error: unknown, name: string): void {
 
 function bytesOf(id: string): Uint8Array<ArrayBuffer> {
   const letters = atob(byId(id).textContent!.trim());
-  return Uint8Array.from(letters, (letter) => letter.charCodeAt(0));
+  const out = new Uint8Array(letters.length);
+  for (let n = 0; n < letters.length; n++) out[n] = letters.charCodeAt(n);
+  return out;
 }
 
 async function start(): Promise<void> {

@@ -178,10 +178,11 @@ export function sortedPlaces({ places, language }: TactileMap): Place[] {
   return [...places].sort((a, b) => compare(a.name, b.name));
 }
 
-/** The place whose box is nearest to a point. */
-export function nearestPlace({ places }: TactileMap, from: Point): Place | null {
+/** The place whose middle is nearest to a point, but for those of some names. */
+export function nearestPlace({ places }: TactileMap, from: Point, names: string[]): Place | null {
   let [best, least]: [Place | null, number] = [null, Infinity];
   for (const place of places) {
+    if (names.includes(place.name)) continue;
     const distance = Math.hypot(...[0, 1].map((n) => centreOf(place.box)[n]! - from[n]!));
     if (distance < least) [best, least] = [place, distance];
   }

@@ -141,8 +141,9 @@ export function readMap(data: Uint8Array<ArrayBuffer>): TactileMap {
 function payloadOf(data: Uint8Array<ArrayBuffer>): Uint8Array<ArrayBuffer> {
   if (data.length >= OPENING) {
     const view = new DataView(data.buffer, data.byteOffset, data.length);
-    for (const { tag, at, length } of rows(data)) {
-      if (tag !== TAG) continue;
+    const found = [...rows(data)].filter(({ tag }) => tag === TAG);
+    if (found.length > 1) throw corrupt("there are two");
+    for (const { at, length } of found) {
       const end = at + OVERHEAD + length;
       if (end > data.length || crc32(data.subarray(at, end - 4)) !== view.getUint32(end - 4, true)) break;
       if (length > MAX_RECORD_BYTES) throw corrupt(`it has ${length} bytes`);

@@ -21,6 +21,7 @@ export class MapView {
   private readonly context: CanvasRenderingContext2D;
   private views: Views | null = null;
   private isDue = false;
+  private shownLevel = 0;
   private marks: Marks = { cursor: [0, 0], met: null, target: null };
   centre: Point = [0, 0];
   /** Units of the map in a pixel of the page. */
@@ -99,6 +100,7 @@ export class MapView {
   /** Move the window to a point of the map, at most to the middle of the outermost views: each of them can be shown. */
   moveTo([x, y]: Point): void {
     const { map, level } = this;
+    this.shownLevel = this.levelNumber;
     const [west, north] = middleOf(map, level, [0, 0]);
     const [east, south] = middleOf(map, level, [level.viewRows - 1, level.viewColumns - 1]);
     this.centre = [Math.min(Math.max(x, west), east), Math.min(Math.max(y, south), north)];
@@ -132,7 +134,7 @@ export class MapView {
     const ratio = devicePixelRatio || 1;
     this.canvas.width = Math.round(this.width * ratio);
     this.canvas.height = Math.round(this.height * ratio);
-    if (this.views) this.goTo(this.levelNumber, this.centre);
+    if (this.views) this.goTo(this.shownLevel, this.centre); // the scale of the level has changed
   }
 
   // -- drawing ------------------------------------------------------------------------------------------------------------
