@@ -38,6 +38,7 @@ from touchfield.maps.features import EARTH_RADIUS_M
 from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.stored_map import Position, StoredMap
 from touchfield.tasks import map as task
+from touchfield.tasks.editing import edit
 from touchfield.tasks.map import MadeMap, MapSpec, make_map
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "conformance"))
@@ -237,6 +238,15 @@ def test_info_lists_the_map(made: tuple[MadeMap, Path], capsys: pytest.CaptureFi
     assert sum(row["new_names"] for row in answer["map_levels"]) + answer["map"]["not_drawn"] == 5
     assert _exit_code(["info", str(made[1])]) == 0
     assert "levels of the map" in capsys.readouterr().out
+
+
+def test_editing_reports_that_the_levels_are_left_out(made: tuple[MadeMap, Path], tmp_path: Path) -> None:
+    written = edit(made[1], tmp_path / "edited.touch", operators=["gain:1"])
+    assert "town.touch: the zoom levels and names of the map are left out" in written.notes
+    with TouchReader(tmp_path / "edited.touch") as reader:
+        assert not reader.has_map
+    again = edit(tmp_path / "edited.touch", tmp_path / "again.touch", operators=["gain:1"])
+    assert not any("zoom levels" in note for note in again.notes)
 
 
 # -- damaged and hostile records -----------------------------------------------------------------------------

@@ -88,6 +88,7 @@ def test_the_command_plays_a_list_of_moves(town_map: Path, capsys: pytest.Captur
         (["--pans", "in,over"], "'over'"),
         (["--pans", "in", "--log", "log.csv"], "point device"),
         (["--profile", "hyperbraille"], "as the map"),
+        (["--friction", "0.4"], "no forces"),
     ],
 )
 def test_what_cannot_be_done_is_one_error(

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy import ndimage
 
 from touchfield.arrays import Bools
@@ -128,15 +129,11 @@ def _spot(board: Board, request: LabelRequest, size: tuple[int, int]) -> tuple[i
         return None
     distances = ndimage.distance_transform_cdt(~request.pins, "chessboard")
     centre = np.argwhere(request.pins).mean(axis=0)
-    spans = [
-        (distances[row : row + size[0], column : column + size[1]].min(), n)
-        for n, (row, column) in enumerate(starts)
-    ]
-    nearest = min(span[0] for span in spans)
-    if nearest > board.rules.displacement_pins:
+    spans = sliding_window_view(distances, size).min(axis=(2, 3))[tuple(starts.T)]
+    if spans.min() > board.rules.displacement_pins:
         return None
-    best = [starts[n] for distance, n in spans if distance == nearest]
-    middle = np.array([(r + size[0] / 2, c + size[1] / 2) for r, c in best])
+    best = starts[spans == spans.min()]
+    middle = best + np.divide(size, 2)
     row, column = best[int(np.square(middle - centre).sum(axis=1).argmin())]
     return int(row), int(column)
 

@@ -26,7 +26,7 @@ DEFAULT_LEVELS: Final = 4
 """Levels without a request, if it takes as many until nothing is left out."""
 MAX_VIEWS: Final = 2048
 MAX_FEATURES_DRAWN: Final = 1 << 18
-"""Features drawn over all views, each as often as it is in one: about a minute of processor time."""
+"""Features drawn over all views, each as often as it is in one: some two minutes of processor time."""
 MAX_POINTS_DRAWN: Final = 1 << 24
 
 

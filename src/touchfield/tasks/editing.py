@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from touchfield.compute.threads import Progress, silent
+from touchfield.container import TouchReader
 from touchfield.errors import InvalidArgument, require_between, require_ending, require_not_negative
 from touchfield.files import refuse_overwriting
 from touchfield.filters.edit import cross_fade, edit_medium
@@ -81,6 +82,7 @@ def write_result(
     refuse_overwriting(out, *sources)
     require_ending(out, "OUT.touch", "FIELD.npz", "FIELD.vti")
     notes: tuple[str, ...] = ()
+    map_notes = _map_notes(sources)
     bound: Mapping[str, Any] = {}
     if out.suffix.lower() != ".touch":
         out = write_field(out, medium, report, like.placement)
@@ -100,7 +102,19 @@ def write_result(
         **bound,
         "file_bytes": out.stat().st_size,
     }
-    return WrittenMedium(figures, notes, path=out, medium=medium)
+    return WrittenMedium(figures, (*notes, *map_notes), path=out, medium=medium)
+
+
+def _map_notes(sources: Sequence[str | Path]) -> tuple[str, ...]:
+    """Return a note for each source that is a tactile map, of which the frame alone is edited."""
+    paths = [Path(source) for source in sources]
+    files = [path for path in paths if path.suffix.lower() == ".touch" and path.is_file()]
+    notes = []
+    for path in files:
+        with TouchReader(path) as reader:
+            if reader.has_map:
+                notes.append(f"{path.name}: the zoom levels and names of the map are left out")
+    return tuple(notes)
 
 
 def edit(

@@ -153,6 +153,9 @@ def make_map(
     figures = _figures(read, window, target, drawn, checked, lines, files) | {"title": title}
     if target.is_array:
         figures |= _level_figures(levels, record)
+    elsewhere = figures["violations"] - len(checked.violations)
+    if elsewhere:
+        zoom_notes += (f"Against the guidelines: {elsewhere} violations in the views of the zoom levels.",)
     pages_left_out = bool(pages) and not target.is_array
     notes = _notes(read, drawn, checked, braille, pages_left_out=pages_left_out)
     return MadeMap(
@@ -274,6 +277,7 @@ def _level_figures(levels: tuple[Level, ...], record: TactileMap) -> dict[str, A
         "views": len(record.views),
         "violations": sum(len(found.violations) for found in checked),
         "named_features": len(record.places),
+        "names_on_no_level": sum(place.first_level == len(levels) for place in record.places),
     }
 
 
@@ -287,7 +291,8 @@ def _notes(
 ) -> tuple[str, ...]:
     notes = [*read.notes, *drawn.notes]
     notes += [
-        f"{seen - count} of {seen} {kind} are not drawn: too small, too close to others, or outside."
+        f"{seen - count} of {seen} {kind} are not drawn on the whole map: too small, too close to others, or "
+        "outside."
         for kind, (seen, count) in drawn.counts.items()
         if count < seen
     ]

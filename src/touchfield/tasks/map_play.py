@@ -144,11 +144,12 @@ def play_map(
         open_when_ready(driver, wait_s, on_note=on_note)
         shown.put()
         on_note(walk.stored.describe(walk.position))
-        for move in moves:
-            shown.do(move)
-        if seconds != 0:
-            with suppress(KeyboardInterrupt), TerminalKeys() as keys:
-                _follow(shown, keys, seconds)
+        with suppress(KeyboardInterrupt):
+            for move in moves:
+                shown.do(move)
+            if seconds != 0:
+                with TerminalKeys() as keys:
+                    _follow(shown, keys, seconds)
     finally:
         driver.close()
     return shown.figures() | {"device_notes": list(driver.notes)}

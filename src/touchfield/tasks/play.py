@@ -459,6 +459,9 @@ def _play_map(walk: MapWalk, stream: OpenStream, spec: PlaySpec, on_note: OnNote
             raise InvalidArgument(f"--offline works with --device sim, not with {spec.device}")
         driver = array_device(spec.device, profile, declared)
     else:
+        if spec.render != RenderSpec():
+            found = "options of the renderer, of tools or of materials"
+            raise InvalidArgument("--device sim", found, "none with a map, whose display has no forces")
         driver = SimulatedDisplay(profile or declared)
     columns, rows, _ = driver.profile.lattice
     is_other = (rows, columns) != (walk.stored.record.rows, walk.stored.record.columns)
