@@ -431,7 +431,9 @@ function wirePointer(): void {
     isDragging = false;
     if (event.pointerType !== "touch") return;
     if (!isSpeechChosen && voice.hasSpeech) setSpeech(true); // a screen reader would have taken the touch
-    if (pointers.size === 1) point(...at, FINGER_PX);
+    if (pointers.size > 1) return;
+    open.met = null; // a finger that is put down hears what is there, also if it is the same as before
+    point(...at, FINGER_PX);
   });
   canvas.addEventListener("pointermove", movePointer);
   for (const kind of ["pointerup", "pointercancel"] as const) {
