@@ -21,7 +21,7 @@ const SAMPLE = "../conformance/v1/touch-large.touch";
 const HEADERS = ["", ...["cells", "effects", "encode", "friction", "log", "media_clock", "model", "play", "proxy", "proxy_jump", "proxy_search", "query", "receiver", "render", "seam", "segment_blend", "settings", "shared", "slopes", "timing", "tool", "vector", "write"].map((name) => `_${name}`)].map((name) => `../c/touch${name}.h`);
 
 /** Every file that the page is made from; tests/viewer/test_page.py hashes the same. */
-const SOURCES = [...HEADERS, "build.mjs", "build_wasm.sh", "hand.c", "package-lock.json", "page.css", "page.h", "page.html", "record.h", "relief.h", "surface.h", "three_core.mjs", "timeline.css", "timeline.html", "touch_wasm.c", "unused_methods.mjs",
+const SOURCES = [...HEADERS, "build.mjs", "build_wasm.sh", "hand.c", "map.css", "map.html", "package-lock.json", "page.css", "page.h", "page.html", "record.h", "relief.h", "surface.h", "three_core.mjs", "timeline.css", "timeline.html", "touch_wasm.c", "unused_methods.mjs",
   ...listed("freestanding", ""), ...listed("src", ".ts")];
 const sources = createHash("sha256");
 for (const name of SOURCES) sources.update(name).update("\0").update(read(name)).update("\0");
@@ -42,6 +42,7 @@ const hashOf = (text) => `'sha256-${createHash("sha256").update(text).digest("ba
 const PAGES = [
   { name: "page.html", html: "page.html", css: "page.css", entry: "main.ts" },
   { name: "timeline.html", html: "timeline.html", css: "timeline.css", entry: "timeline.ts" },
+  { name: "map.html", html: "map.html", css: "map.css", entry: "map.ts" },
 ];
 
 const wasm = join(tmpdir(), `touch-${process.pid}.wasm`);

@@ -20,6 +20,8 @@ page.on("console", (message) => message.type() === "error" && errors.push(messag
 const choosers = []; // a listener from the start: Chromium would otherwise close a dialog before it is reported
 page.on("filechooser", (chooser) => choosers.push(chooser));
 
+let screen = null; // one session for all touches: a finger that another session put down is not known
+
 const settled = () => page.waitForFunction(() => /^(ready|fault|empty)$/.test(document.documentElement.dataset.state ?? ""));
 const state = () => page.evaluate(() => window.touchfield.state());
 const actions = {
@@ -75,6 +77,11 @@ const actions = {
   pen: async ({ type, x, y, force }) => {
     const tablet = await frame.newCDPSession(page);
     await tablet.send("Input.dispatchMouseEvent", { type, x, y, force, button: "left", buttons: type === "mouseReleased" ? 0 : 1, clickCount: 1, pointerType: "pen" });
+    await page.waitForTimeout(300);
+  },
+  touch: async ({ type, points }) => {
+    screen ??= await frame.newCDPSession(page);
+    await screen.send("Input.dispatchTouchEvent", { type, touchPoints: points.map(([x, y], id) => ({ x, y, id })) });
     await page.waitForTimeout(300);
   },
   place: ({ selector }) => page.locator(selector).boundingBox(),

@@ -25,13 +25,14 @@ import touchfield as tf
 from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument
 from touchfield.tasks.view import fine_source
-from touchfield.viewer.browser import empty_page, page_of
+from touchfield.viewer.browser import empty_map_page, empty_page, page_of
 from touchfield.viewer.timeline import empty_timeline
 
 WEB = ROOT / "web"
 GOLDEN = ROOT / "conformance" / "v1"
 PAGE_GZ, WASM_GZ = 204_000, 91_000  # the module has decoder, encoder and receiver
 TIMELINE_GZ = 24_000
+MAP_GZ = 24_000
 
 HEADERS = (
     "cells", "effects", "encode", "friction", "log", "media_clock", "model", "play", "proxy", "proxy_jump",
@@ -48,6 +49,8 @@ def sources() -> list[str]:
         "build.mjs",
         "build_wasm.sh",
         "hand.c",
+        "map.css",
+        "map.html",
         "package-lock.json",
         "page.css",
         "page.h",
@@ -69,7 +72,7 @@ def sources() -> list[str]:
     ]
 
 
-PAGES = {"page.html": empty_page, "timeline.html": empty_timeline}
+PAGES = {"page.html": empty_page, "map.html": empty_map_page, "timeline.html": empty_timeline}
 
 
 @pytest.mark.parametrize("page", PAGES.values(), ids=PAGES)
@@ -101,6 +104,7 @@ def test_the_page_is_small() -> None:
     assert packed and len(base64.b64decode(packed[1])) < WASM_GZ
     assert len(gzip.compress(empty_page().encode(), 9)) < PAGE_GZ
     assert len(gzip.compress(empty_timeline().encode(), 9)) < TIMELINE_GZ
+    assert len(gzip.compress(empty_map_page().encode(), 9)) < MAP_GZ
 
 
 @pytest.mark.parametrize("empty", PAGES.values(), ids=PAGES)

@@ -41,13 +41,13 @@ class Reader {
   }
 }
 
-interface Row {
+export interface Row {
   tag: string;
   at: number;
   length: number;
 }
 
-function* rows(data: Uint8Array): Generator<Row> {
+export function* rows(data: Uint8Array): Generator<Row> {
   const view = new DataView(data.buffer, data.byteOffset, data.length);
   for (let at = OPENING; at + OVERHEAD <= data.length; ) {
     const length = Number(view.getBigUint64(at + 8, true));

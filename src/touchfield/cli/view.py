@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     "view room.touch",
     "view room.touch --source scan.ply --out room.html --no-open",
     "view both.mp4 --out both.html",
+    "view town.touch --out town.html",
 )
 def view(
     stream: Stream,
@@ -49,7 +50,8 @@ def view(
     out: Annotated[Path | None, "HTML file to write; default: a temporary one."] = None,
     no_open: Annotated[bool, "Open no browser."] = False,
     page: Annotated[
-        str, "field, or timeline to edit a movie's touch; auto: timeline for a movie for an array."
+        str,
+        "field; map, to find places; or timeline, to edit a movie's touch. auto: what the file has.",
     ] = "auto",
 ) -> Answer:
     """Open STREAM in the browser: seen, played, probed and heard, without any network."""

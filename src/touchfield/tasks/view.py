@@ -18,7 +18,7 @@ from touchfield.atomic import atomic_path
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.compute.threads import Progress, silent
 from touchfield.devices import device_names
-from touchfield.errors import InvalidArgument, require_one_of
+from touchfield.errors import FormatError, InvalidArgument, require_one_of
 from touchfield.files import is_remote
 from touchfield.medium import HapticMedium
 from touchfield.network.demux import demux
@@ -32,7 +32,7 @@ from touchfield.pipeline.stream import OpenStream
 from touchfield.render.point_device import BOX_AXES, axes_matrix
 from touchfield.tasks.measure import MeasureSpec, measure_medium
 from touchfield.tasks.timeline_view import is_for_array, movie_bytes, view_timeline
-from touchfield.viewer.browser import page_of
+from touchfield.viewer.browser import map_page_of, page_of
 from touchfield.viewer.page import write_png
 from touchfield.viewer.picture import shadows
 
@@ -41,7 +41,7 @@ _HEIGHT_PX: Final = 640
 _MOVIES: Final = {".mp4": "video/mp4", ".m4v": "video/mp4", ".mov": "video/mp4"}
 _UNPLAYED: Final = (".mkv", ".webm", ".ts", ".mts", ".m2ts", ".m3u8", ".mpd")
 """Movies whose touch is shown alone: not every browser plays them."""
-PAGES: Final = ("auto", "field", "timeline")
+PAGES: Final = ("auto", "field", "map", "timeline")
 _DRAWN_FRAMES: Final = 3  # the first, the middle one and the last
 MAX_SOURCE_BYTES: Final = 1 << 25  # maximum size of the source within a page
 _ERROR_FRACTIONS: Final = (0.1, 0.3)
@@ -105,13 +105,16 @@ def view(
     medium or field. The page then contains it, shows it and the difference, and states the NMSE and the
     vibration of the coding. `devices` are profiles whose capacity, WMR and HIL are shown with the entropy of
     the medium; with a source and no profile, that of the stream. `page` is one of `PAGES`: the page of the
-    field, or the one that plays and edits the touch of a movie on a timeline; "auto" takes the timeline for a
-    movie whose touch is for an array, without `against` and `devices`. Raises TouchfieldError if the file
-    cannot be read, or the page does not support its coder.
+    field, that of a tactile map, or the one that plays and edits the touch of a movie on a timeline; "auto"
+    takes the map of a file that has one and the timeline for a movie whose touch is for an array, without
+    `against` and `devices`. Raises TouchfieldError if the file cannot be read, or the page does not support
+    its coder.
     """
     require_one_of("--page", page, PAGES)
     if page == "timeline":
         return _timeline(medium, against, devices, report)
+    if page == "map":
+        return _required_map_page(medium, against, devices)
     with tempfile.TemporaryDirectory() as folder:
         if isinstance(medium, HapticMedium):
             path, spec = Path(folder) / "medium.touch", EncodeSpec(touch=TouchSpec(effort="fast"))
@@ -122,7 +125,12 @@ def view(
         movie = Path(str(medium))
         kind = _MOVIES.get(movie.suffix.lower())
         if is_remote(medium) or (kind is None and movie.suffix.lower() not in _UNPLAYED):
-            return _page(medium, against, report, devices)
+            is_plain = page == "auto" and against is None and not devices
+            map_page, notes = _map_page(medium) if is_plain else (None, [])
+            if map_page is not None:
+                return map_page
+            shown = _page(medium, against, report, devices)
+            return replace(shown, figures={**shown.figures, **({"map_notes": notes} if notes else {})})
         path = Path(folder) / f"{movie.stem}.touch"
         done = demux(movie, path)
         if page == "auto" and against is None and not devices and is_for_array(path):
@@ -147,6 +155,44 @@ def _timeline(
     movie = Path(str(medium))
     shown = view_timeline(movie, _MOVIES.get(movie.suffix.lower()), report)
     return Page(shown.html, shown.figures)
+
+
+def _map_page(path: str | Path) -> tuple[Page | None, list[str]]:
+    """Return the page of the tactile map in a file, and notes; None if it has none that can be read."""
+    with open_stream(path) as opened:
+        reader = opened.reader
+        if not reader.has_map:
+            return None, []
+        try:
+            record = reader.read_map()
+        except FormatError as error:  # the frame is shown nevertheless
+            return None, [f"the map is not shown: {error}"]
+        data, name = reader.read_all(), PurePath(reader.name).name
+    if record is None:
+        return None, []
+    figures = {
+        "title": record.title,
+        "zoom_levels": len(record.levels),
+        "views": len(record.views),
+        "named_features": len(record.places),
+    }
+    return Page(map_page_of(data, name), figures), []
+
+
+def _required_map_page(
+    medium: str | Path | HapticMedium, against: Source | None, devices: tuple[str, ...]
+) -> Page:
+    """Return the page of the tactile map in a file; raises InvalidArgument if it has none."""
+    if isinstance(medium, HapticMedium):
+        raise InvalidArgument("--page map", "a medium in memory", "a .touch file of touchfield map")
+    if against is not None or devices:
+        hint = "Take them out, or show the page of the field: --page field."
+        raise InvalidArgument("--page map", "--source or --device", "neither", hint)
+    shown, notes = _map_page(medium)
+    if shown is None:
+        found = notes[0] if notes else "a file without a map"
+        raise InvalidArgument(f"--page map: {medium}", found, "a .touch file of touchfield map")
+    return shown
 
 
 def _without_pictures(movie: Path, at_s: float) -> str:

@@ -1,8 +1,8 @@
-"""Makes the HTML page that plays a ``.touch`` file in a browser. The file and its decoder are within the
-page.
+"""Makes the HTML page that plays a ``.touch`` file in a browser, and the page of a tactile map. The file and
+its decoder are within the page.
 
-It needs no network access. The page itself, `web/page.html`, is built from the folder `web` of the repository
-(``make web``).
+They need no network access. The pages themselves, `web/page.html` and `web/map.html`, are built from the
+folder `web` of the repository (``make web``).
 """
 
 from __future__ import annotations
@@ -26,6 +26,12 @@ _MEDIUM: Final = '<script type="text/plain" id="given-medium" data-name=""></scr
 def empty_page() -> str:
     """Return the page without a file; the user drops or opens one."""
     return resources.files("touchfield.viewer").joinpath("web/page.html").read_text(encoding="utf-8")
+
+
+@cache
+def empty_map_page() -> str:
+    """Return the page of maps without a file; the user drops or opens one."""
+    return resources.files("touchfield.viewer").joinpath("web/map.html").read_text(encoding="utf-8")
 
 
 @cache
@@ -54,8 +60,6 @@ def page_of(
     figures_json = json.dumps(figures, default=str).replace(
         "<", "\\u003c"
     )  # untrusted text cannot close the element
-    medium = base64.b64encode(data).decode("ascii")
-    medium_element = _MEDIUM.replace('data-name=""', f'data-name="{html.escape(name)}"')
     movie_element = _MOVIE
     if movie is not None:
         film, kind, at_s = movie
@@ -68,4 +72,14 @@ def page_of(
         empty_page().replace(_MOVIE, movie_element).replace(_FIGURES, _FIGURES.replace("null", figures_json))
     )
     page = page.replace(_SOURCE, source_element)
-    return page.replace(_MEDIUM, medium_element.replace("><", f">{medium}<"))
+    return _with_medium(page, data, name)
+
+
+def map_page_of(data: bytes, name: str) -> str:
+    """Return the page of maps with a ``.touch`` file that has a tactile map."""
+    return _with_medium(empty_map_page(), data, name)
+
+
+def _with_medium(page: str, data: bytes, name: str) -> str:
+    medium = _MEDIUM.replace('data-name=""', f'data-name="{html.escape(name)}"')
+    return page.replace(_MEDIUM, medium.replace("><", f">{base64.b64encode(data).decode('ascii')}<"))
