@@ -273,7 +273,7 @@ def test_mouse_and_fingers(url: str, record: TactileMap, tmp_path: Path) -> None
     zoomed, dragged, pinched = (answer for answer in result.answers if isinstance(answer, dict))
     spoken, pulses = next(answer for answer in result.answers if isinstance(answer, list))
     assert dragged["centre"][0] == pytest.approx(zoomed["centre"][0] - 60 * zoomed["scale"], rel=1e-6)
-    assert ["speech on", "en"] in spoken, "a finger that reaches the page has no screen reader"
+    assert ["Speech on", "en"] in spoken, "a finger that reaches the page has no screen reader"
     assert any(isinstance(pulse, list) for pulse in pulses), "each class that is met is felt"
     assert pinched["scale"] == pytest.approx(scale * 80 / 180, rel=0.02)
 
