@@ -11,7 +11,7 @@ exceeded; "deadband_xz" is the file of the latter (intervals and steps of 1 mN, 
 coder `touch` with the same bound, half a second of samples as one row of its lattice; "ticks" is the same
 coder with one sample a frame, which is what a live stream would send, of the first 2 s.
 
-"vibration": signals that MPEG's reference encoder was evaluated on. FOLDER has them under MPEG's names, such as
+"vibration": signals that MPEG's reference encoder was evaluated on. FOLDER has them by MPEG's names, such as
 ACTK-vib-pantheongrandstarfall-8kHz-16-nopad.wav (one channel, 8 kHz, 16 bits); `touchfield data show
 mpeg-haptics` says where they are. Without --signals, the folder mpeg-haptics of the optional inputs is used.
 The stored result names the signals that were not there; they have no figure. A row is a point of MPEG's own
@@ -234,7 +234,7 @@ def vibration(folder: Path, points: int) -> tuple[Figures, str]:
     if not missing:
         return rows, "all signals of MPEG_POINTS"
     return rows, (
-        f"no figure, because no such file was in the folder of signals: {', '.join(missing)}. To measure them: "
+        f"no figure, because no such file was in the folder: {', '.join(missing)}. To measure them: "
         "--signals FOLDER with MPEG's files, such as IDCC-vib-Rain-8kHz-16-nopad.wav (8 kHz, 16 bits)"
     )
 
