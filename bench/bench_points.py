@@ -1,5 +1,4 @@
-"""Finds the fewest points from which a field can be rebuilt (paper section 6.2), by modes and by
-interpolation.
+"""Finds a few points from which a field can be rebuilt (paper section 6.2), by modes and by interpolation.
 
     python bench/bench_points.py [--quick] [--most N]
 

@@ -3,7 +3,7 @@ writes the result as a file.
 
 medium -> modes -> error, held-out frames, degrees of freedom, bits; the reduced medium as a file
 medium -> a hand, a device, a trace -> unreachable samples; the medium without them as a file
-medium -> the fewest points that determine it, by its modes or a curl-free field; where to measure next (6.2)
+medium -> few points that determine it, by its modes or a curl-free field; where to measure next (6.2)
 """
 
 from __future__ import annotations
@@ -436,7 +436,9 @@ def _by_modes(
 def next_points(source: str | Path, count: int, measured: str | Path | None = None) -> FewestPoints:
     """Find the positions where a robot or a hand should record next.
 
-    Each position takes the previous ones into account.
+    Each position takes the previous ones into account: it leaves the smallest mean variance. On a recorded
+    contact, whose samples crowd along a path, such positions leave less error than as many random ones; in a
+    solid they do not (`bench/bench_points.py`).
 
     The candidates are in the box of `source`, a recording, or at the samples with a force of a medium.
     `measured` is a recording of the known forces (default: the source). ``figures["next"]`` has a row for
