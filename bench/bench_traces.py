@@ -30,6 +30,7 @@ by a model of its own.
 from __future__ import annotations
 
 import lzma
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +65,8 @@ MPEG_POINTS = {
 """kbit/s and dB of bitratePSNR.csv of the reference software: 2, 8, 16 and 64 kbit/s of its commit a216e05,
 and 16 kbit/s of 27f9bab. The effects are those of sets 1_2 that are .wav and in both."""
 FULL_SCALES_N = tuple(float(2 ** (n / 4)) for n in range(-32, 33))
-FINEST_PCM = 2.0**-15
+FINEST_PCM = 2.0**-14
+HINT = "To measure them: --signals FOLDER with MPEG's files, such as IDCC-vib-Rain-8kHz-16-nopad.wav (8 kHz)"
 
 
 # -- force -------------------------------------------------------------------------------------------------
@@ -220,29 +222,31 @@ def vibration(folder: Path, points: int) -> tuple[Figures, str]:
     """Return a row for each of the first `points` of a signal in `folder`, and what had no figure and why."""
     rows, missing = {}, []
     for name, mpeg in MPEG_POINTS.items():
-        files = sorted(folder.glob(f"*{name}-8kHz*.wav")) if folder.is_dir() else []
+        files = sorted(folder.glob(f"*{name}-8kHz*.wav"))
         if not files:
-            missing.append(name)
+            missing.append(f"{name} (no such file)")
             continue
         recording = read_recording(files[0], 1.0)
         if recording.acceleration_m_s2[:, 1:].any():
-            missing.append(f"{name} (several channels, of which MPEG's tables do not say how they count)")
+            missing.append(f"{name} (several channels; MPEG's tables do not say how they count)")
             continue
         signal = np.asarray(recording.acceleration_m_s2[:, 0])
         for kbit_s, psnr_db in mpeg[:points]:
             rows[f"{name}, {psnr_db:.1f} dB"] = point(signal, recording.rate_hz, kbit_s, psnr_db)
-    if not missing:
-        return rows, "all signals of MPEG_POINTS"
-    return rows, (
-        f"no figure, because no such file was in the folder: {', '.join(missing)}. To measure them: "
-        "--signals FOLDER with MPEG's files, such as IDCC-vib-Rain-8kHz-16-nopad.wav (8 kHz, 16 bits)"
-    )
+    return rows, f"{', '.join(missing)}. {HINT}" if missing else "none"
+
+
+def signals_folder(signals: str) -> Path:
+    """Return the folder of MPEG's signals; SystemExit if the one named is none."""
+    if signals and not Path(signals).is_dir():
+        sys.exit(f"--signals {signals}: no such folder. {HINT}")
+    return Path(signals) if signals else SHARED / "mpeg-haptics"
 
 
 def measure(count: int, points: int, signals: str) -> Figures:
     """Measure the coding of forces and of the vibration."""
-    rows, missing = vibration(Path(signals) if signals else SHARED / "mpeg-haptics", points)
-    return {"force": recordings(count), "vibration": rows, "vibration_missing": missing}
+    rows, missing = vibration(signals_folder(signals), points)
+    return {"force": recordings(count), "vibration": rows, "signals without a figure": missing}
 
 
 def bars(figures: Figures) -> list[Bar]:
