@@ -11,7 +11,7 @@ one volume are dependent. It is about 0.6 % for 1200 fields; for 400 it would be
 from 98 %.
 
 Intervals are slightly conservative: see `touchfield.measure.dependence`. The highest of the 16 cells, WMR at
-length 1, has 97.1 +- 0.5 % with the fields of seed 0, and 96.2 +- 0.6 % with 1200 others, those of `--seed 1`.
+length 1, has 97.1 +- 0.5 % with the fields of seed 0, and 96.2 +- 0.6 % with 1200 others (`--seed 1`).
 That it is above 97 % is the chance of the highest cell; that it is above 95 % is that conservatism.
 """
 
