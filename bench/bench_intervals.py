@@ -1,6 +1,6 @@
 """Measures how often the 95 % intervals of entropies hold the truth, for fields of known entropy.
 
-    python bench/bench_intervals.py [--quick] [--volumes N]
+    python bench/bench_intervals.py [--quick] [--volumes N] [--seed N]
 
 Pairs of Gaussian fields S and T of 64^3 samples, correlation exp(-r^2/2L^2) for lengths L of 1 to 8 samples
 and 0.8 between S and T, in 8 levels. Eight fields are cut from a periodic volume of twice the side, so that
@@ -10,7 +10,9 @@ coverage is that of the others. Its standard error comes from the coverages of t
 one volume are dependent. It is about 0.6 % for 1200 fields; for 400 it would be 1.1 %, too much to tell 96
 from 98 %.
 
-Intervals are slightly conservative: see `touchfield.measure.dependence`.
+Intervals are slightly conservative: see `touchfield.measure.dependence`. The highest of the 16 cells, WMR at
+length 1, has 97.1 +- 0.5 % with the fields of seed 0, and 96.2 +- 0.6 % with 1200 others (`--seed 1`).
+That it is above 97 % is the chance of the highest cell; that it is above 95 % is that conservatism.
 """
 
 from __future__ import annotations
@@ -118,11 +120,11 @@ def row(drawn: list[Quantity], truth: float) -> dict[str, float]:
     }
 
 
-def measure(volumes: int) -> Figures:
+def measure(volumes: int, seed: int) -> Figures:
     """Measure coverage by length and quantity; lengths, widths and blocks are medians."""
     truth, rows = true_values(), []
     for length in LENGTHS:
-        rng = np.random.default_rng(length)
+        rng = np.random.default_rng(length + 100 * seed)
         found = [quantities(*fields) for fields in pairs(rng, length, volumes)]
         for name, true_value in truth.items():
             drawn = [q[name] for q in found]
@@ -146,4 +148,4 @@ def bars(figures: Figures) -> list[Bar]:
 
 
 if __name__ == "__main__":
-    bench("intervals", __doc__, measure, bars, volumes=(150, 1))
+    bench("intervals", __doc__, measure, bars, volumes=(150, 1), seed=(0, 0))

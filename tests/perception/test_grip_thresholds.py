@@ -89,6 +89,17 @@ def test_every_number_has_source_condition_and_criterion():
         assert profile.source and profile.year and profile.conditions and profile.criterion
 
 
+def test_a_number_without_a_procedure_is_one_in_use():
+    without = {name for name, entry in human().items() if "no procedure" in entry.criterion}
+    in_use = {
+        "direction_jnd_deg",
+        "direction_jnd_seen_deg",
+        "direction_jnd_fingerpad_deg",
+        "force_change_finger",
+    }
+    assert without == in_use, "withdraw the others, or name their use in docs/perception.md"
+
+
 def test_a_number_used_unasked_is_one_of_the_table_and_no_other():
     encoding = TouchSpec()
     used = {

@@ -1,5 +1,5 @@
 """Commands that compare many media (paper section 4): `index` and `search` for a folder, `similar` and
-`correlate` for two; and `points`, which finds the fewest samples that determine a field (section 6.2)."""
+`correlate` for two; and `points`, which finds a few samples that determine a field (section 6.2)."""
 
 from __future__ import annotations
 

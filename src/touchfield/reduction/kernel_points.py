@@ -4,9 +4,10 @@ section 6.2).
 A static field has no modes over time, but a field of forces has no curl, which a curl-free kernel expresses
 (`CurlFree`). Two criteria:
 
-* variance: the next point has the largest posterior variance of the Gaussian process, which is independent
-  of the forces. It tells a robot or a hand where to record next. Each measurement reduces the posterior
-  variance everywhere, so that the variances of successive points never grow.
+* variance: the next point leaves the smallest mean posterior variance of the Gaussian process, which is
+  independent of the forces (D. A. Cohn, Neural Networks 9, 1996). It tells a robot or a hand where to record
+  next. The point of largest variance, the usual choice, lies at the rim of the candidates, where a
+  measurement tells least about the rest.
 * error: for known forces, the next point is the one that leaves the smallest error of the field. Candidates
   are those with the largest residual and as many random ones ("stochastic greedy", Mirzasoleiman et al.
   2015); the error is summed over an evenly spaced subset of the points.
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 
 _MAX_BYTES: Final = 1 << 29
 _SHORTLIST: Final = 48
+_VARIANCE_SHORTLIST: Final = 64
+_VARIANCE_POINTS: Final = 600
 _ERROR_POINTS: Final = 1500
 _AT_ONCE: Final = 32  # number of known points that are added to the factor at once
 _PILOT: Final = 600
@@ -117,25 +120,37 @@ def _components(at: Sequence[int] | Int64s) -> Int64s:
 def variance_points(
     points_m: Float64s, count: int, kernel: Kernel, measured: int = 0
 ) -> tuple[Int64s, Float64s]:
-    """Choose points greedily by their posterior variance.
+    """Choose points greedily by the mean posterior variance that they leave.
 
-    Each point has the largest variance once those before it are measured. `points_m`: candidates, float64 [m,
-    3]; the first `measured` of them are known already. Returns the indices of the points, int64 [count], and
-    the variance that each had, float64 [count]: the sum over three components of a field of variance 1.
-    InvalidArgument if there are fewer candidates.
+    `points_m`: candidates, float64 [m, 3]; the first `measured` of them are known already. The next point is
+    the best of those with the largest variance and of as many random ones; the mean is that of an evenly
+    spaced subset of the candidates. Returns the indices of the points, int64 [count], and the variance that
+    each had once those before it were measured, float64 [count]: the sum over three components of a field of
+    variance 1. InvalidArgument if there are fewer candidates.
     """
     require_between(1, len(points_m) - measured, points=count)
-    posterior = _Posterior(points_m, kernel, measured + count)
+    posterior, rng = _Posterior(points_m, kernel, measured + count), np.random.default_rng(0)
     for first in range(0, measured, _AT_ONCE):
         posterior.measure(range(first, min(first + _AT_ONCE, measured)))
-    found = np.empty(count)
+    subset, found = slice(None, None, -(-len(points_m) // _VARIANCE_POINTS)), np.empty(count)
     for n in range(count):
-        variances = posterior.variances.copy()
-        variances[posterior.selected] = -np.inf
-        best = int(np.argmax(variances))
+        shortlist = _shortlist(posterior.variances, posterior.selected, _VARIANCE_SHORTLIST, rng)
+        columns = posterior.columns(shortlist, subset).reshape(-1, len(shortlist), 3)
+        solved = np.linalg.solve(posterior.measurement_covariances(shortlist), columns.transpose(1, 2, 0))
+        best = int(shortlist[np.argmax(np.einsum("tsi,sit->s", columns, solved))])
         found[n] = posterior.variances[best]
         posterior.measure([best])
     return np.array(posterior.selected[measured:], np.int64), found
+
+
+def _shortlist(sizes: Float64s, selected: list[int], length: int, rng: np.random.Generator) -> Int64s:
+    """Return the open candidates with the largest sizes, and as many random ones, sorted."""
+    sizes = sizes.copy()
+    sizes[selected] = -np.inf
+    is_open = np.flatnonzero(sizes > -np.inf)
+    length = min(length, len(is_open))
+    largest = np.argpartition(sizes, -length)[-length:]
+    return np.union1d(largest, rng.choice(is_open, length, replace=False))
 
 
 def error_points(
@@ -149,15 +164,8 @@ def error_points(
     posterior, rng = _Posterior(points_m, kernel, count), np.random.default_rng(0)
     residual, subset = forces_n.reshape(-1).copy(), slice(None, None, -(-len(points_m) // targets))
     for _ in range(count):
-        size = (residual**2).reshape(-1, 3).sum(axis=1)
-        size[posterior.selected] = -1.0
-        open_candidates = np.flatnonzero(size >= 0)
-        largest = np.argpartition(size, -min(_SHORTLIST, len(open_candidates)))[
-            -min(_SHORTLIST, len(open_candidates)) :
-        ]
-        shortlist = np.union1d(
-            largest, rng.choice(open_candidates, min(_SHORTLIST, len(open_candidates)), replace=False)
-        )
+        sizes = (residual**2).reshape(-1, 3).sum(axis=1)
+        shortlist = _shortlist(sizes, posterior.selected, _SHORTLIST, rng)
         columns = posterior.columns(shortlist, subset).reshape(-1, len(shortlist), 3)
         steps = np.linalg.solve(
             posterior.measurement_covariances(shortlist), residual.reshape(-1, 3)[shortlist][..., None]
@@ -171,10 +179,10 @@ def error_points(
     return np.array(posterior.selected, np.int64)
 
 
-def best_kernel(points_m: Float64s, forces_n: Float64s, count: int) -> Kernel:
-    """The kernel with which `count` points leave the smallest error of a known field.
+def best_kernels(points_m: Float64s, forces_n: Float64s, count: int) -> list[Kernel]:
+    """Return kernels by the error that `count` points leave of a known field, the best one first.
 
-    `points_m`, `forces_n`: [m, 3]. Several kernels are tried on a subset of the points.
+    `points_m`, `forces_n`: [m, 3]. All are tried on a subset of the points, which ranks them only roughly.
     """
     subset = slice(None, None, -(-len(points_m) // max(_PILOT, min(4 * count, len(points_m)))))
     points, forces = points_m[subset], forces_n[subset]
@@ -185,4 +193,4 @@ def best_kernel(points_m: Float64s, forces_n: Float64s, count: int) -> Kernel:
             points
         )
         tried.append((float(((estimate - forces) ** 2).sum()), kernel))
-    return min(tried, key=itemgetter(0))[1]
+    return [kernel for _, kernel in sorted(tried, key=itemgetter(0))]

@@ -1,5 +1,5 @@
 """Draws what a reduction found (paper section 6): the error by the number of modes with the samples that no
-hand reaches, and the fewest points with the field that is rebuilt from them.
+hand reaches, and a few points with the field that is rebuilt from them.
 
 Each picture is written as PNG. The functions raise `MissingExtra` if matplotlib is not installed.
 """
