@@ -58,6 +58,7 @@ WRITING = {
     "compare": ("sphere.toml sphere.touch --picture {out}.png",),
     "play": (
         "sphere.touch --offline --seconds 0.1 --log {out}.csv",
+        "sphere.touch --offline --seconds 0.1 --log {out}.mcap",
         "sphere.touch --offline --seconds 0.1 --plot {out}.png",
     ),
     "measure": ("sphere.touch --no-limits --plot {out}.png",),
