@@ -330,6 +330,17 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
             {"view().save": CALLED, "view().save.0": "{tmp}/page.html", "view().open.0": STUB},
         ),
         "no-open": Case(None, {"view().open": MISSING}, "--out {tmp}/page.html"),
+        "rerun": Case(
+            None,
+            {
+                "view": MISSING,
+                "view_in_rerun": CALLED,
+                "view_in_rerun.stream": "in.touch",
+                "view_in_rerun.out": "{tmp}/scene.rrd",
+            },
+            "--out {tmp}/scene.rrd",
+        ),
+        "log": case("{tmp}/hand.csv", "view_in_rerun.log", "{tmp}/hand.csv", "--rerun"),
     },
     "compare": {
         "picture": case(_DRAWN, "compare().draw.0", _DRAWN),
