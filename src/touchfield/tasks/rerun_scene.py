@@ -88,7 +88,7 @@ def view_in_rerun(
 
 
 def _flush(recording: Any, out: Path) -> None:
-    """Write what was added; raises SourceError if the disk refuses it: `log` and `disconnect` only print so."""
+    """Write what was added; raises SourceError if the disk refuses it, which `log` only prints."""
     try:
         recording.flush()
     except RuntimeError as error:
@@ -223,7 +223,8 @@ class _Logger:
 
 def _thinned(count: int, limit: int) -> list[int]:
     """Return at most `limit` of `count` indices, evenly spaced, with the first and the last."""
-    return np.unique(np.linspace(0, count - 1, min(count, limit)).astype(np.int64)).tolist()
+    indices: list[int] = np.linspace(0, count - 1, min(count, limit)).astype(np.int64).tolist()
+    return indices
 
 
 def _colors(fractions: Float64s) -> Any:
