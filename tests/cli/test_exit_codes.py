@@ -54,7 +54,7 @@ WRITING = {
     "resample": ("sphere.touch {out}.touch --nw 3", "sphere.touch {out}.vti --nw 3"),
     "texture": ("drag.csv --out {out}.json --speed-m-s 0.1 --force-n 1",),
     "deform": ("sphere.touch --out {out}.npz --yield-m-per-n 0.002",),
-    "view": ("sphere.touch --out {out}.html --no-open", "sphere.touch --rerun --out {out}.rrd"),
+    "view": ("sphere.touch --out {out}.html --no-open",),  # --rerun: tests/tasks/test_rerun_scene.py
     "compare": ("sphere.toml sphere.touch --picture {out}.png",),
     "play": (
         "sphere.touch --offline --seconds 0.1 --log {out}.csv",

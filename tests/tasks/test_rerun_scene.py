@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections import defaultdict
 from pathlib import Path
@@ -151,6 +152,22 @@ def test_a_long_log_is_refused_by_its_size(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(rerun_scene, "_MAX_ROWS", 0)
     with pytest.raises(SourceError, match=r"found \d+ bytes; expected at most 0"):
         read_log(path)
+
+
+def test_a_full_disk_leaves_no_file(stream: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The library only prints that it could not write: an incomplete file would look like a whole one."""
+    pytest.importorskip("rerun", reason="needs the extra rerun")
+    resource = pytest.importorskip("resource", reason="limits the size of a file")
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+    try:
+        with pytest.raises(SourceError, match="a.rrd: found that it cannot be written"):
+            view_in_rerun(stream, tmp_path / "a.rrd")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, before)
+    assert not [*tmp_path.iterdir()]
 
 
 def test_a_missing_library_is_named(

@@ -67,8 +67,8 @@ def view_in_rerun(
     Raises MissingExtra if rerun-sdk is not installed, InvalidArgument or SourceError if the log or the output
     is unusable, FormatError if the stream cannot be read.
     """
-    rerun = import_extra("rerun", f"{stream} in Rerun", "rerun-sdk", "rerun")
     ticks = None if log is None else read_log(log)
+    rerun = import_extra("rerun", f"{stream} in Rerun", "rerun-sdk", "rerun")
     with open_stream(stream) as opened:
         recording = rerun.RecordingStream("touchfield")
         logger = _Logger(rerun, recording, report)
