@@ -162,7 +162,7 @@ def test_a_full_disk_leaves_no_file(stream: Path, tmp_path: Path, capsys: pytest
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
     try:
-        with pytest.raises(SourceError, match="a.rrd: found that it cannot be written"):
+        with pytest.raises(SourceError, match=r"a\.rrd: found that it cannot be written"):
             view_in_rerun(stream, tmp_path / "a.rrd")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)

@@ -18,7 +18,7 @@ import numpy as np
 from touchfield.arrays import Float64s
 from touchfield.atomic import atomic_path
 from touchfield.compute.threads import Progress, silent
-from touchfield.errors import SourceError, import_extra, reason
+from touchfield.errors import SourceError, import_extra
 from touchfield.files import readable, require_plain
 from touchfield.medium import ForceField, HapticMedium, HapticScene
 from touchfield.medium.pose_track import PoseTrack
@@ -33,7 +33,7 @@ MAX_ARROWS: Final = 2_000
 """Forces of a field that are shown."""
 
 MAX_FIELDS: Final = 200
-"""Frames of a field that changes."""
+"""Frames of fields that change, of all bodies together; a body has at least one."""
 
 MAX_POSES: Final = 20_000
 """Poses of a body, and ticks of a log."""
@@ -77,23 +77,13 @@ def view_in_rerun(
             logger.add(opened.scene or opened.medium, ticks)
             recording.flush()
         else:
+            # not by `save`, which only prints that a disk is full, and may wait for ever; the limits bound the
+            # bytes, and only a single read makes a valid file
+            written = recording.binary_stream()
+            logger.add(opened.scene or opened.medium, ticks)
             with atomic_path(out) as temporary:
-                recording.save(temporary)
-                try:
-                    logger.add(opened.scene or opened.medium, ticks)
-                    _flush(recording, out)
-                finally:
-                    recording.disconnect()
+                temporary.write_bytes(written.read() or b"")
     return RerunScene(logger.counts, tuple(logger.notes))
-
-
-def _flush(recording: Any, out: Path) -> None:
-    """Write what was added; raises SourceError if the disk refuses it, which `log` only prints."""
-    try:
-        recording.flush()
-    except RuntimeError as error:
-        found = f"that it cannot be written: {reason(error)}"
-        raise SourceError(str(out), found, hint="Check the free space.") from error
 
 
 def read_log(path: Path) -> Float64s:
@@ -136,13 +126,15 @@ class _Logger:
         """Add a medium or a scene of bodies, and the ticks of a log."""
         self._add_axes(shown.axes)
         if isinstance(shown, HapticScene):
+            changing = sum(not body.is_rigid for body in shown.objects)
+            limit = max(1, MAX_FIELDS // max(1, changing))
             for number, body in enumerate(shown.objects):
                 entity = f"/field/bodies/{number}"
                 self._add_track(entity, body.track, shown.rate_hz)
-                self._add_medium(f"{entity}/field", body.medium, shown.rate_hz)
+                self._add_medium(f"{entity}/field", body.medium, shown.rate_hz, limit)
             self.counts["bodies"] = len(shown.objects)
         else:
-            self._add_medium("/field", shown, shown.rate_hz)
+            self._add_medium("/field", shown, shown.rate_hz, MAX_FIELDS)
         if ticks is not None:
             self._add_ticks(ticks)
 
@@ -156,9 +148,9 @@ class _Logger:
         letters = "".join(_DIRECTIONS[row][int(box[row, n] > 0)] for n, row in enumerate(rows))
         self._recording.log("/", getattr(self._rerun.ViewCoordinates, letters), static=True)
 
-    def _add_medium(self, entity: str, medium: HapticMedium, rate_hz: float) -> None:
-        """Add the frames of a medium; a single one is static."""
-        frames = _thinned(len(medium), MAX_FIELDS)
+    def _add_medium(self, entity: str, medium: HapticMedium, rate_hz: float, limit: int) -> None:
+        """Add at most `limit` frames of a medium; a single one is static."""
+        frames = _thinned(len(medium), limit)
         if len(frames) < len(medium):
             self.notes[f"{len(frames)} of {len(medium)} frames of a field are shown"] = None
         for shown, frame in enumerate(frames):
