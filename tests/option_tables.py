@@ -334,6 +334,8 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
             None,
             {
                 "view": MISSING,
+                "view().save": MISSING,
+                "view().open": MISSING,
                 "view_in_rerun": CALLED,
                 "view_in_rerun.stream": "in.touch",
                 "view_in_rerun.out": "{tmp}/scene.rrd",

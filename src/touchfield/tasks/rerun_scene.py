@@ -77,8 +77,8 @@ def view_in_rerun(
             logger.add(opened.scene or opened.medium, ticks)
             recording.flush()
         else:
-            # not by `save`, which only prints that a disk is full, and may wait for ever; the limits bound the
-            # bytes, and only a single read makes a valid file
+            # `save` only prints that a disk is full, and may wait for ever; only a single read makes a valid
+            # file, whose bytes are bounded by the limits
             written = recording.binary_stream()
             logger.add(opened.scene or opened.medium, ticks)
             with atomic_path(out) as temporary:
