@@ -341,6 +341,19 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         ),
         "no-open": Case(None, {"view().open": MISSING}, "--out {tmp}/page.html"),
         "page": case("field", "view.page", "field"),
+        "rerun": Case(
+            None,
+            {
+                "view": MISSING,
+                "view().save": MISSING,
+                "view().open": MISSING,
+                "view_in_rerun": CALLED,
+                "view_in_rerun.stream": "in.touch",
+                "view_in_rerun.out": "{tmp}/scene.rrd",
+            },
+            "--out {tmp}/scene.rrd",
+        ),
+        "log": case("{tmp}/hand.csv", "view_in_rerun.log", "{tmp}/hand.csv", "--rerun"),
     },
     "compare": {
         "picture": case(_DRAWN, "compare().draw.0", _DRAWN),

@@ -28,7 +28,7 @@ NUMBA = "numba", "llvmlite"
 EXTRAS = (
     *(*NUMBA, "matplotlib", "skimage", "mujoco", "mcap", "cv2", "av", "serial", "websockets"),
     *("zarr", "xarray", "raptorq", "distributed", "dask", "obstore", "collada", "lib3mf", "laspy", "pye57"),
-    *("rosbags", "joblib", "ray", "osmium", "svgelements"),
+    *("rosbags", "joblib", "ray", "osmium", "svgelements", "rerun"),
 )
 """Modules of all extras of a user's."""
 BLOCK = """

@@ -151,7 +151,7 @@ TASKS = {
     ),
     "deform": ("tasks.deformation:tracks_of",),
     "info": ("network.opening:open_stream",),
-    "view": ("tasks.view:view",),
+    "view": ("tasks.view:view", "tasks.rerun_scene:view_in_rerun"),
     "compare": ("pipeline:compare",),
     "play": (
         "tasks.play:play",

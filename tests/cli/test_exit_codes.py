@@ -54,10 +54,11 @@ WRITING = {
     "resample": ("sphere.touch {out}.touch --nw 3", "sphere.touch {out}.vti --nw 3"),
     "texture": ("drag.csv --out {out}.json --speed-m-s 0.1 --force-n 1",),
     "deform": ("sphere.touch --out {out}.npz --yield-m-per-n 0.002",),
-    "view": ("sphere.touch --out {out}.html --no-open",),
+    "view": ("sphere.touch --out {out}.html --no-open",),  # --rerun: tests/tasks/test_rerun_scene.py
     "compare": ("sphere.toml sphere.touch --picture {out}.png",),
     "play": (
         "sphere.touch --offline --seconds 0.1 --log {out}.csv",
+        "sphere.touch --offline --seconds 0.1 --log {out}.mcap",
         "sphere.touch --offline --seconds 0.1 --plot {out}.png",
     ),
     "measure": ("sphere.touch --no-limits --plot {out}.png",),
@@ -195,6 +196,7 @@ def test_missing_file_or_folder_as_input_is_one_line(
 
 READ_BY_OPTIONS = (
     "encode sphere.toml new.touch --device not-there.toml",
+    "view sphere.touch --rerun --out new.rrd --log not-there.csv",
     "play sphere.touch --offline --materials not-there.json",
     "play sphere.touch --offline --deformation not-there.npz",
     "play sphere.touch --offline --trajectory not-there.csv",

@@ -22,7 +22,7 @@ from touchfield.cli.output import (
     show_table,
 )
 from touchfield.container.remote import is_remote
-from touchfield.errors import InvalidArgument, MissingExtra
+from touchfield.errors import InvalidArgument, MissingExtra, require_ending
 from touchfield.files import is_same_file, url_path
 from touchfield.tasks.measure import Measurement, MeasureSpec
 from touchfield.viewer.page import is_our_picture
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     "view room.touch --source scan.ply --out room.html --no-open",
     "view both.mp4 --out both.html",
     "view town.touch --out town.html",
+    "view room.touch --rerun --out room.rrd --log felt.csv",
 )
 def view(
     stream: Stream,
@@ -47,16 +48,30 @@ def view(
     device: Annotated[
         list[str] | None, "Tell its capacity, WMR and HIL, and the entropy; may be repeated."
     ] = None,
-    out: Annotated[Path | None, "HTML file to write; default: a temporary one."] = None,
+    out: Annotated[Path | None, "HTML file to write; default: a temporary one. --rerun: OUT.rrd."] = None,
     no_open: Annotated[bool, "Open no browser."] = False,
     page: Annotated[
         str,
         "field; map, to find places; or timeline, to edit a movie's touch. auto: what the file has.",
     ] = "auto",
+    rerun: Annotated[
+        bool, "Show it in Rerun instead, or write --out OUT.rrd and open nothing (extra: rerun)."
+    ] = False,
+    log: Annotated[Path | None, "--rerun: log of play, CSV, whose hand and force are shown."] = None,
 ) -> Answer:
     """Open STREAM in the browser: seen, played, probed and heard, without any network."""
     from touchfield.tasks.view import view as run
 
+    if rerun:
+        unused = {
+            "source": (source, None),
+            "device": (device, None),
+            "no-open": (no_open, False),
+            "page": (page, "auto"),
+        }
+        refuse_unused(unused, "with --rerun")
+        return _view_in_rerun(stream, out, log)
+    refuse_unused({"log": (log, None)}, "without --rerun")
     check_results((stream, source), out)
     with progress("view") as report:
         shown = run(stream, source, report, tuple(device or ()), page)
@@ -66,6 +81,19 @@ def view(
     if path is None:
         raise InvalidArgument("--no-open", "no --out", "an HTML file to write", "Name one: --out page.html.")
     return Answer({"page": str(path), "page_bytes": path.stat().st_size, **shown.figures}, str(stream))
+
+
+def _view_in_rerun(stream: str, out: Path | None, log: Path | None) -> Answer:
+    """Show a stream in Rerun, or write its file."""
+    from touchfield.tasks.rerun_scene import view_in_rerun
+
+    check_results((stream, log), out)
+    if out is not None:
+        require_ending(out, "OUT.rrd")
+    with progress("view") as report:
+        scene = view_in_rerun(stream, out, log, report)
+    values = scene.summary if out is None else {"file": str(out), **scene.summary}
+    return Answer(values, stream, scene.notes)
 
 
 @command("Look", "compare scan.ply scan.touch", "compare scan.ply scan.touch --no-picture --json")

@@ -156,8 +156,8 @@ def write_parameters(
     _check_limits(spec, device)
     friction = _coefficient("friction of the medium", spec.friction, medium_friction)
     damping = _coefficient("damping of the medium", spec.damping_n_s_per_m, medium_damping)
-    axes, device_axes = _device_axes(spec, device)
-    options = _options(spec, axes_matrix(device_axes, field_axes, spec.up) @ axes)
+    device_axes = _device_axes(spec, device)[1]
+    options = _options(spec, device_to_field(spec, device, field_axes))
     native.choose_settings(memory.bytes, options, _stated(device), friction, damping)
     notes = [] if device_axes == field_axes else list(axes_notes(device_axes, field_axes, spec.up))
     if spec.tool is not None and device.torque_max_nm is None:
@@ -174,6 +174,12 @@ def write_parameters(
 _AXES_FORM: Final = (
     "each of x, y, z once, such as -x,y,z, or a text such as x right, y up, z towards the user"
 )
+
+
+def device_to_field(spec: RenderSpec, device: Device, field_axes: str) -> NDArray[np.float64]:
+    """Return the signed permutation, float64 [3, 3], from vectors of the device to those of the field."""
+    axes, device_axes = _device_axes(spec, device)
+    return axes_matrix(device_axes, field_axes, spec.up) @ axes
 
 
 def _device_axes(spec: RenderSpec, device: Device) -> tuple[NDArray[np.float64], str]:

@@ -19,6 +19,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from touchfield.arrays import Float64s
 from touchfield.atomic import atomic_path
 from touchfield.compute.threads import Progress, silent
 from touchfield.devices import Device, device
@@ -53,9 +54,10 @@ from touchfield.render.feeder import FrameSource
 from touchfield.render.offline import run_offline
 from touchfield.render.player import MAX_SPEED, Player
 from touchfield.render.readiness import MAX_WAIT_S
-from touchfield.render.spec import RenderSpec
+from touchfield.render.spec import RenderSpec, device_to_field
 from touchfield.tasks.map_keys import TerminalKeys
 from touchfield.tasks.map_play import MapWalk, SimulatedDisplay, go_to, moves_in, play_map
+from touchfield.tasks.play_mcap import is_mcap, write_mcap
 from touchfield.viewer.interaction import InteractionView, draw_interaction
 
 OnNote = Callable[[str], None]
@@ -133,6 +135,7 @@ class Played:
 
     `statistics` has stable keys. `rows` has a row of `touchfield.render.block.COLUMNS` for each tick; it is
     None for an array. `error` is the exception that ended the playback early, after these rows.
+    `device_to_field`, float64 [3, 3], is that of `touchfield.render.spec`; None for an array.
     """
 
     statistics: dict[str, Any]
@@ -140,6 +143,7 @@ class Played:
     view: InteractionView | None
     notes: tuple[str, ...]
     error: Exception | None = None
+    device_to_field: Float64s | None = None
 
     @property
     def is_starved(self) -> bool:
@@ -155,9 +159,14 @@ class Played:
             raise self.error
         return self
 
-    def write_log(self, path: Path) -> None:
-        """Write the log atomically as comma-separated text."""
+    def write_log(self, path: Path) -> tuple[str, ...]:
+        """Write the log atomically, as MCAP if `path` ends so, else as comma-separated text; return notes.
+
+        Raises as `touchfield.tasks.play_mcap.write_mcap` does.
+        """
         rows = self._point_result(self.rows, "log")
+        if is_mcap(path):
+            return write_mcap(path, rows, self._point_result(self.device_to_field, "log"))
         flag_text = {
             flags: "+".join(name for name, bit in FLAGS.items() if flags & bit) or "idle"
             for flags in np.unique(rows["flags"]).tolist()
@@ -171,6 +180,7 @@ class Played:
                     numbers.tolist(), some["buttons"].tolist(), some["flags"].tolist()
                 ):
                     file.write(",".join(f"{value:.9g}" for value in row) + f",{buttons},{flag_text[flags]}\n")
+        return ()
 
     def draw(self, path: Path) -> None:
         """Draw the picture of the interaction."""
@@ -267,9 +277,9 @@ def _play_point(
         run = _run_player(player, seconds, report, on_note, stream)
     friction = spec.render.friction if spec.render.friction is not None else medium_or_scene.friction
     figures = _point_figures(run, spec, profile, friction)
-    if run.error is not None:
-        return Played(figures, run.rows, None, run.notes, run.error)
-    return Played(figures, run.rows, _interaction_view(name, run.rows, spec, profile, stream), run.notes)
+    view = None if run.error is not None else _interaction_view(name, run.rows, spec, profile, stream)
+    axes = device_to_field(spec.render, profile, medium_or_scene.axes)
+    return Played(figures, run.rows, view, run.notes, run.error, axes)
 
 
 class _Run(NamedTuple):

@@ -44,7 +44,7 @@ from touchfield.sources.scene import UP_Z_AXES, Scene, find_bricks_by_sphere
 Triple = tuple[float, float, float]
 
 _POSITIONS: Final = ("pose.position", "position", "point", "transform.translation", "translation")
-_FORCES: Final = ("wrench.force", "force")
+_FORCES: Final = ("field.force", "wrench.force", "force")  # the first is that of a log of `play`
 # schemas of geometry_msgs -> 0 for a position, 1 for a force
 _CDR: Final = {"PoseStamped": 0, "PointStamped": 0, "TransformStamped": 0, "WrenchStamped": 1}
 _EXPECTED: Final = "an MCAP file of positions and forces"
