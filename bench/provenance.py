@@ -74,7 +74,8 @@ class Trace:
             loaded.update(path.read_text(encoding="utf-8").splitlines())
         sources = {path for name in loaded for path in _source(name)}
         if any(Path(name).name.startswith("_native.") for name in loaded):
-            sources.update(native_sources(path for path in sources if path.suffix == ".py"))
+            measured = [p for p in sources if p.relative_to(ROOT).as_posix() not in NOT_MEASURED]
+            sources.update(native_sources(path for path in measured if path.suffix == ".py"))
         sources.update(path for pattern in also for path in ROOT.glob(pattern) if path.is_file())
         packages = {path.parent for path in sources if path.name == "__init__.py"}
         sources.update(path for package in packages for path in _data_of(package))

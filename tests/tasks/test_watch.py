@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from movie_makers import pictures, strokes, write_movie
+from soundtrack_makers import pictures, strokes, write_movie
 from touchfield.cli.main import _exit_code
 from touchfield.errors import InvalidArgument, SourceError
 from touchfield.medium import HapticMedium

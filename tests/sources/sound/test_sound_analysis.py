@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from movie_makers import strokes
+from soundtrack_makers import strokes
 from touchfield.sources.sound.analysis import HOP_S, LOW_HZ, RATE_HZ, SoundFeatures, sound_features
 
 TIMES_S = (0.5, 0.8123, 1.2501, 1.9007, 2.4)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from movie_makers import pictures, strokes, write_movie
+from soundtrack_makers import pictures, strokes, write_movie
 from touchfield.arrays import Float32s
 from touchfield.errors import SourceError
 from touchfield.sources.sound.analysis import RATE_HZ, sound_features
