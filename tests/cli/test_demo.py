@@ -27,6 +27,7 @@ def test_demo_runs_with_the_core_alone(
         if name.partition(".")[0] in HIDDEN:
             monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setattr(demo, "find_spec", find_spec)
+    monkeypatch.setattr(demo, "has_braille", lambda: False)
     source, spec = demo.SCENES["shapes"]
     monkeypatch.setitem(demo.SCENES, "shapes", (source, replace(spec, nw=6)))
     assert _exit_code(["demo", str(tmp_path / "out")]) == 0
@@ -34,7 +35,8 @@ def test_demo_runs_with_the_core_alone(
     assert "left out: the motorcycle scene" in out and "left out: the bundled elevation model" in out
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         "shapes.forces.csv", "shapes.html", "shapes.json", "shapes.touch",
+        "map.html", "map.json", "map.svg", "map.touch",
     }  # fmt: skip
     values = json.loads((tmp_path / "out" / "shapes.json").read_text())
     assert values["mask_violations"] == 0 and values["worst_mask_ratio"] <= 1
-    assert ".png" not in out
+    assert ".png" not in out and "no Braille" in out

@@ -84,6 +84,32 @@ def test_geojson_and_osm_agree(tmp_path: Path) -> None:
             np.testing.assert_allclose(a, b, atol=1e-9)
 
 
+def test_a_collection_states_title_attribution_and_box(tmp_path: Path) -> None:
+    """As ogr2ogr and exports of OpenStreetMap write them."""
+    road = {"type": "Feature", "properties": {"highway": "primary"}, "geometry": {
+        "type": "LineString", "coordinates": [[0, 0], [0.01, 0]]}}  # fmt: skip
+    collection = {"type": "FeatureCollection", "features": [road]}
+    stated = {"name": "High Street", "copyright": "by hand", "bbox": [0.002, -0.001, 0.004, 0.001]}
+    for members, expected in (
+        ({}, ("", "", None)),
+        (stated, ("High Street", "by hand", (0.002, -0.001, 0.004, 0.001))),
+        ({"name": 1, "attribution": "x" * 999, "bbox": [0, 0, 0, 9]}, ("", "x" * 200, None)),
+    ):
+        path = tmp_path / "road.geojson"
+        path.write_text(json.dumps({**collection, **members}))
+        read = read_map(path)
+        assert (read.title, read.attribution, read.box_deg) == expected
+
+
+def test_the_sample_is_the_park() -> None:
+    sample, extract = read_map("sample:park"), read_map(INPUTS / "park.osm.pbf")
+    assert len(sample.features) == len(extract.features) and sample.title.startswith("Nelson Square")
+    assert sample.attribution == extract.attribution
+    assert sample.box_deg == pytest.approx(extract.box_deg, abs=1e-6)
+    with pytest.raises(InvalidArgument, match="park"):
+        read_map("sample:nowhere")
+
+
 def test_a_part_of_a_map_is_named_in_degrees(tmp_path: Path) -> None:
     source = read_map(write_geojson(tmp_path / "town.geojson", *town()))
     low, high = box_of(source, (0.0, 0.0, 0.0015, 0.001))

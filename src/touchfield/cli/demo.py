@@ -1,6 +1,8 @@
-"""Command `touchfield demo`: encodes, compares and plays real scenes that come with optional libraries.
+"""Command `touchfield demo`: encodes, compares and plays real scenes that come with optional libraries, and
+draws a map for fingers.
 
-The scene of a missing library is skipped; without any of them a tray of shapes is used instead.
+The scene of a missing library is skipped; without any of them a tray of shapes is used instead. The map needs
+no library; without liblouis it has no Braille.
 """
 
 from __future__ import annotations
@@ -13,9 +15,11 @@ from typing import Any, Final
 from touchfield.atomic import atomic_path
 from touchfield.cli.output import Answer, echo, progress
 from touchfield.errors import InvalidArgument, MissingExtra, TouchfieldError
+from touchfield.maps.braille import has_braille
 from touchfield.pipeline import compare, encode
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.options import SourceOptions
+from touchfield.tasks.map import MapSpec, make_map
 from touchfield.tasks.play import PlaySpec, play
 from touchfield.tasks.view import view
 
@@ -33,6 +37,7 @@ SCENES: Final = {
     "shapes": ("six shapes on a tray, for a Phantom Omni", EncodeSpec(friction=FRICTION)),
 }
 """Description and settings of each scene. The last needs no optional library."""
+MAP_TITLE: Final = "a map for fingers, Nelson Square in London, for a pin display"
 
 
 def run_demo(folder: Path, as_json: bool) -> None:
@@ -56,6 +61,9 @@ def run_demo(folder: Path, as_json: bool) -> None:
             continue
         if not as_json:
             Answer(results[name], f"{name}: {description}", _result_notes(folder / name, draws)).show()
+    results["map"], map_notes = _draw_map(folder / "map", draws)
+    if not as_json:
+        Answer(results["map"], f"map: {MAP_TITLE}", map_notes).show()
     if as_json:
         Answer(results, "demo", [str(error) for error in missing]).show(True)
         return
@@ -87,6 +95,32 @@ def _run_scene(stem: Path, source: str, spec: EncodeSpec, draws: bool) -> dict[s
     played.write_log(stem.with_suffix(".forces.csv"))
     if draws:
         played.draw(stem.with_suffix(".forces.png"))
-    with atomic_path(stem.with_suffix(".json")) as temporary:
-        temporary.write_text(json.dumps(summary, indent=1) + "\n")
+    _write_report(stem, summary)
     return summary
+
+
+def _write_report(stem: Path, figures: dict[str, Any]) -> None:
+    with atomic_path(stem.with_suffix(".json")) as temporary:
+        temporary.write_text(json.dumps(figures, indent=1) + "\n")
+
+
+def _draw_map(stem: Path, draws: bool) -> tuple[dict[str, Any], list[str]]:
+    """Draw a tactile map; return its figures, and notes on the files that were written."""
+    stream, has_labels = stem.with_suffix(".touch"), has_braille()
+    with progress("map"):
+        made = make_map("sample:park", stream, MapSpec(has_labels=has_labels), svg=stem.with_suffix(".svg"))
+    view(stream).save(stem.with_suffix(".html"))
+    notes = [
+        f"stream: {stream}, report: {stem}.json, for swell paper: {stem}.svg",
+        f"open {stem}.html in a browser: explore it by keys or finger, find a place, hear its name",
+    ]
+    if draws:
+        made.draw(stem.with_suffix(".png"))
+        notes.append(f"look at {stem}.png: the pins by class, and the legend")
+    if not has_labels:
+        notes.append(
+            "liblouis is not installed, so the map has no Braille: apt install liblouis20 liblouis-data"
+        )
+    summary = made.summary()
+    _write_report(stem, summary)
+    return summary, notes

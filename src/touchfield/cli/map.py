@@ -14,14 +14,18 @@ from touchfield.cli.output import Answer, check_results, progress
 
 @command(
     "Make",
-    "map crossing.osm.pbf crossing.touch --device graphiti --plot crossing.png",
+    "map sample:park park.touch --plot park.png",
+    "map crossing.osm.pbf crossing.touch --device graphiti",
     "map park.geojson park.touch --box 10.06,48.13,10.08,48.14 --language de",
     "map plan.svg plan.touch --no-labels --svg swell.svg --stl plate.stl",
     name="map",
 )
 def make_map_command(
     source: Annotated[
-        Path, typer.Argument(help="MAP.geojson, .osm or .osm.pbf (OpenStreetMap), or a drawing, .svg.")
+        Path,
+        typer.Argument(
+            help="MAP.geojson, .osm or .osm.pbf (OpenStreetMap), a drawing, .svg, or sample:park."
+        ),
     ],
     out: Annotated[
         Path, typer.Argument(help="The .touch file; pages of the legend are OUT.legend-1.touch and so on.")

@@ -97,6 +97,15 @@ class Braille:
         return tuple(0 if code == " " else ord(code) - _FIRST_CELL & 0xFF for code in codes)
 
 
+def has_braille() -> bool:
+    """Return whether liblouis, which writes Braille, is installed."""
+    try:
+        _library()
+    except InvalidArgument:
+        return False
+    return True
+
+
 @cache
 def _library() -> Any:
     """Load liblouis and declare the functions that are used, as its manual gives them."""

@@ -56,6 +56,7 @@ class MapSource:
     notes : tuple of str; What was found and not read.
     attribution : str; What the licence of the data requires, "" if nothing is known.
     box_deg : four floats or None; West, south, east and north of the extract, where the file states it.
+    title : str; "" if the file states none.
     """
 
     features: tuple[Feature, ...]
@@ -64,6 +65,7 @@ class MapSource:
     notes: tuple[str, ...] = ()
     attribution: str = ""
     box_deg: tuple[float, float, float, float] | None = None
+    title: str = ""
 
 
 @dataclass

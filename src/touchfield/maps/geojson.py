@@ -3,7 +3,7 @@ OpenStreetMap, or from a property ``class`` or ``kind``."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,6 +15,8 @@ from touchfield.maps.symbols import class_of_tags
 MAX_BYTES: Final = 1 << 25
 MAX_DEPTH: Final = 8
 """Of collections within collections."""
+MAX_TEXT_LETTERS: Final = 200
+"""Of a title and of an attribution."""
 _EXPECTED: Final = "a GeoJSON file"
 _SHAPES: Final = {
     "Point": ("point", 0), "MultiPoint": ("point", 1), "LineString": ("line", 1),
@@ -27,6 +29,7 @@ _WGS84: Final = ("CRS84", "4326")
 def read_geojson(path: Path) -> MapSource:
     """Read the features of a file.
 
+    Of the collection, ``bbox``, ``name`` (the title) and ``attribution`` or ``copyright`` are read, too.
     Raises `SourceError` that names the location if it is no GeoJSON, has other coordinates than degrees, or
     more features or points than `touchfield.maps.features` allows.
     """
@@ -37,7 +40,26 @@ def read_geojson(path: Path) -> MapSource:
         _add(found, properties, geometry)
     require_features(found, "features with tags such as highway, building or natural, or a property class")
     features, origin = on_plane(found, str(path))
-    return MapSource(features, 1.0, origin, found.notes())
+    members = document.members()
+    return MapSource(
+        features, 1.0, origin, found.notes(), _text(members, "attribution", "copyright"), _box(document),
+        _text(members, "name"),
+    )  # fmt: skip
+
+
+def _text(members: Mapping[str, Any], *keys: str) -> str:
+    """Return the first of these members that is a text; "" without one."""
+    texts = (members.get(key) for key in keys)
+    return next((text[:MAX_TEXT_LETTERS] for text in texts if isinstance(text, str)), "")
+
+
+def _box(document: JsonValue) -> tuple[float, float, float, float] | None:
+    """Return west, south, east and north of a member ``bbox`` of two dimensions; None without one."""
+    values = document.members().get("bbox")
+    if not isinstance(values, list) or len(values) != 4 or not all(map(_is_number, values)):
+        return None
+    west, south, east, north = map(float, values)
+    return (west, south, east, north) if west < east and south < north else None
 
 
 def _require_degrees(document: JsonValue) -> None:

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from touchfield.arrays import Float64s
-from touchfield.errors import InvalidArgument, SourceError
+from touchfield.errors import InvalidArgument, SourceError, require_one_of
 from touchfield.maps.features import EARTH_RADIUS_M, MapSource, levels_of
 from touchfield.maps.geojson import read_geojson
 from touchfield.maps.osm import read_osm
@@ -20,14 +20,20 @@ READERS: Final[dict[str, Callable[[Path], MapSource]]] = {
     ".geojson": read_geojson, ".json": read_geojson, ".osm": read_osm, ".pbf": read_osm, ".svg": read_svg,
 }  # fmt: skip
 """Reader of each ending."""
+SAMPLES: Final = {"park": "nelson_square.geojson"}
+"""Files of `touchfield.maps.samples`, by name."""
 
 
 def read_map(path: str | Path) -> MapSource:
-    """Read the features of a map or a drawing.
+    """Read the features of a map or a drawing, or of a sample, ``sample:park``.
 
     Raises `InvalidArgument` for an unknown ending, `MissingExtra` if the reader's library is not installed,
     and `SourceError` for a file that cannot be read or goes beyond the limits.
     """
+    name = str(path).removeprefix("sample:")
+    if name != str(path):
+        require_one_of("sample", name, SAMPLES)
+        path = Path(__file__).with_name("samples") / SAMPLES[name]
     reader = READERS.get(Path(path).suffix.lower())
     if reader is None:
         expected = f"a map or a drawing: {', '.join(READERS)}"

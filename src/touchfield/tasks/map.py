@@ -116,7 +116,8 @@ def make_map(
 ) -> MadeMap:
     """Make a tactile map.
 
-    `source` is GeoJSON, an extract of OpenStreetMap (``.osm``, ``.osm.pbf``) or an SVG drawing. `out` is a
+    `source` is GeoJSON, an extract of OpenStreetMap (``.osm``, ``.osm.pbf``), an SVG drawing, or the sample
+    ``sample:park``. `out` is a
     medium of one frame for the device, with zoom levels and an index of names for a display; the pages of its
     legend are ``OUT.legend-1.touch`` and so on. `svg` is a drawing for swell paper, with the legend; `stl` a
     plate for printers.
@@ -139,7 +140,7 @@ def make_map(
         raise SourceError(str(source), found, "a feature of a line's or a symbol's size", _SMALLER)
     lines = legend_lines(drawn.layout, drawn.labels, spec.language) if braille else ()
     pages, page_notes = legend_pages(lines, braille, rows, columns, rules) if braille else ((), ())
-    title = Path(source).name
+    title = read.title or Path(source).name
     levels, zoom_notes = _levels(read, box, (window, drawn), braille, spec, target)
     record, index_notes = map_record(read, box, levels, title, spec.language, braille)
     files = _write(path, drawn, pages, target, source, record)
