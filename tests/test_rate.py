@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import example, given, strategies as st
 
 BENCH = Path(__file__).resolve().parents[1] / "bench"
 F0_N = 0.05
