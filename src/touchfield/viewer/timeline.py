@@ -28,15 +28,15 @@ def empty_timeline() -> str:
 
 
 def timeline_page(
-    given: Mapping[str, Any], tables: Sequence[UInt8s], movie: tuple[bytes, str] | None = None
+    description: Mapping[str, Any], tables: Sequence[UInt8s], movie: tuple[bytes, str] | None = None
 ) -> str:
     """Return the page with a movie and its touch.
 
-    `given` describes device and tracks. `tables` are the drives of their parts in order, uint8 [frames,
-    actuators] with 255 for a full drive, row by row from the top left. `movie` is a file that browsers play,
-    and its media type; without it the touch plays alone.
+    `description` has the device and the tracks. `tables` are the drives of their parts in order, uint8
+    [frames, actuators] with 255 for a full drive, row by row from the top left. `movie` is a file that
+    browsers play, and its media type; without it the touch plays alone.
     """
-    text = json.dumps(given).replace("<", "\\u003c")  # untrusted text cannot close the element
+    text = json.dumps(description).replace("<", "\\u003c")  # untrusted text cannot close the element
     drives = _base64(gzip.compress(b"".join(table.tobytes() for table in tables), mtime=0))
     film, kind = movie or (b"", "")
     start = _MOVIE.replace('data-type=""', f'data-type="{html.escape(kind)}"')
