@@ -2,7 +2,6 @@
 // pointer, keyboard, sound and game pad.
 import { directionText, directionsOf, type Directions } from "./axes";
 import { BrailleDisplay } from "./braille";
-import { colourOf } from "./colour";
 import { Fault, firstSegment, indexOffset } from "./container";
 import { Decoder } from "./decoder";
 import { byId, bytesOf, onFileDrop, setPressed, setText } from "./elements";
@@ -17,6 +16,7 @@ import { isPicture, readPicture } from "./picture";
 import { reliefOf } from "./relief";
 import type { Extremes, Walked } from "./relief_map";
 import { message, prepareSaving, save } from "./saving";
+import { showScale } from "./scale";
 import { Sound } from "./sound";
 import { heightText, LOST_WEBGL, placeText, say, slopeText, WITHOUT_WEBGL } from "./speech";
 import { Trace } from "./trace";
@@ -271,20 +271,13 @@ const top = (): number => (isError() ? 1 : state!.opened.head.peak);
 /** The scale of what is shown, and the words that belong to it. */
 function scaleNow(): void {
   const { opened, what } = state!;
-  const isArray = opened.head.type === 2;
   view.scale(top(), isError() ? 1 + Number(given?.source_share ?? 0) : Infinity);
   trace.start(top());
-  legend(top());
+  showScale({
+    quantity: isError() ? "error" : isPins() ? "height" : "force", isArray: opened.head.type === 2, isFlat: view.isFlat, top: top(),
+    difference: differenceText(given, !!opened.head.objects),
+  });
   for (const button of document.querySelectorAll<HTMLElement>("[data-what]")) button.setAttribute("aria-pressed", String(button.dataset.what === what));
-  setText("scale", isError() ? "Error / bound" : isPins() ? "Height, percent" : "Force, newtons");
-  setText("unit", isError() ? "of the error bound" : isPins() ? "% of the travel" : "N");
-  setText("traced", isError() ? "2 s of it" : isPins() ? "2 s of the height" : "2 s of |F|");
-  if (isError()) return setText("caption", differenceText(given, !!opened.head.objects));
-  if (isPins()) return setText("caption", "Each pin is as high as a finger from above meets the surface: the higher and the brighter, the higher the surface.");
-  if (view.isFlat && !isArray) return setText("caption", "The slice goes through the probe: its colour is the force inside, arrows point where it pushes. Orange: your probe, and the force on a hand that holds it; white: the proxy, which stays on the surface.");
-  setText("caption", isArray
-    ? "Each disc or pin is an actuator: the higher and the brighter it is, the stronger it pushes."
-    : "Surface: where a hand first feels a force; its colour: the force once it is pressed in by the length that “Pressed in” sets. Slice: the force inside, with cones that point where it pushes. Orange: your probe, and the force on a hand that holds it; white: the proxy, which stays on the surface.");
 }
 
 const setWhat = latest(async (what: What) => {
@@ -294,20 +287,6 @@ const setWhat = latest(async (what: What) => {
   scaleNow();
   await showNow(state.time);
 });
-
-function legend(peak: number): void {
-  const canvas = byId<HTMLCanvasElement>("bar");
-  const paint = canvas.getContext("2d")!;
-  for (let y = 0; y < canvas.height; y++) {
-    paint.fillStyle = `rgb(${colourOf(1 - y / (canvas.height - 1)).join()})`;
-    paint.fillRect(0, y, canvas.width, 1);
-  }
-  byId("ticks").replaceChildren(...[4, 3, 2, 1, 0].map((n) => {
-    const item = document.createElement("li");
-    item.textContent = isPins() && !isError() ? String(25 * n) : ((peak * n) / 4).toPrecision(2).replace(/^0\.0$/, "0");
-    return item;
-  }));
-}
 
 function jumps(): void {
   const buttons: [string, () => void][] = [["Strongest force", () => void jump(strongest)]];
@@ -956,7 +935,7 @@ function setAxis(axis: number): void {
   cutNow();
 }
 
-function wireControls(): void {
+function wireButtons(): void {
   byId("open").onclick = (): void => byId("file").click();
   byId<HTMLInputElement>("file").onchange = async (event): Promise<void> => {
     const file = (event.target as HTMLInputElement).files?.[0];
@@ -976,11 +955,6 @@ function wireControls(): void {
   byId("follow").onclick = (): void => setOnSurface(!isOnSurface);
   byId("braille").hidden = !BrailleDisplay.isSupported;
   byId("braille").onclick = (): void => void (braille.isOpen ? braille.close() : braille.connect());
-  byId<HTMLInputElement>("gain").oninput = (event): void => {
-    sound.gain = Number((event.target as HTMLInputElement).value) / 100;
-    setText("gain-value", `${Math.round(100 * sound.gain)} %`);
-    if (state) showForce();
-  };
   for (const button of document.querySelectorAll<HTMLButtonElement>("[data-what]")) button.onclick = (): void => setWhat(button.dataset.what as What);
   byId("open-cut").onclick = (): void => {
     view.isOpen = !view.isOpen;
@@ -988,6 +962,14 @@ function wireControls(): void {
     view.due();
   };
   for (const [n, button] of [...document.querySelectorAll<HTMLButtonElement>("[data-axis]")].entries()) button.onclick = (): void => setAxis(n);
+}
+
+function wireSliders(): void {
+  byId<HTMLInputElement>("gain").oninput = (event): void => {
+    sound.gain = Number((event.target as HTMLInputElement).value) / 100;
+    setText("gain-value", `${Math.round(100 * sound.gain)} %`);
+    if (state) showForce();
+  };
   byId<HTMLInputElement>("cut").oninput = (event): void => {
     if (!state) return;
     const [low, high] = range(state.axis);
@@ -1006,6 +988,11 @@ function wireControls(): void {
     if (movie) movie.currentTime = time + movieAt;
     show(time);
   };
+}
+
+function wireControls(): void {
+  wireButtons();
+  wireSliders();
   onFileDrop(document.body, (file) => void openFile(file));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => view.recolour());
   keyList(byId("help"));
