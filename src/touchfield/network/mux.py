@@ -220,6 +220,7 @@ def _movie_touch(touches: Sequence[_Touch], form: str) -> MovieTouch:
 
 
 def _samples(touch: _Touch, is_ts: bool) -> Iterator[Sample]:
+    """Yield the samples of a track: one for each segment, then the spare ones."""
     reader, first_s, start_s = touch.reader, touch.first_s, touch.start_s
     data, position, rate_hz = reader.read_all(), 0, reader.head.rate_hz
     head = data[: reader.segments[0].offset] + sync_record(start_s)
@@ -228,13 +229,18 @@ def _samples(touch: _Touch, is_ts: bool) -> Iterator[Sample]:
         sample = data[position:stop] if i else head + data[entry.offset : stop]
         if is_ts:
             again = head if i and reader.head.coder != OBJECTS_CODER else b""
-            sample = KLV + (len(again) + len(sample)).to_bytes(4, "big") + again + sample
+            sample = _klv(again + sample)
         yield first_s + entry.first_frame / rate_hz, entry.frame_count / rate_hz, sample
         position = stop
     sync = sync_record(start_s)
-    end = KLV + len(sync).to_bytes(4, "big") + sync if is_ts else sync
+    end = _klv(sync) if is_ts else sync
     for i in range(SPARE_SAMPLES):
         yield first_s + reader.head.frame_count / rate_hz + i * SPARE_S, SPARE_S, end
+
+
+def _klv(value: bytes) -> bytes:
+    """A KLV triplet of touch."""
+    return KLV + len(value).to_bytes(4, "big") + value
 
 
 def _with_sync(reader: TouchReader, start_s: float) -> bytes:
