@@ -23,7 +23,8 @@ from touchfield.sources.shapes.analytic_scene import AnalyticScene
 from touchfield.sources.shapes.shapes import Sphere
 from touchfield.sources.stored import StoredScene
 from touchfield.sources.tiny_scenes import tiny_scenes
-from touchfield.tasks.play import COLUMNS, PlaySpec, play
+from touchfield.tasks.play import PlaySpec, play
+from touchfield.tasks.play_log import COLUMNS
 
 Capture = pytest.CaptureFixture[str]
 

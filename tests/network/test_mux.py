@@ -21,8 +21,9 @@ from touchfield.container.wire import OPENING_SIZE, ByteSource, records_between
 from touchfield.errors import InvalidArgument, TouchfieldError, UnboundedError
 from touchfield.medium import ForceField, Grid, HapticMedium
 from touchfield.network import ts_streams
+from touchfield.network.dash import START_SCHEME
 from touchfield.network.demux import demux
-from touchfield.network.mux import START_SCHEME, mux
+from touchfield.network.mux import mux
 from touchfield.network.touch_track import KLV, TouchTrack, sync_record
 from touchfield.pipeline import encode
 from touchfield.pipeline.decoding import open_file

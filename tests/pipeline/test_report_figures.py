@@ -30,7 +30,8 @@ from touchfield.render.spec import RenderSpec
 from touchfield.sources.shapes.analytic_scene import AnalyticScene
 from touchfield.sources.shapes.shapes import Sphere
 from touchfield.sources.tiny_scenes import tiny_scenes
-from touchfield.tasks.play import COLUMNS, Played, PlaySpec, play
+from touchfield.tasks.play import Played, PlaySpec, play
+from touchfield.tasks.play_log import COLUMNS
 
 GRID = Grid((24, 16, 8), (0.002, 0.003, 0.004), (-0.01, -0.03, -0.005))
 SPEC = EncodeSpec(touch=TouchSpec(effort="fast", segment_frames=3))

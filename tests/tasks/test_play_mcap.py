@@ -19,14 +19,8 @@ from touchfield.pipeline.spec import EncodeSpec
 from touchfield.render.block import COLUMNS, FLAGS
 from touchfield.sources.recordings.contact_trace import read_mcap
 from touchfield.sources.tiny_scenes import tiny_scenes
-from touchfield.tasks.play_mcap import (
-    ARROW_M_PER_N,
-    ARROW_TOPIC,
-    ARROWS_HZ,
-    POSE_TOPIC,
-    TICK_TOPIC,
-    write_mcap,
-)
+from touchfield.tasks.mcap_schemas import ARROW_TOPIC, POSE_TOPIC, TICK_TOPIC
+from touchfield.tasks.play_mcap import ARROW_M_PER_N, ARROWS_HZ, write_mcap
 
 reader = pytest.importorskip("mcap.reader", reason="needs the extra mcap")
 MIRROR = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

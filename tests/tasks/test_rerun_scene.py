@@ -19,8 +19,9 @@ from touchfield.network.opening import open_stream
 from touchfield.pipeline import encode
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.stored import StoredScene
-from touchfield.tasks import rerun_scene
-from touchfield.tasks.rerun_scene import read_log, view_in_rerun
+from touchfield.tasks import play_log, rerun_scene
+from touchfield.tasks.play_log import read_log
+from touchfield.tasks.rerun_scene import view_in_rerun
 
 BODIES = Path(__file__).parents[2] / "conformance" / "v1" / "objects-rigid.touch"
 HEADER = "media_s,x_m,y_m,z_m,field_x_n,field_y_n,field_z_n,friction_x_n,friction_y_n,friction_z_n,state"
@@ -149,7 +150,7 @@ def test_a_file_that_is_no_log_is_refused(tmp_path: Path, text: str, found: str)
 def test_a_long_log_is_refused_by_its_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "log.csv"
     path.write_text(f"{HEADER}\n{ROW}\n")
-    monkeypatch.setattr(rerun_scene, "_MAX_ROWS", 0)
+    monkeypatch.setattr(play_log, "MAX_ROWS", 0)
     with pytest.raises(SourceError, match=r"found \d+ bytes; expected at most 0"):
         read_log(path)
 

@@ -2,11 +2,13 @@
 // pointer, keyboard, sound and game pad.
 import { directionText, directionsOf, type Directions } from "./axes";
 import { BrailleDisplay } from "./braille";
-import { colourOf } from "./colour";
 import { Fault, firstSegment, indexOffset } from "./container";
-import type { EngineRequest, Cut, Met, Opened, Piece, Recorded, Shown, Triple, What } from "./engine";
+import { Decoder } from "./decoder";
+import { byId, bytesOf, onFileDrop, setPressed, setText } from "./elements";
+import type { Cut, Met, Opened, Piece, Recorded, Shown, Triple, What } from "./engine";
 import { FlatView } from "./flat";
 import { Hand } from "./hand";
+import { latestOf } from "./latest";
 import { differenceText, figuresOf, type Given, keyList, millimetres } from "./panel";
 import { materialsOf, slidOver } from "./material";
 import { Pads } from "./pads";
@@ -14,6 +16,7 @@ import { isPicture, readPicture } from "./picture";
 import { reliefOf } from "./relief";
 import type { Extremes, Walked } from "./relief_map";
 import { message, prepareSaving, save } from "./saving";
+import { showScale } from "./scale";
 import { Sound } from "./sound";
 import { heightText, LOST_WEBGL, placeText, say, slopeText, WITHOUT_WEBGL } from "./speech";
 import { Trace } from "./trace";
@@ -23,68 +26,6 @@ const MAX_BYTES = 1 << 29;
 const SPOKEN_MS = 1200;
 const SCAN_MS = 3000;
 const AHEAD_S = 1;
-
-const byId = <T extends HTMLElement>(id: string): T => document.getElementById(id) as T;
-const text = (id: string, content: string): void => void (byId(id).textContent = content);
-const press = (id: string, on: boolean): void => byId(id).setAttribute("aria-pressed", String(on));
-
-// -- the decoder, in a thread of its own where that is allowed ----------------------------------------------------------
-
-type Answer = (request: EngineRequest) => unknown;
-
-/** The script of the workers in the page itself. */
-function answerInPage(url: string): Promise<Answer> {
-  return new Promise((done, failed) => {
-    const script = document.createElement("script");
-    script.src = url;
-    script.onload = (): void => done((window as unknown as { touchfieldAnswer: Answer }).touchfieldAnswer);
-    script.onerror = failed;
-    document.head.append(script);
-  });
-}
-
-class Decoder {
-  private worker: Worker | null = null;
-  private next = 0;
-  private readonly waiting = new Map<number, { request: EngineRequest; done: (value: unknown) => void }>();
-  private readonly ready: Promise<unknown>;
-  private inPage: Promise<Answer> | null = null;
-
-  constructor(module: WebAssembly.Module, private readonly script: string) {
-    try {
-      this.worker = new Worker(script);
-      this.worker.onmessage = ({ data }: MessageEvent<{ id: number; answer: unknown }>): void => {
-        this.waiting.get(data.id)?.done(data.answer);
-        this.waiting.delete(data.id);
-      };
-      this.worker.onerror = (): void => { // a page around this one may forbid threads
-        this.worker = null;
-        for (const { request, done } of this.waiting.values()) done(this.answer(request));
-        this.waiting.clear();
-      };
-    } catch {
-      this.worker = null;
-    }
-    this.ready = this.request({ do: "start", module });
-  }
-
-  private async answer(request: EngineRequest): Promise<unknown> {
-    this.inPage ??= answerInPage(this.script);
-    return (await this.inPage)(request);
-  }
-
-  async request<T>(request: EngineRequest): Promise<T> {
-    if (request.do !== "start") await this.ready;
-    const result = this.worker
-      ? await new Promise<unknown>((done) => {
-          this.waiting.set(++this.next, { request, done });
-          this.worker!.postMessage({ id: this.next, request });
-        })
-      : await new Promise<unknown>((done) => setTimeout(() => done(this.answer(request)), 0));
-    if (result && typeof result === "object" && "fault" in result) throw result;
-    return result as T;
-  }
-}
 
 // -- state --------------------------------------------------------------------------------------------------------------
 
@@ -137,13 +78,13 @@ function viewOf(canvas: HTMLCanvasElement, labels: HTMLElement): View | FlatView
 
 /** What the page lacks here. */
 function notice(sentence: string): void {
-  text("notice", sentence);
+  setText("notice", sentence);
   byId("notice").hidden = !sentence;
 }
 
 /** What the page waits for; empty: for nothing. */
 function waitFor(what: string): void {
-  if (what) text("waits", what);
+  if (what) setText("waits", what);
   byId("loading").hidden = !what;
 }
 
@@ -154,35 +95,18 @@ const range = (axis: number): [number, number] => {
 const seconds = (): number => (state!.opened.head.frames - 1) / state!.opened.head.rate;
 const depth = (): number => (Number(byId<HTMLInputElement>("depth").value) / 100) * 0.1 * Math.min(...[0, 1, 2].map((n) => range(n)[1] - range(n)[0]));
 
-/** The latest of several calls: one runs, one waits, and those between are passed over. */
+/** The latest of several calls, whose errors are reported. */
 function latest<A extends unknown[]>(run: (...args: A) => Promise<void>): (...args: A) => void {
-  let busy = false;
-  let waiting: A | null = null;
-  const go = async (...args: A): Promise<void> => {
-    if (busy) return void (waiting = args);
-    busy = true;
-    try {
-      await run(...args);
-    } catch (error) {
-      reportFault(error);
-    }
-    busy = false;
-    if (waiting) {
-      const next = waiting;
-      waiting = null;
-      void go(...next);
-    }
-  };
-  return (...args) => void go(...args);
+  return latestOf(run, reportFault);
 }
 
 function reportFault(error: unknown, name = state?.name ?? "the file"): void {
   const details = error as { fault?: string; message?: string; byte?: number | null };
   const where = details.byte == null ? "" : `, at byte ${details.byte.toLocaleString("en")}`;
   const message = details.fault ? `${details.message} (${details.fault}${where})` : error instanceof Fault ? error.message : String(error);
-  text("fault", `${name} cannot be shown: ${message}.`);
+  setText("fault", `${name} cannot be shown: ${message}.`);
   byId("fault").hidden = false;
-  text("saved", `Cannot be saved: ${name} cannot be shown.`);
+  setText("saved", `Cannot be saved: ${name} cannot be shown.`);
   document.documentElement.dataset.state = "fault";
   playing = false;
   waitFor("");
@@ -240,7 +164,7 @@ async function openAs(name: string, figures: Given, hasSource: boolean, read: Re
     const axis = view.isFlat ? view.firstAxis(directions) : directions.right.findIndex((n) => n !== 0);
     state = { name, opened, directions, time: 0, point: middle, field: new Float64Array(5), force: new Float64Array(5), memory: opened.memory, axis, cut: middle[axis]!, hasSource, what: "decoded" };
     given = figures;
-    text("name", name);
+    setText("name", name);
     describe();
     marks.described = performance.now();
     await showNow(0, true);
@@ -323,7 +247,7 @@ function describe(): void {
   const axes = lengths.map((m, n) => `${"xyz"[n]} ${directions.names[n]} · ${millimetres(m)}`.replace("  ", " "));
   view.start(head, directions, { box: `${head.type === 2 ? "actuators" : "workspace"} of ${records.device || "the device"}`, axes });
   const what = head.type === 2 ? `${head.shape[0]} × ${head.shape[1]} actuators` : head.objects ? `${head.objects} bodies` : "a force field";
-  text("summary", `${what}${head.frames > 1 ? ` over ${((head.frames / head.rate)).toPrecision(2)} s` : ""}, for ${records.device || "a device"}`);
+  setText("summary", `${what}${head.frames > 1 ? ` over ${((head.frames / head.rate)).toPrecision(2)} s` : ""}, for ${records.device || "a device"}`);
   byId("fields").hidden = !state!.hasSource;
   scaleNow();
   figuresOf(byId("figures"), byId("provenance"), opened, given, isPins());
@@ -347,20 +271,13 @@ const top = (): number => (isError() ? 1 : state!.opened.head.peak);
 /** The scale of what is shown, and the words that belong to it. */
 function scaleNow(): void {
   const { opened, what } = state!;
-  const isArray = opened.head.type === 2;
   view.scale(top(), isError() ? 1 + Number(given?.source_share ?? 0) : Infinity);
   trace.start(top());
-  legend(top());
+  showScale({
+    quantity: isError() ? "error" : isPins() ? "height" : "force", isArray: opened.head.type === 2, isFlat: view.isFlat, top: top(),
+    difference: differenceText(given, !!opened.head.objects),
+  });
   for (const button of document.querySelectorAll<HTMLElement>("[data-what]")) button.setAttribute("aria-pressed", String(button.dataset.what === what));
-  text("scale", isError() ? "Error / bound" : isPins() ? "Height, percent" : "Force, newtons");
-  text("unit", isError() ? "of the error bound" : isPins() ? "% of the travel" : "N");
-  text("traced", isError() ? "2 s of it" : isPins() ? "2 s of the height" : "2 s of |F|");
-  if (isError()) return text("caption", differenceText(given, !!opened.head.objects));
-  if (isPins()) return text("caption", "Each pin is as high as a finger from above meets the surface: the higher and the brighter, the higher the surface.");
-  if (view.isFlat && !isArray) return text("caption", "The slice goes through the probe: its colour is the force inside, arrows point where it pushes. Orange: your probe, and the force on a hand that holds it; white: the proxy, which stays on the surface.");
-  text("caption", isArray
-    ? "Each disc or pin is an actuator: the higher and the brighter it is, the stronger it pushes."
-    : "Surface: where a hand first feels a force; its colour: the force once it is pressed in by the length that “Pressed in” sets. Slice: the force inside, with cones that point where it pushes. Orange: your probe, and the force on a hand that holds it; white: the proxy, which stays on the surface.");
 }
 
 const setWhat = latest(async (what: What) => {
@@ -370,20 +287,6 @@ const setWhat = latest(async (what: What) => {
   scaleNow();
   await showNow(state.time);
 });
-
-function legend(peak: number): void {
-  const canvas = byId<HTMLCanvasElement>("bar");
-  const paint = canvas.getContext("2d")!;
-  for (let y = 0; y < canvas.height; y++) {
-    paint.fillStyle = `rgb(${colourOf(1 - y / (canvas.height - 1)).join()})`;
-    paint.fillRect(0, y, canvas.width, 1);
-  }
-  byId("ticks").replaceChildren(...[4, 3, 2, 1, 0].map((n) => {
-    const item = document.createElement("li");
-    item.textContent = isPins() && !isError() ? String(25 * n) : ((peak * n) / 4).toPrecision(2).replace(/^0\.0$/, "0");
-    return item;
-  }));
-}
 
 function jumps(): void {
   const buttons: [string, () => void][] = [["Strongest force", () => void jump(strongest)]];
@@ -457,7 +360,7 @@ function showClock(): void {
   const { rate, frames } = state!.opened.head;
   const digits = seconds() < 0.5 ? 4 : 2;
   const clock = `${state!.time.toFixed(digits)} of ${seconds().toFixed(digits)} s, frame ${Math.floor(state!.time * rate + 1e-6)} of ${frames - 1}`;
-  text("clock", clock);
+  setText("clock", clock);
   byId("at").setAttribute("aria-valuetext", clock);
 }
 
@@ -473,14 +376,14 @@ const cutNow = latest(async () => {
 });
 
 function showDepth(): void {
-  text("depth-value", millimetres(depth()));
+  setText("depth-value", millimetres(depth()));
   byId("depth").setAttribute("aria-valuetext", millimetres(depth()));
 }
 
 function showCut(): void {
   const [low, high] = range(state!.axis);
   byId<HTMLInputElement>("cut").value = String((1000 * (state!.cut - low)) / (high - low));
-  text("cut-value", `${"xyz"[state!.axis]} ${millimetres(state!.cut)}`);
+  setText("cut-value", `${"xyz"[state!.axis]} ${millimetres(state!.cut)}`);
   byId("cut").setAttribute("aria-valuetext", byId("cut-value").textContent!);
 }
 
@@ -509,8 +412,8 @@ function setPlaying(on: boolean): void {
     if (movie.ended) movie.currentTime = 0;
     movie.play().catch(() => setPlaying(false));
   } else movie?.pause();
-  press("play", on);
-  text("play", on ? "Pause" : "Play");
+  setPressed("play", on);
+  setText("play", on ? "Pause" : "Play");
   if (!on && state && walks() && document.documentElement.dataset.state === "ready") feel(state.point);
   if (!on || !state) return;
   let before = performance.now();
@@ -614,12 +517,12 @@ function showForce(): void {
   const force = (own.force = rendered ? Float64Array.of(...rendered.force, ...own.field.subarray(3)) : own.field);
   const size = Math.hypot(force[0]!, force[1]!, force[2]!);
   const vibration = isError() ? 0 : force[3]!;
-  text("size", isPins() && !isError() ? ((100 * size) / top()).toFixed(0) : size.toFixed(2));
-  text("height", walked ? `${heightText(walked, extremes, isPins())}, ${slopeText(walked, own.directions)}` : "");
-  if (isError()) text("parts", `${(1000 * size * force[3]!).toFixed(1)} of ${(1000 * force[3]!).toFixed(1)} mN`);
-  else if (isPins()) text("parts", placeText(own.point, own.opened.head, own.directions));
-  else text("parts", `x ${force[0]!.toFixed(2)}   y ${force[1]!.toFixed(2)}   z ${force[2]!.toFixed(2)} N`);
-  text("vibrates", vibration > 0 ? `vibrates ${vibration.toFixed(2)} N at ${force[4]!.toFixed(0)} Hz` : "");
+  setText("size", isPins() && !isError() ? ((100 * size) / top()).toFixed(0) : size.toFixed(2));
+  setText("height", walked ? `${heightText(walked, extremes, isPins())}, ${slopeText(walked, own.directions)}` : "");
+  if (isError()) setText("parts", `${(1000 * size * force[3]!).toFixed(1)} of ${(1000 * force[3]!).toFixed(1)} mN`);
+  else if (isPins()) setText("parts", placeText(own.point, own.opened.head, own.directions));
+  else setText("parts", `x ${force[0]!.toFixed(2)}   y ${force[1]!.toFixed(2)}   z ${force[2]!.toFixed(2)} N`);
+  setText("vibrates", vibration > 0 ? `vibrates ${vibration.toFixed(2)} N at ${force[4]!.toFixed(0)} Hz` : "");
   const label = isPins() && !isError() ? `${((100 * size) / top()).toFixed(0)} %` : `${size.toFixed(2)} ${isError() ? "of bound" : "N"}`;
   view.setProbe(own.point, force, label, rendered?.isInContact ? rendered.proxy : null);
   trace.add(size);
@@ -647,7 +550,7 @@ function showHand(): void {
   if (!state) return;
   const { rendered, fault } = hand;
   const ticks = rendered?.hertz ? `${rendered.hertz} ticks a second` : "starts";
-  text("hand", fault ? `none, ${fault}: the force of the field is shown` : `${ticks}${rendered?.missed ? `, ${rendered.missed} left out` : ""}`);
+  setText("hand", fault ? `none, ${fault}: the force of the field is shown` : `${ticks}${rendered?.missed ? `, ${rendered.missed} left out` : ""}`);
   if (isHand() || fault) showForce();
 }
 
@@ -719,7 +622,7 @@ async function walkTo(point: Triple): Promise<void> {
 
 function setOnSurface(on: boolean): void {
   isOnSurface = on;
-  press("follow", on);
+  setPressed("follow", on);
   if (!on) walked = null;
   if (state) feel(state.point);
   say(on ? "The probe follows the surface: arrow keys move over it as over a map." : "The probe moves freely.");
@@ -863,7 +766,7 @@ function scan(): void {
   const [low, high] = range(axis);
   const back = state.point;
   const start = performance.now();
-  press("scan", true);
+  setPressed("scan", true);
   void setSound(true);
   scanning = window.setInterval(() => {
     const fraction = (performance.now() - start) / SCAN_MS;
@@ -871,19 +774,19 @@ function scan(): void {
     next[axis] = sign > 0 ? low + fraction * (high - low) : high - fraction * (high - low);
     if (fraction < 1) return feel(next);
     window.clearInterval(scanning);
-    press("scan", false);
+    setPressed("scan", false);
     feel(back);
   }, 25);
 }
 
 async function setSound(on: boolean): Promise<void> {
-  press("sound", on);
+  setPressed("sound", on);
   await sound.sound(on);
 }
 
 function setContrast(on: boolean): void {
   document.documentElement.classList.toggle("contrast", on);
-  press("contrast", on);
+  setPressed("contrast", on);
   view.recolour();
 }
 
@@ -933,7 +836,7 @@ async function openLink(): Promise<void> {
 }
 
 function showBraille(report: string): void {
-  press("braille", braille.isOpen);
+  setPressed("braille", braille.isOpen);
   message(report);
   if (!state) return say(report); // the status line is not shown yet
   if (braille.isOpen) feel(state.point);
@@ -1032,7 +935,7 @@ function setAxis(axis: number): void {
   cutNow();
 }
 
-function wireControls(): void {
+function wireButtons(): void {
   byId("open").onclick = (): void => byId("file").click();
   byId<HTMLInputElement>("file").onchange = async (event): Promise<void> => {
     const file = (event.target as HTMLInputElement).files?.[0];
@@ -1046,24 +949,27 @@ function wireControls(): void {
   byId("sound").onclick = (): void => void setSound(!sound.isOn);
   byId("rumble").onclick = (): void => {
     sound.rumble(!sound.isRumbling);
-    press("rumble", sound.isRumbling);
+    setPressed("rumble", sound.isRumbling);
   };
   byId("scan").onclick = scan;
   byId("follow").onclick = (): void => setOnSurface(!isOnSurface);
   byId("braille").hidden = !BrailleDisplay.isSupported;
   byId("braille").onclick = (): void => void (braille.isOpen ? braille.close() : braille.connect());
-  byId<HTMLInputElement>("gain").oninput = (event): void => {
-    sound.gain = Number((event.target as HTMLInputElement).value) / 100;
-    text("gain-value", `${Math.round(100 * sound.gain)} %`);
-    if (state) showForce();
-  };
   for (const button of document.querySelectorAll<HTMLButtonElement>("[data-what]")) button.onclick = (): void => setWhat(button.dataset.what as What);
   byId("open-cut").onclick = (): void => {
     view.isOpen = !view.isOpen;
-    press("open-cut", view.isOpen);
+    setPressed("open-cut", view.isOpen);
     view.due();
   };
   for (const [n, button] of [...document.querySelectorAll<HTMLButtonElement>("[data-axis]")].entries()) button.onclick = (): void => setAxis(n);
+}
+
+function wireSliders(): void {
+  byId<HTMLInputElement>("gain").oninput = (event): void => {
+    sound.gain = Number((event.target as HTMLInputElement).value) / 100;
+    setText("gain-value", `${Math.round(100 * sound.gain)} %`);
+    if (state) showForce();
+  };
   byId<HTMLInputElement>("cut").oninput = (event): void => {
     if (!state) return;
     const [low, high] = range(state.axis);
@@ -1082,17 +988,12 @@ function wireControls(): void {
     if (movie) movie.currentTime = time + movieAt;
     show(time);
   };
-  document.addEventListener("dragover", (event) => {
-    event.preventDefault();
-    document.body.classList.add("over");
-  });
-  document.addEventListener("dragleave", () => document.body.classList.remove("over"));
-  document.addEventListener("drop", (event) => {
-    event.preventDefault();
-    document.body.classList.remove("over");
-    const file = event.dataTransfer?.files[0];
-    if (file) void openFile(file);
-  });
+}
+
+function wireControls(): void {
+  wireButtons();
+  wireSliders();
+  onFileDrop(document.body, (file) => void openFile(file));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => view.recolour());
   keyList(byId("help"));
 }
@@ -1110,7 +1011,7 @@ async function followBytes(data: Uint8Array, name: string): Promise<void> {
     if (own !== opening) return;
     reading = null;
     state = { ...state, opened, name, time: 0 };
-    text("name", name);
+    setText("name", name);
     await showNow(0, true);
     if (own === opening) startHand(data, true);
     if (!playing) setPlaying(true);
@@ -1126,13 +1027,6 @@ async function openFile(file: File): Promise<void> {
 }
 
 // -- start --------------------------------------------------------------------------------------------------------------
-
-function bytesOf(id: string): Uint8Array<ArrayBuffer> {
-  const letters = atob(byId(id).textContent!.trim());
-  const out = new Uint8Array(letters.length);
-  for (let n = 0; n < letters.length; n++) out[n] = letters.charCodeAt(n);
-  return out;
-}
 
 async function start(): Promise<void> {
   marks.start = performance.now();

@@ -1,29 +1,33 @@
 // The page of a tactile map: a cursor that says what is under it, zoom levels and views as on a pin display, and places that
 // are found by name.
 import { Fault } from "./container";
+import { byId, bytesOf, onFileDrop, setPressed, setText } from "./elements";
 import {
-  boxOf, centreOf, columnsOf, hasPin, indexOf, isLike, metAt, middleOf, nearestPlace, pinOf, pinOfPlace, pointOf, rowsOf, symbolAt, viewAt, Views, type Met, type Pin, type Point,
+  boxOf, centreOf, clamp, columnsOf, hasPin, indexOf, isLike, metAt, middleOf, nearestPlace, pinOf, pinOfPlace, pointOf, rowsOf, symbolAt, viewAt, Views, type Met, type Pin, type Point,
 } from "./map_model";
+import { type PointerActs, wirePointer } from "./map_pointer";
 import { readMap, type MapSymbol, type Place, type TactileMap } from "./map_record";
 import { Search } from "./map_search";
 import { currentLanguage, KEY_LIST, lengthText, metText, placeText, setLanguage, t, wayText, type Key, type Language } from "./map_text";
 import { MapView } from "./map_view";
+import { MapViewport } from "./map_viewport";
 import { Voice } from "./map_voice";
 import { Pads } from "./pads";
 
 const MAX_BYTES = 2 ** 27;
 const MOUSE_PX = 10; // within which a pointer meets a pin
 const FINGER_PX = 18;
-const DRAG_PX = 5;
-const WHEEL = 0.0015;
 const RULER_PX = 90;
 const MAX_LEAP_VIEWS = 4; // that are searched for the next thing
 const SHIFT_PINS = 3; // by which a symbol moves from level to level
 
-const byId = <T extends HTMLElement>(id: string): T => document.getElementById(id) as T;
 const canvas = byId<HTMLCanvasElement>("view");
 const voice = new Voice();
-const view = new MapView(canvas, () => showRuler());
+const viewport = new MapViewport(canvas, () => {
+  view.redraw();
+  showRuler();
+});
+const view = new MapView(canvas, viewport);
 
 interface Open {
   name: string;
@@ -39,23 +43,21 @@ interface Open {
 let open: Open | null = null;
 let isSpeechChosen = false;
 
-const text = (id: string, value: string): void => void (byId(id).textContent = value);
-const press = (id: string, on: boolean): void => byId(id).setAttribute("aria-pressed", String(on));
-const pin = (): Pin => pinOf(open!.map, view.level, open!.cursor);
+const pin = (): Pin => pinOf(open!.map, viewport.level, open!.cursor);
 
 // -- the cursor -----------------------------------------------------------------------------------------------------------
 
 /** What is under the cursor, or within some pins of it; views that are missing are awaited. */
 async function meet(reach: number, like: MapSymbol | null = null): Promise<Met | null> {
   const { map, views } = open!;
-  const { level } = view;
+  const { level } = viewport;
   const [at, own] = [viewOf(pin()), pin()];
   const loaded = await views.load(indexOf(level, at));
   return loaded && metAt(map, level, loaded, at, own, reach, like);
 }
 
 /** The view in which a pin is seen: the one that is shown, or the one around it. */
-const viewOf = (own: Pin): Pin => (hasPin(open!.map, view.level, view.at, own) ? view.at : viewAt(open!.map, view.level, pointOf(view.level, own)));
+const viewOf = (own: Pin): Pin => (hasPin(open!.map, viewport.level, viewport.at, own) ? viewport.at : viewAt(open!.map, viewport.level, pointOf(viewport.level, own)));
 
 /** Show and say what is under the cursor after it has moved; `before` is said first. */
 async function arrive(before = "", reach = 0, isPointer = false): Promise<void> {
@@ -84,7 +86,7 @@ const sentence = (...parts: string[]): string => parts.filter(Boolean).join(". "
 function guidance(): string {
   const { found, isGuiding, cursor, map } = open!;
   if (!found || !isGuiding) return "";
-  const isThere = isAtPlace(found.place) || pinOf(map, view.level, found.point).join() === pin().join();
+  const isThere = isAtPlace(found.place) || pinOf(map, viewport.level, found.point).join() === pin().join();
   if (!isThere) return `${wayText(cursor, found.point, map)}: ${found.place.name}`;
   setGuiding(false);
   return `${t("arrived")}: ${placeText(found.place)}`;
@@ -94,9 +96,9 @@ const isAtPlace = (place: Place): boolean => !!open!.met && open!.met.symbol.rol
 
 function showMet(): void {
   const { met, map, cursor, found, isGuiding } = open!;
-  text("met", met ? metText(met) : "–");
-  text("around", `${zoomText()}${aroundText()}`);
-  text("way", found && isGuiding ? `${wayText(cursor, found.point, map)}: ${found.place.name}` : "");
+  setText("met", met ? metText(met) : "–");
+  setText("around", `${zoomText()}${aroundText()}`);
+  setText("way", found && isGuiding ? `${wayText(cursor, found.point, map)}: ${found.place.name}` : "");
   view.mark({ cursor: pin(), met: met?.symbol ?? null, target: found && isGuiding ? found.point : null });
 }
 
@@ -112,18 +114,18 @@ const way = (place: Place): string => (open ? wayText(open.cursor, centreOf(plac
 function step(right: number, up: number): void {
   const { map } = open!;
   const [row, column] = pin();
-  const next = pointOf(view.level, [row - up, column + right]);
-  const clamped = pinOf(map, view.level, next);
+  const next = pointOf(viewport.level, [row - up, column + right]);
+  const clamped = pinOf(map, viewport.level, next);
   const isEdge = clamped[0] !== row - up || clamped[1] !== column + right;
-  open!.cursor = pointOf(view.level, clamped);
-  view.reveal(open!.cursor);
+  open!.cursor = pointOf(viewport.level, clamped);
+  viewport.reveal(open!.cursor);
   void arrive(isEdge ? t("edge") : "");
 }
 
 /** Move the cursor to the next thing in a direction. */
 async function leap(right: number, up: number): Promise<void> {
   const own = open!;
-  const { level } = view;
+  const { level } = viewport;
   const [last, end] = [rowsOf(own.map, level) - 1, columnsOf(own.map, level) - 1];
   let at = pin();
   const start = await symbolOf(at);
@@ -136,17 +138,17 @@ async function leap(right: number, up: number): Promise<void> {
     hasLeft ||= symbol !== start;
     if (symbol && hasLeft) break;
   }
-  if (open !== own || view.level !== level) return;
+  if (open !== own || viewport.level !== level) return;
   const isEdge = at[0] === 0 || at[1] === 0 || at[0] === last || at[1] === end;
   own.cursor = pointOf(level, at);
-  view.reveal(own.cursor);
+  viewport.reveal(own.cursor);
   void arrive(isEdge && !(await symbolOf(at)) ? t("edge") : "");
 }
 
 async function symbolOf(at: Pin): Promise<MapSymbol | null> {
   const index = viewOf(at);
-  const loaded = await open!.views.load(indexOf(view.level, index));
-  return loaded && symbolAt(open!.map, view.level, loaded, index, at);
+  const loaded = await open!.views.load(indexOf(viewport.level, index));
+  return loaded && symbolAt(open!.map, viewport.level, loaded, index, at);
 }
 
 // -- the window -----------------------------------------------------------------------------------------------------------
@@ -154,48 +156,48 @@ async function symbolOf(at: Pin): Promise<MapSymbol | null> {
 /** Show the next view in a direction, with the cursor in it. */
 function pan(right: number, down: number): void {
   const { map } = open!;
-  const [a, b] = view.at;
+  const [a, b] = viewport.at;
   const [row, column] = pin();
-  const { level } = view;
-  view.show([Math.min(Math.max(a + down, 0), level.viewRows - 1), Math.min(Math.max(b + right, 0), level.viewColumns - 1)]);
-  const [i, j] = [view.at[0] - a, view.at[1] - b];
+  const { level } = viewport;
+  viewport.show([clamp(a + down, 0, level.viewRows - 1), clamp(b + right, 0, level.viewColumns - 1)]);
+  const [i, j] = [viewport.at[0] - a, viewport.at[1] - b];
   open!.cursor = pointOf(level, pinOf(map, level, pointOf(level, [row + i * level.panRows, column + j * level.panColumns])));
   void arrive(i || j ? "" : t("edge"));
 }
 
 /** Zoom to the next level, or beyond the last. */
 async function zoom(direction: 1 | -1): Promise<void> {
-  const { scales, scale } = view;
+  const { scales, scale } = viewport;
   const own = open!;
   const { cursor, met } = own;
   const next = direction > 0 ? scales.findIndex((value) => value < scale * 0.999) : scales.filter((value) => value > scale * 1.001).length - 1;
-  if (next >= 0) view.goTo(next, cursor);
-  else view.zoom(direction > 0 ? 0.5 : 2, cursor);
+  if (next >= 0) viewport.goTo(next, cursor);
+  else viewport.zoom(direction > 0 ? 0.5 : 2, cursor);
   snap();
   const near = met && (await meet(SHIFT_PINS, met.symbol));
   if (open !== own) return;
-  if (near) own.cursor = pointOf(view.level, near.pin); // symbols are drawn anew at each level
-  const isEnd = view.scale === scale;
+  if (near) own.cursor = pointOf(viewport.level, near.pin); // symbols are drawn anew at each level
+  const isEnd = viewport.scale === scale;
   void arrive(isEnd ? (direction > 0 ? t("finest") : t("wholeMap")) : zoomText());
 }
 
 /** Put the cursor on the nearest pin of the level that is shown. */
 function snap(): void {
-  open!.cursor = pointOf(view.level, pin());
+  open!.cursor = pointOf(viewport.level, pin());
 }
 
 function whole(): void {
-  view.fit();
+  viewport.fit();
   snap();
   void arrive(`${t("wholeMap")}, ${widthText()}`);
 }
 
 const widthText = (): string => {
   const { map } = open!;
-  return map.isDrawing ? "" : `${lengthText(map.columns * view.level.pinStep, map)} ${t("wide")}`;
+  return map.isDrawing ? "" : `${lengthText(map.columns * viewport.level.pinStep, map)} ${t("wide")}`;
 };
 
-const zoomText = (): string => [`${t("zoom")} ${view.levelNumber + 1} ${t("of")} ${open!.map.levels.length}`, widthText()].filter(Boolean).join(", ");
+const zoomText = (): string => [`${t("zoom")} ${viewport.levelNumber + 1} ${t("of")} ${open!.map.levels.length}`, widthText()].filter(Boolean).join(", ");
 
 /** Everything about the place of the cursor. */
 async function describe(): Promise<void> {
@@ -210,11 +212,11 @@ function showRuler(): void {
   const isShown = !!map && !map.isDrawing;
   byId("ruler").hidden = !isShown;
   if (!isShown) return;
-  const most = RULER_PX * view.scale;
+  const most = RULER_PX * viewport.scale;
   const power = 10 ** Math.floor(Math.log10(most));
   const length = [5, 2, 1].map((n) => n * power).find((n) => n <= most) ?? power;
-  byId("ruler-line").style.width = `${length / view.scale}px`;
-  text("ruler-text", lengthText(length, map));
+  byId("ruler-line").style.width = `${length / viewport.scale}px`;
+  setText("ruler-text", lengthText(length, map));
 }
 
 // -- places ---------------------------------------------------------------------------------------------------------------
@@ -228,11 +230,11 @@ async function goTo(place: Place): Promise<void> {
   own.found = { place, point };
   setGuiding(false);
   const level = Math.min(place.firstLevel, map.levels.length - 1);
-  if (view.levelNumber < level || !isDrawn) view.goTo(level, point);
+  if (viewport.levelNumber < level || !isDrawn) viewport.goTo(level, point);
   own.cursor = point;
-  view.show(viewAt(map, view.level, centreOf(place.box)));
+  viewport.show(viewAt(map, viewport.level, centreOf(place.box)));
   snap();
-  view.reveal(own.cursor);
+  viewport.reveal(own.cursor);
   own.met = await meet(0);
   showMet();
   const distance = wayText(cursor, point, map);
@@ -243,7 +245,7 @@ async function goTo(place: Place): Promise<void> {
 async function pointOfPlace(place: Place): Promise<{ point: Point; isDrawn: boolean }> {
   const { map, views } = open!;
   const [number, middle] = [place.firstLevel, centreOf(place.box)];
-  for (const n of [Math.max(number, view.levelNumber), number]) {
+  for (const n of [Math.max(number, viewport.levelNumber), number]) {
     const level = map.levels[n];
     if (!level) continue;
     const at = viewAt(map, level, middle);
@@ -275,8 +277,8 @@ function toggleGuiding(): void {
 function setGuiding(on: boolean): void {
   open!.isGuiding = on;
   byId<HTMLButtonElement>("guide").disabled = !open!.found;
-  press("guide", on);
-  text("guide", t(on ? "stopGuide" : "guide"));
+  setPressed("guide", on);
+  setText("guide", t(on ? "stopGuide" : "guide"));
 }
 
 const search = new Search({ goTo: (place) => void goTo(place), guideTo: (place) => void guideTo(place), way, say: (report) => voice.announce(report), speak: (report) => voice.speak(report), leave: () => canvas.focus() });
@@ -287,26 +289,26 @@ function setSpeech(on: boolean): void {
   if (on && !voice.hasSpeech) return voice.sayNow(t("noSpeech"));
   isSpeechChosen = true;
   voice.setSpeech(on);
-  press("speech", on);
+  setPressed("speech", on);
   voice.sayNow(`${t("speech")} ${t(on ? "on" : "off")}`);
 }
 
 async function setSound(on: boolean): Promise<void> {
-  press("sound", on);
+  setPressed("sound", on);
   voice.sayNow(`${t("sound")} ${t(on ? "on" : "off")}`);
   await voice.setSound(on);
 }
 
 function setVibration(on: boolean): void {
   voice.setVibration(on);
-  press("vibration", on);
+  setPressed("vibration", on);
   voice.sayNow(`${t("vibration")} ${t(on ? "on" : "off")}`);
 }
 
 function setContrast(on: boolean): void {
   document.documentElement.classList.toggle("contrast", on);
-  press("contrast", on);
-  view.due();
+  setPressed("contrast", on);
+  view.redraw();
 }
 
 /** Write all texts of the page in a language. */
@@ -315,7 +317,7 @@ function translate(language: Language): void {
   document.documentElement.lang = language;
   for (const element of document.querySelectorAll<HTMLElement>("[data-text]")) element.textContent = t(element.dataset.text as Key);
   for (const element of document.querySelectorAll<HTMLElement>("[data-label]")) element.setAttribute("aria-label", t(element.dataset.label as Key));
-  text("guide", t(open?.isGuiding ? "stopGuide" : "guide"));
+  setText("guide", t(open?.isGuiding ? "stopGuide" : "guide"));
   byId("other").lang = language === "en" ? "de" : "en";
   canvas.setAttribute("aria-label", `${open ? `${open.map.title}. ` : ""}${t("map")}. ${t("hint")}`);
   const help = byId("help");
@@ -378,80 +380,38 @@ function wireKeys(): void {
 
 /** Move the cursor to a pixel of the canvas. */
 function point(x: number, y: number, px: number): void {
-  open!.cursor = view.toMap(x, y);
+  open!.cursor = viewport.toMap(x, y);
   snap();
-  void arrive("", (px * view.scale) / view.level.pinStep, true);
-}
-
-/** Fingers and the mouse on the canvas, by their number: where they are, and where they were put down. */
-const pointers = new Map<number, { at: Point; start: Point }>();
-let isDragging = false;
-
-const spread = (): { middle: Point; distance: number } => {
-  const [a, b] = [...pointers.values()].map(({ at }) => at) as [Point, Point];
-  return { middle: [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2], distance: Math.hypot(a[0] - b[0], a[1] - b[1]) };
-};
-
-/** One finger explores and two move and zoom; a mouse explores, and moves the map while it is pressed. */
-function movePointer(event: PointerEvent): void {
-  if (!open) return;
-  const at: Point = [event.offsetX, event.offsetY];
-  const own = pointers.get(event.pointerId);
-  if (pointers.size === 2 && own) {
-    const before = spread();
-    own.at = at;
-    const after = spread();
-    view.zoom(before.distance / Math.max(after.distance, 1), view.toMap(...before.middle));
-    return drag(before.middle, after.middle);
-  }
-  if (event.pointerType === "mouse" && own) {
-    isDragging ||= Math.hypot(at[0] - own.start[0], at[1] - own.start[1]) > DRAG_PX;
-    if (isDragging) drag(own.at, at);
-    own.at = at;
-    return;
-  }
-  if (own) own.at = at;
-  point(...at, event.pointerType === "mouse" ? MOUSE_PX : FINGER_PX);
+  void arrive("", (px * viewport.scale) / viewport.level.pinStep, true);
 }
 
 /** Move the map so that what is under a pixel comes under another. */
 function drag(from: Point, to: Point): void {
-  const [x, y] = view.centre;
-  view.moveTo([x - (to[0] - from[0]) * view.scale, y + (to[1] - from[1]) * view.scale]);
+  const [x, y] = viewport.centre;
+  viewport.moveTo([x - (to[0] - from[0]) * viewport.scale, y + (to[1] - from[1]) * viewport.scale]);
   snap();
   showMet();
 }
 
-function wirePointer(): void {
-  canvas.addEventListener("pointerdown", (event) => {
-    if (!open) return;
-    const at: Point = [event.offsetX, event.offsetY];
-    pointers.set(event.pointerId, { at, start: at });
-    canvas.setPointerCapture(event.pointerId);
-    isDragging = false;
-    if (event.pointerType !== "touch") return;
+const POINTER_ACTS: PointerActs = {
+  explore: (at, isMouse) => point(...at, isMouse ? MOUSE_PX : FINGER_PX),
+  drag,
+  zoom: (factor, about) => viewport.zoom(factor, viewport.toMap(...about)),
+  touch: () => {
     if (!isSpeechChosen && voice.hasSpeech) setSpeech(true); // a screen reader would have taken the touch
-    if (pointers.size > 1) return;
-    open.met = null; // a finger that is put down hears what is there, also if it is the same as before
+  },
+  putDown: (at) => {
+    open!.met = null; // a finger that is put down hears what is there, also if it is the same as before
     point(...at, FINGER_PX);
-  });
-  canvas.addEventListener("pointermove", movePointer);
-  for (const kind of ["pointerup", "pointercancel"] as const) {
-    canvas.addEventListener(kind, (event) => {
-      const wasSeveral = pointers.size > 1;
-      if (!pointers.delete(event.pointerId) || !open) return;
-      if (wasSeveral || isDragging) void arrive(zoomText());
-      else if (event.pointerType === "mouse") void describe();
-    });
-  }
-  canvas.addEventListener("wheel", (event) => {
-    if (!open) return;
-    event.preventDefault();
-    view.zoom(Math.exp(WHEEL * event.deltaY), view.toMap(event.offsetX, event.offsetY));
+  },
+  moved: () => void arrive(zoomText()),
+  click: () => void describe(),
+  wheel: (factor, about) => {
+    viewport.zoom(factor, viewport.toMap(...about));
     snap();
     void arrive(zoomText());
-  }, { passive: false });
-}
+  },
+};
 
 function wireControls(): void {
   const clicks: Record<string, () => void> = {
@@ -460,17 +420,8 @@ function wireControls(): void {
   };
   for (const [id, act] of Object.entries(clicks)) byId(id).onclick = act;
   byId<HTMLInputElement>("file").onchange = (event): void => void openFile((event.target as HTMLInputElement).files?.[0]);
-  document.addEventListener("dragover", (event) => {
-    event.preventDefault();
-    document.body.classList.add("over");
-  });
-  document.addEventListener("dragleave", () => document.body.classList.remove("over"));
-  document.addEventListener("drop", (event) => {
-    event.preventDefault();
-    document.body.classList.remove("over");
-    void openFile(event.dataTransfer?.files[0]);
-  });
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => view.due());
+  onFileDrop(document.body, (file) => void openFile(file));
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => view.redraw());
 }
 
 // -- start ----------------------------------------------------------------------------------------------------------------
@@ -485,15 +436,15 @@ async function openBytes(data: Uint8Array<ArrayBuffer>, name: string): Promise<v
   document.documentElement.dataset.state = "loading";
   try {
     const map = readMap(data);
-    const views = new Views(map, () => view.due(), (error) => reportFault(error, name));
+    const views = new Views(map, () => view.redraw(), (error) => reportFault(error, name));
     open = { name, map, views, cursor: middleOf(map, map.levels[0]!, [0, 0]), met: null, found: null, isGuiding: false };
     view.open(views);
     snap();
     for (const [id, isHidden] of [["fault", true], ["empty", true], ["tools", false]] as const) byId(id).hidden = isHidden;
-    text("name", map.title || name);
+    setText("name", map.title || name);
     document.title = `${map.title || name} – touchfield`;
-    text("attribution", map.attribution);
-    text("summary", map.isDrawing ? "" : `${lengthText(boxOf(map)[2] - boxOf(map)[0], map)} × ${lengthText(boxOf(map)[3] - boxOf(map)[1], map)}`);
+    setText("attribution", map.attribution);
+    setText("summary", map.isDrawing ? "" : `${lengthText(boxOf(map)[2] - boxOf(map)[0], map)} × ${lengthText(boxOf(map)[3] - boxOf(map)[1], map)}`);
     translate(/^de/.test(map.language) ? "de" : currentLanguage());
     setGuiding(false);
     open.met = await meet(0);
@@ -507,22 +458,15 @@ async function openBytes(data: Uint8Array<ArrayBuffer>, name: string): Promise<v
 
 function reportFault(error: unknown, name: string): void {
   const place = error instanceof Fault && error.byte !== null ? ` (byte ${error.byte})` : "";
-  text("fault", `${name}: ${error instanceof Fault ? error.message : String(error)}${place}`);
+  setText("fault", `${name}: ${error instanceof Fault ? error.message : String(error)}${place}`);
   byId("fault").hidden = false;
   document.documentElement.dataset.state = "fault";
-}
-
-function bytesOf(id: string): Uint8Array<ArrayBuffer> {
-  const letters = atob(byId(id).textContent!.trim());
-  const out = new Uint8Array(letters.length);
-  for (let n = 0; n < letters.length; n++) out[n] = letters.charCodeAt(n);
-  return out;
 }
 
 async function start(): Promise<void> {
   translate(/^de/.test(navigator.language) ? "de" : "en");
   wireControls();
-  wirePointer();
+  wirePointer(canvas, () => open !== null, POINTER_ACTS);
   wireKeys();
   new Pads(movePad, (key) => document.body.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true })));
   document.documentElement.dataset.state = "empty";
@@ -550,9 +494,9 @@ Object.assign(window, {
   touchfield: {
     open: (data: ArrayLike<number>, name: string) => openBytes(Uint8Array.from(data), name),
     state: () => ({
-      state: document.documentElement.dataset.state, cursor: open?.cursor, level: open && view.levelNumber, view: open && view.at, scale: open && view.scale, centre: open && view.centre,
+      state: document.documentElement.dataset.state, cursor: open?.cursor, level: open && viewport.levelNumber, view: open && viewport.at, scale: open && viewport.scale, centre: open && viewport.centre,
       met: open?.met && { names: open.met.names, kind: open.met.symbol.kind.name, role: open.met.symbol.role }, sentences: voice.sentences,
-      isGuiding: open?.isGuiding, pixel: open && view.toPixel(open.cursor),
+      isGuiding: open?.isGuiding, pixel: open && viewport.toPixel(open.cursor),
     }),
   },
 });

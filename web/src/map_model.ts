@@ -20,7 +20,7 @@ const PRIORITY = { point: 0, label: 1, line: 2, area: 3 };
 /** Views of a map that have been expanded. */
 export class Views {
   private readonly views = new Map<number, View>();
-  private readonly coming = new Map<number, Promise<View | null>>();
+  private readonly loading = new Map<number, Promise<View | null>>();
 
   /** `arrived` is called when a view that was missing is there, and `failed` when it is damaged. */
   constructor(readonly map: TactileMap, private readonly arrived: () => void, private readonly failed: (error: unknown) => void) {}
@@ -36,19 +36,19 @@ export class Views {
   load(index: number): Promise<View | null> {
     const view = this.views.get(index);
     if (view) return Promise.resolve(view);
-    let loading = this.coming.get(index);
-    if (!loading) {
-      loading = readView(this.map, index).then(
+    let promise = this.loading.get(index);
+    if (!promise) {
+      promise = readView(this.map, index).then(
         (loaded) => this.keep(index, loaded),
         (error: unknown) => (this.failed(error), null),
       );
-      this.coming.set(index, loading);
+      this.loading.set(index, promise);
     }
-    return loading;
+    return promise;
   }
 
   private keep(index: number, view: View): View {
-    this.coming.delete(index);
+    this.loading.delete(index);
     this.views.set(index, view);
     if (this.views.size > MAX_VIEWS_KEPT) this.views.delete(this.views.keys().next().value!);
     return view;
@@ -57,7 +57,7 @@ export class Views {
 
 // -- geometry -------------------------------------------------------------------------------------------------------------
 
-const clamp = (value: number, low: number, high: number): number => Math.min(Math.max(value, low), high);
+export const clamp = (value: number, low: number, high: number): number => Math.min(Math.max(value, low), high);
 
 export const rowsOf = (map: TactileMap, level: Level): number => (level.viewRows - 1) * level.panRows + map.rows;
 export const columnsOf = (map: TactileMap, level: Level): number => (level.viewColumns - 1) * level.panColumns + map.columns;
@@ -88,6 +88,9 @@ export const middleOf = (map: TactileMap, level: Level, [a, b]: Pin): Point =>
   pointOf(level, [a * level.panRows + (map.rows - 1) / 2, b * level.panColumns + (map.columns - 1) / 2]);
 
 export const indexOf = (level: Level, [a, b]: Pin): number => level.first + a * level.viewColumns + b;
+
+/** The pin of number `n`, row by row, of the view at a row and column. */
+export const pinAt = (map: TactileMap, level: Level, at: Pin, n: number): Pin => [at[0] * level.panRows + Math.floor(n / map.columns), at[1] * level.panColumns + (n % map.columns)];
 
 /** Whether a view has a pin. */
 export function hasPin(map: TactileMap, level: Level, [a, b]: Pin, [row, column]: Pin): boolean {
@@ -157,7 +160,7 @@ function nearestPin(map: TactileMap, level: Level, view: View, at: Pin, { box }:
   let [best, least]: [Pin | null, number] = [null, Infinity];
   for (const [n, word] of view.pins.entries()) {
     if (!isWanted[(word & ~UP) - 1]) continue;
-    const pin: Pin = [at[0] * level.panRows + Math.floor(n / map.columns), at[1] * level.panColumns + (n % map.columns)];
+    const pin = pinAt(map, level, at, n);
     const point = pointOf(level, pin);
     if (distanceToBox(point, box) > PLACE_REACH * level.pinStep) continue; // another one of the same name
     const distance = Math.hypot(point[0] - x, point[1] - y);

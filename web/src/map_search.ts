@@ -1,4 +1,5 @@
 // The search field with its list of places (a combobox by the ARIA authoring practices), and the list of all places by class.
+import { byId } from "./elements";
 import { find } from "./map_find";
 import { classOf, titleOf } from "./map_classes";
 import { sortedPlaces } from "./map_model";
@@ -8,7 +9,6 @@ import { currentLanguage, placeText, t } from "./map_text";
 const MAX_RESULTS = 50;
 const MAX_ROWS = 300;
 
-const byId = <T extends HTMLElement>(id: string): T => document.getElementById(id) as T;
 
 function element<K extends keyof HTMLElementTagNameMap>(tag: K, text: string, parent: Element): HTMLElementTagNameMap[K] {
   const made = document.createElement(tag);

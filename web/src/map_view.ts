@@ -1,11 +1,10 @@
 // Draws the pins of a map on a canvas, coloured by class: the view that a display shows, and more faintly what is around it;
 // the cursor, the way to a place, and names.
 import { classOf } from "./map_classes";
-import { boxOf, hasPin, indexOf, middleOf, pinOf, pointOf, symbolAt, viewAt, type Pin, type Point, type Views } from "./map_model";
-import { UP, type Box, type Level, type MapSymbol, type TactileMap, type View } from "./map_record";
+import { boxOf, hasPin, indexOf, pinAt, pointOf, symbolAt, type Pin, type Point, type Views } from "./map_model";
+import { UP, type Box, type MapSymbol, type View } from "./map_record";
+import type { MapViewport } from "./map_viewport";
 
-const MARGIN = 0.03; // of the window around a view
-const MAX_ENLARGEMENT = 4; // beyond the finest level
 const MIN_NAME_PX = 6; // between pins, below which no names are written
 const PIN_RADIUS = 0.4; // of the distance between pins
 const AROUND = 0.35; // opacity of what no display shows now
@@ -16,130 +15,38 @@ export interface Marks {
   target: Point | null;
 }
 
-/** The window on a map: its middle, its scale, and the level and the view that go with them. */
+/** A map on a canvas. */
 export class MapView {
   private readonly context: CanvasRenderingContext2D;
   private views: Views | null = null;
   private isDue = false;
-  private shownLevel = 0;
   private marks: Marks = { cursor: [0, 0], met: null, target: null };
-  centre: Point = [0, 0];
-  /** Units of the map in a pixel of the page. */
-  scale = 1;
 
-  constructor(private readonly canvas: HTMLCanvasElement, private readonly changed: () => void) {
+  constructor(private readonly canvas: HTMLCanvasElement, private readonly viewport: MapViewport) {
     this.context = canvas.getContext("2d")!;
     new ResizeObserver(() => this.resize()).observe(canvas);
   }
 
   open(views: Views): void {
     this.views = views;
-    this.fit();
-  }
-
-  get map(): TactileMap {
-    return this.views!.map;
-  }
-
-  get width(): number {
-    return this.canvas.clientWidth || 1;
-  }
-
-  get height(): number {
-    return this.canvas.clientHeight || 1;
-  }
-
-  /** Units in a pixel at which a view of each level fills the window. */
-  get scales(): number[] {
-    const pins = Math.max(this.map.columns / this.width, this.map.rows / this.height) * (1 + 2 * MARGIN);
-    return this.map.levels.map(({ pinStep }) => pinStep * pins);
-  }
-
-  /** Number of the level whose views fill the window best. */
-  get levelNumber(): number {
-    const distances = this.scales.map((scale) => Math.abs(Math.log(scale / this.scale)));
-    return distances.indexOf(Math.min(...distances));
-  }
-
-  get level(): Level {
-    return this.map.levels[this.levelNumber]!;
-  }
-
-  /** Row and column of the view that a display shows: the one whose middle is nearest to that of the window. */
-  get at(): Pin {
-    return viewAt(this.map, this.level, this.centre);
-  }
-
-  // -- moving -------------------------------------------------------------------------------------------------------------
-
-  /** Show the whole map. */
-  fit(): void {
-    this.scale = this.scales[0]!;
-    this.moveTo(middleOf(this.map, this.map.levels[0]!, [0, 0]));
-  }
-
-  /** Go to a level, with a point of the map in the view. */
-  goTo(level: number, about: Point): void {
-    this.scale = this.scales[level]!;
-    this.show(viewAt(this.map, this.level, about));
-  }
-
-  /** Show a view in the middle of the window. */
-  show(at: Pin): void {
-    this.moveTo(middleOf(this.map, this.level, at));
-  }
-
-  /** Change the scale by a factor; a point of the map stays where it is in the window. */
-  zoom(factor: number, about: Point): void {
-    const next = Math.min(Math.max(this.scale * factor, Math.min(...this.scales) / MAX_ENLARGEMENT), this.scales[0]!);
-    const ratio = next / this.scale;
-    this.scale = next;
-    this.moveTo([about[0] + (this.centre[0] - about[0]) * ratio, about[1] + (this.centre[1] - about[1]) * ratio]);
-  }
-
-  /** Move the window to a point of the map, at most to the middle of the outermost views: each of them can be shown. */
-  moveTo([x, y]: Point): void {
-    const { map, level } = this;
-    this.shownLevel = this.levelNumber;
-    const [west, north] = middleOf(map, level, [0, 0]);
-    const [east, south] = middleOf(map, level, [level.viewRows - 1, level.viewColumns - 1]);
-    this.centre = [Math.min(Math.max(x, west), east), Math.min(Math.max(y, south), north)];
-    this.due();
-    this.changed();
-  }
-
-  /** Move the window to the next view if a point has left the one that is shown, or the window. */
-  reveal(point: Point): void {
-    const [pin, [x, y]] = [pinOf(this.map, this.level, point), this.toPixel(point)];
-    const isSeen = x >= 0 && x <= this.width && y >= 0 && y <= this.height;
-    if (!hasPin(this.map, this.level, this.at, pin)) this.show(viewAt(this.map, this.level, point));
-    if (!isSeen) this.moveTo(point);
-  }
-
-  /** The point of the map under a pixel of the canvas. */
-  toMap(x: number, y: number): Point {
-    return [this.centre[0] + this.scale * (x - this.width / 2), this.centre[1] - this.scale * (y - this.height / 2)];
-  }
-
-  toPixel([x, y]: Point): Point {
-    return [this.width / 2 + (x - this.centre[0]) / this.scale, this.height / 2 - (y - this.centre[1]) / this.scale];
+    this.viewport.open(views.map);
   }
 
   mark(marks: Marks): void {
     this.marks = marks;
-    this.due();
+    this.redraw();
   }
 
   private resize(): void {
+    const { canvas, viewport } = this;
     const ratio = devicePixelRatio || 1;
-    this.canvas.width = Math.round(this.width * ratio);
-    this.canvas.height = Math.round(this.height * ratio);
-    if (this.views) this.goTo(this.shownLevel, this.centre); // the scale of the level has changed
+    canvas.width = Math.round(viewport.width * ratio);
+    canvas.height = Math.round(viewport.height * ratio);
+    viewport.resize();
   }
 
-  // -- drawing ------------------------------------------------------------------------------------------------------------
-
-  due(): void {
+  /** Draw the map before the next picture. */
+  redraw(): void {
     if (this.isDue || !this.views) return;
     this.isDue = true;
     requestAnimationFrame(() => {
@@ -152,12 +59,12 @@ export class MapView {
     const { context } = this;
     const ratio = devicePixelRatio || 1;
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
-    context.clearRect(0, 0, this.width, this.height);
+    context.clearRect(0, 0, this.viewport.width, this.viewport.height);
     const style = getComputedStyle(this.canvas);
     const ink = (name: string): string => style.getPropertyValue(name).trim();
     const scheme = style.colorScheme.includes("dark") ? 1 : 0;
-    const { level, at } = this;
-    this.drawSheet(boxOf(this.map), ink("--sheet"), ink("--line"));
+    const { level, at } = this.viewport;
+    this.drawSheet(boxOf(this.viewport.map), ink("--sheet"), ink("--line"));
     context.globalAlpha = AROUND;
     const drawn: Pin[] = [at];
     for (const other of this.around(at)) {
@@ -168,14 +75,14 @@ export class MapView {
     this.drawFrame(at, ink("--sheet"), ink("--frame"));
     this.drawPins(at, scheme, ink, []);
     const view = this.views!.get(indexOf(level, at));
-    if (view && level.pinStep / this.scale >= MIN_NAME_PX) this.drawNames(view, at, ink);
+    if (view && level.pinStep / this.viewport.scale >= MIN_NAME_PX) this.drawNames(view, at, ink);
     this.drawTarget(ink("--focus"));
     this.drawCursor(ink);
   }
 
   /** The views beside a view that have most of what it does not show. */
   private around([a, b]: Pin): Pin[] {
-    const { level, map } = this;
+    const { level, map } = this.viewport;
     const [down, right] = [Math.max(1, Math.floor(map.rows / level.panRows)), Math.max(1, Math.floor(map.columns / level.panColumns))];
     const within = (n: number, count: number): number => Math.min(Math.max(n, 0), count - 1);
     const found = new Map<string, Pin>();
@@ -190,8 +97,8 @@ export class MapView {
 
   private drawSheet(box: Box, fill: string, line: string): void {
     const { context } = this;
-    const [left, top] = this.toPixel([box[0], box[3]]);
-    const [right, bottom] = this.toPixel([box[2], box[1]]);
+    const [left, top] = this.viewport.toPixel([box[0], box[3]]);
+    const [right, bottom] = this.viewport.toPixel([box[2], box[1]]);
     context.fillStyle = fill;
     context.strokeStyle = line;
     context.lineWidth = 1;
@@ -203,10 +110,11 @@ export class MapView {
 
   /** The edge of a display that shows a view. */
   private drawFrame([a, b]: Pin, fill: string, line: string): void {
-    const { context, map, level } = this;
+    const { context } = this;
+    const { map, level } = this.viewport;
     const top: Pin = [a * level.panRows - 0.5, b * level.panColumns - 0.5];
-    const [left, up] = this.toPixel(pointOf(level, top));
-    const [right, down] = this.toPixel(pointOf(level, [top[0] + map.rows, top[1] + map.columns]));
+    const [left, up] = this.viewport.toPixel(pointOf(level, top));
+    const [right, down] = this.viewport.toPixel(pointOf(level, [top[0] + map.rows, top[1] + map.columns]));
     context.fillStyle = fill;
     context.strokeStyle = line;
     context.lineWidth = 2;
@@ -218,16 +126,16 @@ export class MapView {
 
   /** Pins of a view that are in the window, but for those of other views. */
   private drawPins(at: Pin, scheme: 0 | 1, ink: (name: string) => string, others: Pin[]): void {
-    const { level, map } = this;
+    const { level, map } = this.viewport;
     const view = this.views!.get(indexOf(level, at));
     if (!view) return;
-    const size = level.pinStep / this.scale;
+    const size = level.pinStep / this.viewport.scale;
     const [low, high, label, accent] = [ink("--down"), ink("--ink"), ink("--label"), ink("--accent")];
     const paths = new Map<string, Path2D>();
     for (const [n, word] of view.pins.entries()) {
-      const pin: Pin = [at[0] * level.panRows + Math.floor(n / map.columns), at[1] * level.panColumns + (n % map.columns)];
-      const [x, y] = this.toPixel(pointOf(level, pin));
-      if (x < -size || y < -size || x > this.width + size || y > this.height + size) continue;
+      const pin = pinAt(map, level, at, n);
+      const [x, y] = this.viewport.toPixel(pointOf(level, pin));
+      if (x < -size || y < -size || x > this.viewport.width + size || y > this.viewport.height + size) continue;
       if (others.some((other) => hasPin(map, level, other, pin))) continue;
       const symbol = view.symbols[(word & ~UP) - 1];
       const isUp = (word & UP) !== 0;
@@ -256,18 +164,18 @@ export class MapView {
   /** A name for each symbol of one name, beside the pin that is nearest to its middle. */
   private drawNames(view: View, at: Pin, ink: (name: string) => string): void {
     const { context } = this;
-    const size = this.level.pinStep / this.scale;
+    const size = this.viewport.level.pinStep / this.viewport.scale;
     context.font = `600 ${Math.round(Math.min(Math.max(size, 12), 18))}px system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif`;
     context.textAlign = "center";
     context.textBaseline = "middle";
     context.lineJoin = "round";
     const taken: Box[] = [];
     for (const [name, role, point] of this.namePoints(view, at)) {
-      const [x, y] = this.toPixel(point);
+      const [x, y] = this.viewport.toPixel(point);
       const half = context.measureText(name).width / 2 + 4;
       const middle = role === "area" ? y : y + 1.2 * size + 10;
       const own: Box = [x - half, middle - 10, x + half, middle + 10];
-      const fits = own[0] > 0 && own[2] < this.width && own[1] > 0 && own[3] < this.height;
+      const fits = own[0] > 0 && own[2] < this.viewport.width && own[1] > 0 && own[3] < this.viewport.height;
       if (!fits || taken.some((box) => own[0] < box[2] && own[2] > box[0] && own[1] < box[3] && own[3] > box[1])) continue;
       taken.push(own);
       context.lineWidth = 5;
@@ -280,10 +188,10 @@ export class MapView {
 
   /** Names with their roles and where they stand, points first. */
   private namePoints(view: View, at: Pin): [string, string, Point][] {
-    const { level, map } = this;
+    const { level, map } = this.viewport;
     const middles = new Map<string, { role: string; sum: Point; count: number; pins: Pin[] }>();
     for (let n = 0; n < view.pins.length; n++) {
-      const pin: Pin = [at[0] * level.panRows + Math.floor(n / map.columns), at[1] * level.panColumns + (n % map.columns)];
+      const pin = pinAt(map, level, at, n);
       const symbol = symbolAt(map, level, view, at, pin);
       if (symbol?.names.length !== 1 || symbol.role === "label") continue;
       const name = symbol.names[0]!;
@@ -303,7 +211,7 @@ export class MapView {
     const { target, cursor } = this.marks;
     if (!target) return;
     const { context } = this;
-    const [[x, y], [from, down]] = [this.toPixel(target), this.toPixel(pointOf(this.level, cursor))];
+    const [[x, y], [from, down]] = [this.viewport.toPixel(target), this.viewport.toPixel(pointOf(this.viewport.level, cursor))];
     context.strokeStyle = context.fillStyle = colour;
     context.lineWidth = 2.5;
     context.setLineDash([8, 6]);
@@ -319,8 +227,8 @@ export class MapView {
 
   private drawCursor(ink: (name: string) => string): void {
     const { context } = this;
-    const [x, y] = this.toPixel(pointOf(this.level, this.marks.cursor));
-    const radius = Math.max(14, (0.9 * this.level.pinStep) / this.scale);
+    const [x, y] = this.viewport.toPixel(pointOf(this.viewport.level, this.marks.cursor));
+    const radius = Math.max(14, (0.9 * this.viewport.level.pinStep) / this.viewport.scale);
     for (const [colour, width] of [[ink("--sheet"), 7], [ink("--accent"), 3]] as const) {
       context.strokeStyle = colour;
       context.lineWidth = width;

@@ -1,4 +1,5 @@
 // Saves the frames that the page shows as a new `.touch` file, with the error bound that the user chose.
+import { byId, input, setText } from "./elements";
 import type { Head, Recorded, Recording } from "./engine";
 
 export interface Source {
@@ -9,9 +10,8 @@ export interface Source {
 
 type Record = (recording: Recording) => Promise<Recorded>;
 
-const input = (id: string): HTMLInputElement => document.getElementById(id) as HTMLInputElement;
 /** Report in the status line of the form. */
-export const message = (text: string): void => void (document.getElementById("saved")!.textContent = text);
+export const message = (text: string): void => setText("saved", text);
 
 const bytes = (n: number): string => (n < 10000 ? `${n} bytes` : n < 1e7 ? `${(n / 1000).toFixed(1)} kB` : `${(n / 1e6).toFixed(1)} MB`);
 
@@ -28,8 +28,8 @@ export function prepareSaving(head: Head): void {
   input("save-to").value = String(head.frames - 1);
   input("save-k").value = String(roundedDown(100 * (head.weber > 0 ? head.weber : 0.1)));
   input("save-f0").value = String(roundedDown(head.weber > 0 || head.threshold > 0 ? head.threshold : 0.05));
-  (document.getElementById("save-range") as HTMLButtonElement).hidden = head.frames < 2;
-  document.getElementById("saving")!.hidden = false;
+  byId<HTMLButtonElement>("save-range").hidden = head.frames < 2;
+  byId("saving").hidden = false;
   message(head.objects ? "Cannot be saved: the file has the coder objects, and the page saves fields of coder touch." : "");
 }
 

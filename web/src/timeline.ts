@@ -1,11 +1,13 @@
 // The page of a movie's touch: plays movie and touch on one clock, on game pads, phones and a map of the actuators, and edits
 // the strength of regions, mute and offset of each track.
+import { byId, element, input, onFileDrop, setPressed, setText, takeBytes } from "./elements";
 import { say } from "./speech";
-import { type Edits, editList, editsOf, History, MAX_OFFSET_MS, MAX_PERCENT, NO_EDITS, type TrackEdits, withStrength } from "./timeline_edits";
+import { type Edits, editList, editsOf, History, MAX_OFFSET_MS, MAX_PERCENT, namesOf, NO_EDITS, strengthsOf, type TrackEdits, withStrength } from "./timeline_edits";
 import { clockText, drawArray, drawDots, drawRuler, drawTrack, type Span, trackText } from "./timeline_lanes";
 import { type Entry, entriesOf, showEntries } from "./timeline_list";
 import { Output } from "./timeline_output";
 import { Player } from "./timeline_player";
+import { arrayLane, fractionAt, laneOf, type StripActs } from "./timeline_strips";
 import { FULL, type Level, type Track, tracksOf, type TrackValues } from "./timeline_track";
 
 interface Given {
@@ -17,13 +19,9 @@ interface Given {
   tracks: TrackValues[];
 }
 
-const byId = <T extends HTMLElement>(id: string): T => document.getElementById(id) as T;
-const input = (id: string): HTMLInputElement => byId<HTMLInputElement>(id);
-
 const MIN_SPAN_S = 0.05;
 const STEP_S = 0.04;
 const JUMP_S = 1;
-const CLICK_PX = 4;
 const PERCENT_STEP = 10;
 const DROP_MS = 100;
 
@@ -98,7 +96,7 @@ function showNow(): void {
   const time = player.time;
   const timeline = byId("timeline");
   timeline.style.setProperty("--at", String(fraction(time)));
-  byId("clock").textContent = `${clockText(time)} / ${clockText(player.duration)}`;
+  setText("clock", `${clockText(time)} / ${clockText(player.duration)}`);
   drivesAt(time, drives);
   drawDots(byId<HTMLCanvasElement>("dots"), drives, given.columns, given.rows, fullDrive);
   const level = levelAt(time);
@@ -206,7 +204,7 @@ function showSelection(): void {
   if (!draft) {
     const percent = percentOfSelection();
     input("percent").value = String(percent ?? 100);
-    byId("percent-value").textContent = percent === null ? "mixed" : `${percent} %`;
+    setText("percent-value", percent === null ? "mixed" : `${percent} %`);
   }
 }
 
@@ -223,16 +221,7 @@ function percentOfSelection(): number | null {
   const found = new Set<number>();
   for (const n of targets()) {
     const frames = selectedFrames(n);
-    if (!frames) continue;
-    const [first, stop] = frames;
-    let next = first;
-    for (const run of edits()[n]!.runs) {
-      if (run.stop <= first || run.first >= stop) continue;
-      if (run.first > next) found.add(100);
-      found.add(run.percent);
-      next = run.stop;
-    }
-    if (next < stop) found.add(100);
+    if (frames) for (const percent of strengthsOf(edits()[n]!.runs, ...frames)) found.add(percent);
   }
   return found.size > 1 ? null : ([...found][0] ?? 100);
 }
@@ -282,7 +271,7 @@ function showEdits(): void {
   const entries = entriesOf(tracks, edits());
   byId("no-edits").hidden = entries.length > 0;
   const more = showEntries(byId<HTMLTableElement>("edits"), tracks, entries, goTo, removeEntry);
-  byId("saved").textContent = more ? `${more} more edits are not listed.` : "";
+  setText("saved", more ? `${more} more edits are not listed.` : "");
   redraw();
 }
 
@@ -325,23 +314,18 @@ function undo(by: -1 | 1): void {
 
 // -- files ----------------------------------------------------------------------------------------------------------------
 
-const stem = (): string => given.movie.replace(/\.[^.]*$/, "");
-const quoted = (name: string): string => (/^[\w./-]+$/.test(name) && !name.startsWith("-") ? name : `'${name.replaceAll("'", "'\\''")}'`);
-
 function save(): void {
-  const name = `${stem()}.edits.json`;
+  const { name, command } = namesOf(given.movie);
   const link = document.createElement("a");
   link.href = URL.createObjectURL(new Blob([editList(given.movie, tracks.map(({ head }) => head), edits())], { type: "application/json" }));
   link.download = name;
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 60000);
   history.markSaved();
-  const ending = /\.[^.]*$/.exec(given.movie)?.[0] ?? ".mp4";
   const saved = `Saved ${name}. This command writes the movie with its edits:`;
-  byId("saved").textContent = saved;
-  const command = byId("command");
-  command.textContent = `touchfield edit ${quoted(given.movie)} ${quoted(`${stem()}-edited${ending}`)} --timeline ${quoted(name)}`;
-  command.hidden = false;
+  setText("saved", saved);
+  setText("command", command);
+  byId("command").hidden = false;
   say(saved);
 }
 
@@ -349,7 +333,7 @@ async function openEdits(file: File): Promise<void> {
   try {
     commit(editsOf(await file.text(), tracks.map(({ head }) => head)), `Opened ${file.name}`);
     history.markSaved();
-    byId("saved").textContent = `Opened ${file.name}.`;
+    setText("saved", `Opened ${file.name}.`);
     report("");
   } catch (error) {
     report(`${file.name} cannot be opened: ${(error as Error).message}. Save an edit list on the page of this movie.`);
@@ -357,7 +341,7 @@ async function openEdits(file: File): Promise<void> {
 }
 
 function report(fault: string): void {
-  byId("fault").textContent = fault;
+  setText("fault", fault);
   byId("fault").hidden = !fault;
 }
 
@@ -462,53 +446,25 @@ function wireKeys(): void {
   });
 }
 
-/** Drag to select, click to go there. */
-function wireStrip(strip: HTMLElement, n: number): void {
-  const timeAt = (event: MouseEvent): number => {
-    const box = strip.getBoundingClientRect();
-    return span.from + ((event.clientX - box.left) / box.width) * (span.to - span.from);
-  };
-  let start: { x: number; time: number; isDrag: boolean } | null = null;
-  strip.onpointerdown = (event): void => {
-    if (event.button) return;
-    start = { x: event.clientX, time: timeAt(event), isDrag: false };
-    strip.setPointerCapture(event.pointerId);
-    setTarget(n < tracks.length ? n : -1);
-  };
-  strip.onpointermove = (event): void => {
-    if (!start) return;
-    start.isDrag ||= Math.abs(event.clientX - start.x) > CLICK_PX;
-    if (start.isDrag) select(start.time, timeAt(event));
-  };
-  strip.onpointerup = (event): void => {
-    if (!start) return;
-    if (start.isDrag) say(selectionText());
-    else {
-      clearSelection();
-      player.seek(timeAt(event));
-      redraw();
-    }
-    start = null;
-  };
-  strip.onpointercancel = (): void => void (start = null);
-  strip.addEventListener("wheel", (event) => {
-    if (event.ctrlKey || event.metaKey) zoom(Math.exp(event.deltaY / 300), timeAt(event));
-    else if (event.shiftKey || Math.abs(event.deltaX) > Math.abs(event.deltaY)) scrollBy(event.deltaX || event.deltaY, strip.clientWidth);
-    else return;
-    event.preventDefault();
-  }, { passive: false });
-}
-
-function scrollBy(pixels: number, width: number): void {
-  const by = (pixels / width) * (span.to - span.from);
-  look(span.from + by, span.to + by);
-}
+/** What a pointer does in a strip: drag to select, click to go there, the wheel with keys to zoom and scroll. */
+const STRIP_ACTS: StripActs = {
+  timeOf: (fraction) => span.from + fraction * (span.to - span.from),
+  target: (n) => setTarget(n < tracks.length ? n : -1),
+  select,
+  endSelect: () => say(selectionText()),
+  go: (time) => {
+    clearSelection();
+    player.seek(time);
+    redraw();
+  },
+  zoom,
+  scroll: (fraction) => look(span.from + fraction * (span.to - span.from), span.to + fraction * (span.to - span.from)),
+};
 
 function wireRuler(): void {
   const strip = byId("ruler-strip");
   const go = (event: PointerEvent): void => {
-    const box = strip.getBoundingClientRect();
-    player.seek(span.from + ((event.clientX - box.left) / box.width) * (span.to - span.from));
+    player.seek(STRIP_ACTS.timeOf(fractionAt(event, strip)));
     redraw();
   };
   strip.onpointerdown = (event): void => {
@@ -524,14 +480,14 @@ const togglePlay = (): void => (player.isPlaying ? player.pause() : player.play(
 
 function toggleVibration(): void {
   output.isOn = !output.isOn;
-  byId("rumble").setAttribute("aria-pressed", String(output.isOn));
+  setPressed("rumble", output.isOn);
   say(output.isOn ? "Vibration on" : "Vibration off");
 }
 
 function toggleSound(): void {
   const movie = byId<HTMLVideoElement>("video");
   movie.muted = !movie.muted;
-  byId("sound").setAttribute("aria-pressed", String(!movie.muted));
+  setPressed("sound", !movie.muted);
   say(movie.muted ? "Sound off" : "Sound on");
 }
 
@@ -546,7 +502,7 @@ function showPads(): void {
   const pads = [...(navigator.getGamepads?.() ?? [])].filter((pad) => pad?.vibrationActuator);
   const parts = [pads.length ? `Game pad: ${pads.map((pad) => pad!.id.slice(0, 40)).join(", ")}.` : "Press a button of a game pad to use it."];
   if ("vibrate" in navigator && matchMedia("(pointer: coarse)").matches) parts.push("The phone vibrates, too.");
-  byId("pads").textContent = parts.join(" ");
+  setText("pads", parts.join(" "));
 }
 
 function wireControls(): void {
@@ -564,11 +520,11 @@ function wireControls(): void {
   input("scroll").oninput = (): void => look(input("scroll").valueAsNumber, input("scroll").valueAsNumber + span.to - span.from);
   input("gain").oninput = (): void => {
     output.gain = input("gain").valueAsNumber / 100;
-    byId("gain-value").textContent = `${input("gain").value} %`;
+    setText("gain-value", `${input("gain").value} %`);
   };
   input("percent").oninput = (): void => {
     draft = strengthened(input("percent").valueAsNumber);
-    byId("percent-value").textContent = `${input("percent").value} %`;
+    setText("percent-value", `${input("percent").value} %`);
     redraw();
   };
   input("percent").onchange = (): void => setStrength(input("percent").valueAsNumber);
@@ -603,67 +559,26 @@ function wireWindow(): void {
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   for (const name of ["gamepadconnected", "gamepaddisconnected"]) addEventListener(name, showPads);
   addEventListener("beforeunload", (event) => void (history.isSaved || event.preventDefault()));
-  for (const name of ["dragover", "dragleave", "drop"] as const)
-    addEventListener(name, (event) => {
-      event.preventDefault();
-      document.documentElement.classList.toggle("over", name === "dragover");
-      const file = name === "drop" ? event.dataTransfer?.files[0] : undefined;
-      if (file) void openEdits(file);
-    });
+  onFileDrop(document.documentElement, (file) => void openEdits(file));
 }
 
 // -- start ----------------------------------------------------------------------------------------------------------------
 
-function element<K extends keyof HTMLElementTagNameMap>(tag: K, values: Partial<HTMLElementTagNameMap[K]>, attributes: Record<string, string> = {}, ...children: (Node | string)[]): HTMLElementTagNameMap[K] {
-  const out = Object.assign(document.createElement(tag), values);
-  for (const [name, value] of Object.entries(attributes)) out.setAttribute(name, value);
-  out.append(...children);
-  return out;
-}
-
-/** A strip that the keys move in, as a slider of the time. */
-function stripOf(name: string, n: number): HTMLElement {
-  const attributes = { role: "slider", "aria-label": `Time in ${name}`, "aria-valuemin": "0", "aria-orientation": "horizontal" };
-  const strip = element("div", { className: "strip", id: `strip-${n}`, tabIndex: 0 }, attributes,
-    element("canvas", {}, { "aria-hidden": "true" }), element("div", { className: "selected" }), element("div", { className: "playhead" }));
-  strip.onfocus = (): void => setTarget(n < tracks.length ? n : -1);
-  wireStrip(strip, n);
-  return strip;
-}
-
-function laneOf(track: Track, n: number): HTMLElement {
-  const { name, head, highest } = track;
-  const title = element("h2", {}, {}, element("span", { className: "swatch" }, { "aria-hidden": "true" }), name, element("small", {}, {}, `peak ${Math.round((100 * highest) / FULL)} %, ${+head.rate_hz.toFixed(2)} Hz`));
-  const mute = element("button", { id: `mute-${n}`, type: "button", textContent: "Mute", onclick: () => toggleMute(n) }, { "aria-pressed": "false", "aria-label": `Mute ${name}` });
-  const offset = element("input", { id: `offset-${n}`, type: "number", step: "1", value: "0", onchange: () => setOffset(n) }, { "aria-label": `Offset of ${name}, milliseconds` });
-  const label = element("label", {}, {}, "Offset ", offset, " ms");
-  return element("div", { className: `lane lane-${n % 4}` }, {}, element("div", { className: "head" }, {}, title, mute, label), stripOf(name, n));
-}
-
 function makeLanes(): void {
   const lanes = byId("lanes");
-  for (const [n, track] of tracks.entries()) lanes.append(laneOf(track, n));
-  const title = element("h2", {}, {}, "All actuators", element("small", {}, {}, `${given.columns} × ${given.rows}`));
-  lanes.append(element("div", { className: "lane" }, {}, element("div", { className: "head" }, {}, title), stripOf("all tracks", tracks.length)));
+  for (const [n, track] of tracks.entries()) lanes.append(laneOf(track, n, { toggleMute, setOffset }, STRIP_ACTS));
+  lanes.append(arrayLane(given.columns, given.rows, tracks.length, STRIP_ACTS));
   strips = [...lanes.querySelectorAll<HTMLElement>(".strip")];
   const choice = byId<HTMLSelectElement>("track");
   choice.add(new Option("All tracks", "-1"));
   for (const [n, { name }] of tracks.entries()) choice.add(new Option(name, String(n)));
 }
 
-function bytesOf(id: string): Uint8Array<ArrayBuffer> {
-  const letters = atob(byId(id).textContent!.trim());
-  byId(id).remove(); // a movie would be in memory twice
-  const out = new Uint8Array(letters.length);
-  for (let n = 0; n < letters.length; n++) out[n] = letters.charCodeAt(n);
-  return out;
-}
-
 function openMovie(): void {
   const { type } = byId("given-movie").dataset;
   const pictureless = byId("pictureless");
   if (!type) return void (pictureless.hidden = false);
-  player.open(bytesOf("given-movie"), type, (why) => {
+  player.open(takeBytes("given-movie"), type, (why) => {
     pictureless.hidden = false;
     byId("video").hidden = true;
     notice([`The browser does not play this movie (${why}): its touch plays alone.`]);
@@ -672,14 +587,14 @@ function openMovie(): void {
 
 function notice(texts: string[]): void {
   if (!texts.length) return;
-  byId("notice").textContent = [byId("notice").textContent, ...texts].filter(Boolean).join(" ");
+  setText("notice", [byId("notice").textContent, ...texts].filter(Boolean).join(" "));
   byId("notice").hidden = false;
 }
 
 function describe(): void {
-  byId("name").textContent = given.movie;
+  setText("name", given.movie);
   document.title = `${given.movie}: touch of a movie`;
-  byId("array-name").textContent = given.device;
+  setText("array-name", given.device);
   const list = element("dl", {});
   for (const [key, text] of HELP) list.append(element("div", {}, {}, element("dt", { textContent: key }), element("dd", { textContent: text })));
   byId("help").append(list);
@@ -688,7 +603,7 @@ function describe(): void {
 
 async function start(): Promise<void> {
   given = JSON.parse(byId("given-timeline").textContent!) as Given;
-  const packed = new Blob([bytesOf("given-drives")]).stream().pipeThrough(new DecompressionStream("gzip"));
+  const packed = new Blob([takeBytes("given-drives")]).stream().pipeThrough(new DecompressionStream("gzip"));
   drives = new Float32Array(given.columns * given.rows);
   tracks = tracksOf(given.tracks, given.columns, drives.length, new Uint8Array(await new Response(packed).arrayBuffer()));
   fullDrive = Math.max(1, ...tracks.map(({ highest }) => highest)) / FULL;
@@ -704,7 +619,7 @@ async function start(): Promise<void> {
   showPads();
   setTarget(-1);
   showEdits();
-  byId("summary").textContent = `${tracks.length} ${tracks.length > 1 ? "tracks" : "track"} of touch, ${clockText(player.duration)}`;
+  setText("summary", `${tracks.length} ${tracks.length > 1 ? "tracks" : "track"} of touch, ${clockText(player.duration)}`);
   document.documentElement.dataset.state = "ready";
 }
 

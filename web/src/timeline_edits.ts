@@ -67,6 +67,20 @@ export function percentAt(runs: readonly Run[], frame: number): number {
   return run && run.first <= frame ? run.percent : UNCHANGED;
 }
 
+/** The strengths of frames `first` to `stop` - 1, in percent; frames outside of all runs have 100. */
+export function strengthsOf(runs: readonly Run[], first: number, stop: number): Set<number> {
+  const found = new Set<number>();
+  let next = first;
+  for (const run of runs) {
+    if (run.stop <= first || run.first >= stop) continue;
+    if (run.first > next) found.add(100);
+    found.add(run.percent);
+    next = run.stop;
+  }
+  if (next < stop) found.add(100);
+  return found;
+}
+
 /** States of the edits, for undo and redo. */
 export class History {
   private states: Edits[];
@@ -163,3 +177,13 @@ export function editsOf(text: string, heads: readonly TrackHead[]): Edits {
     return value ? trackOf(value, head) : NO_EDITS;
   });
 }
+
+/** The name of a movie's edit list, and the command that applies it. */
+export function namesOf(movie: string): { name: string; command: string } {
+  const stem = movie.replace(/\.[^.]*$/, "");
+  const ending = /\.[^.]*$/.exec(movie)?.[0] ?? ".mp4";
+  const name = `${stem}.edits.json`;
+  return { name, command: `touchfield edit ${quoted(movie)} ${quoted(`${stem}-edited${ending}`)} --timeline ${quoted(name)}` };
+}
+
+const quoted = (name: string): string => (/^[\w./-]+$/.test(name) && !name.startsWith("-") ? name : `'${name.replaceAll("'", "'\\''")}'`);

@@ -20,7 +20,7 @@ MOVES_OF_KEYS: Final = {
     "\x1bOA": "up", "\x1bOB": "down", "\x1bOC": "right", "\x1bOD": "left",
     "+": "in", "=": "in", "-": "out", "h": "home", "l": "legend", "q": QUIT,
 }  # fmt: skip
-"""Move of each key; the first four rows of arrows are those of terminals in normal and application mode."""
+"""Move of each key; the two rows of arrows are those of terminals in normal and in application mode."""
 HELP: Final = "arrow keys pan, + and - zoom, h shows the whole map, l the legend, q ends"
 _MAX_BYTES: Final = 256
 
@@ -69,12 +69,12 @@ def moves_of(text: str) -> tuple[tuple[str, ...], str]:
     (('in', 'right'), '\\x1b[')
     """
     moves: list[str] = []
-    at = 0
-    while at < len(text):
-        length = 3 if text[at] == "\x1b" else 1
-        if at + length > len(text) and text[at:] in ("\x1b", "\x1b[", "\x1bO"):
-            return tuple(moves), text[at:]
-        move = MOVES_OF_KEYS.get(text[at : at + length])
+    index = 0
+    while index < len(text):
+        length = 3 if text[index] == "\x1b" else 1
+        if index + length > len(text) and text[index:] in ("\x1b", "\x1b[", "\x1bO"):
+            return tuple(moves), text[index:]
+        move = MOVES_OF_KEYS.get(text[index : index + length])
         moves += [move] if move else []
-        at += length if move or length == 1 else 1
+        index += length if move or length == 1 else 1
     return tuple(moves), ""

@@ -111,10 +111,10 @@ def go_to(walk: MapWalk, name: str) -> tuple[str, ...]:
         raise InvalidArgument("--find", f"no place named {name[:80]!r}", "a name of the map", hint)
     walk.position, walk.page = walk.stored.position_of(found.places[0]), None
     others = [walk.stored.describe_place(place) for place in found.places[1 : 1 + _MAX_MATCHES]]
-    left_out = len(found.places) - 1 - len(others)
+    omitted = len(found.places) - 1 - len(others)
     lines = [f"found: {walk.stored.describe_place(found.places[0])}"]
     if others:
-        more = f", and {left_out} more" if left_out else ""
+        more = f", and {omitted} more" if omitted else ""
         lines.append(f"also found: {', '.join(others)}{more}")
     return tuple(lines)
 
@@ -139,24 +139,24 @@ def play_map(
     if (rows, columns) != (record.rows, record.columns):
         found = f"{driver.profile.name} of {columns} x {rows} pins"
         raise InvalidArgument("device", found, f"a display of {record.columns} x {record.rows}, as the map")
-    shown = _Shown(walk, driver, panel, on_note)
+    display = _DisplayedMap(walk, driver, panel, on_note)
     try:
         open_when_ready(driver, wait_s, on_note=on_note)
-        shown.put()
+        display.put()
         on_note(walk.stored.describe(walk.position))
         with suppress(KeyboardInterrupt):
             for move in moves:
-                shown.do(move)
+                display.do(move)
             if seconds != 0:
                 with TerminalKeys() as keys:
-                    _follow(shown, keys, seconds)
+                    _follow_keys(display, keys, seconds)
     finally:
         driver.close()
-    return shown.figures() | {"device_notes": list(driver.notes)}
+    return display.figures() | {"device_notes": list(driver.notes)}
 
 
 @dataclass
-class _Shown:
+class _DisplayedMap:
     """A map on a display, and how long its updates took."""
 
     walk: MapWalk
@@ -209,22 +209,22 @@ class _Shown:
         }
 
 
-def _follow(shown: _Shown, keys: TerminalKeys, seconds: float | None) -> None:
+def _follow_keys(display: _DisplayedMap, keys: TerminalKeys, seconds: float | None) -> None:
     """Do what the keys of the terminal and of the display request, until the end of the time or q."""
     if keys.is_available:
-        shown.on_note(HELP)
+        display.on_note(HELP)
     start_s = alive_s = monotonic()
     limit_s = math.inf if seconds is None else seconds
     while (now_s := monotonic()) - start_s < limit_s:
-        for move in (*keys.pressed(), *shown.driver.pressed_keys()):
+        for move in (*keys.pressed(), *display.driver.pressed_keys()):
             if move == QUIT:
                 return
             if move in ALL_MOVES:
-                shown.do(move)
+                display.do(move)
                 alive_s = monotonic()
             else:
-                raise DeviceError(shown.driver.title, f"the key {move!r}", f"one of {', '.join(ALL_MOVES)}")
-        if now_s - alive_s >= shown.driver.keep_alive_s:
-            shown.driver.keep_alive()
+                raise DeviceError(display.driver.title, f"the key {move!r}", f"one of {', '.join(ALL_MOVES)}")
+        if now_s - alive_s >= display.driver.keep_alive_s:
+            display.driver.keep_alive()
             alive_s = monotonic()
         sleep(_POLL_S)

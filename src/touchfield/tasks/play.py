@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchfield.arrays import Float64s
-from touchfield.atomic import atomic_path
 from touchfield.compute.threads import Progress, silent
 from touchfield.devices import Device, device
 from touchfield.devices.drivers.registry import (
@@ -57,6 +56,7 @@ from touchfield.render.readiness import MAX_WAIT_S
 from touchfield.render.spec import RenderSpec, device_to_field
 from touchfield.tasks.map_keys import TerminalKeys
 from touchfield.tasks.map_play import MapWalk, SimulatedDisplay, go_to, moves_in, play_map
+from touchfield.tasks.play_log import MAX_ROWS, write_log
 from touchfield.tasks.play_mcap import is_mcap, write_mcap
 from touchfield.viewer.interaction import InteractionView, draw_interaction
 
@@ -69,7 +69,6 @@ _MIN_S: Final = 0.1
 _MAX_S: Final = 24 * 3600.0
 _MIN_PRESS_N: Final = 0.01
 _PRESS_FRACTION: Final = 0.8  # fraction of the continuous limit, with a margin for friction
-_MAX_ROWS: Final = 1 << 22  # 70 minutes at 1 kHz, 1 GB
 _DEFAULT_ROWS: Final = 1 << 16
 
 _CHECKED_SEGMENTS: Final = 8
@@ -167,19 +166,7 @@ class Played:
         rows = self._point_result(self.rows, "log")
         if is_mcap(path):
             return write_mcap(path, rows, self._point_result(self.device_to_field, "log"))
-        flag_text = {
-            flags: "+".join(name for name, bit in FLAGS.items() if flags & bit) or "idle"
-            for flags in np.unique(rows["flags"]).tolist()
-        }
-        with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8") as file:
-            file.write(",".join(COLUMNS) + "\n")
-            for first in range(0, len(rows), _ROWS_AT_ONCE):
-                some = rows[first : first + _ROWS_AT_ONCE]
-                numbers = np.column_stack([some[name] for name in _LOGGED]) + 0.0
-                for row, buttons, flags in zip(
-                    numbers.tolist(), some["buttons"].tolist(), some["flags"].tolist()
-                ):
-                    file.write(",".join(f"{value:.9g}" for value in row) + f",{buttons},{flag_text[flags]}\n")
+        write_log(path, rows)
         return ()
 
     def draw(self, path: Path) -> None:
@@ -268,7 +255,7 @@ def _play_point(
         }
         run = _Run(statistics, offline.log, offline.notes, offline.error)
     else:
-        log_rows = _MAX_ROWS if spec.is_logged else _DEFAULT_ROWS
+        log_rows = MAX_ROWS if spec.is_logged else _DEFAULT_ROWS
         player = Player(
             medium_or_scene, profile, choice.opener, spec.render,
             log_rows=log_rows, wait_s=duration_s(spec.wait, "wait"), on_note=on_note, **times,
@@ -531,25 +518,3 @@ def check_play(
         "greatest_speed": greatest,
         "can_play": count == 1 or greatest >= speed,
     }
-
-
-COLUMNS: Final = (
-    "t_s", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s",
-    "field_x_n", "field_y_n", "field_z_n", "friction_x_n", "friction_y_n", "friction_z_n",
-    "force_x_n", "force_y_n", "force_z_n",
-    "qw", "qx", "qy", "qz", "field_torque_x_nm", "field_torque_y_nm", "field_torque_z_nm",
-    "torque_x_nm", "torque_y_nm", "torque_z_nm", "gripper_m", "media_s", "buttons", "state",
-)  # fmt: skip
-"""Columns of the log.
-
-They are: seconds since the first tick; position and velocity of the hand, force of the field and friction, in
-the field's axes; the force sent to the device, in the device's axes; orientation of the grip, torque of the
-field and torque sent to the device, in the device's axes; opening of the gripper; time of the medium; buttons
-(bit n is button n); and the state, as words joined by +.
-"""
-
-_LOGGED: Final = (
-    "time_s", "position_m", "velocity_m_s", "field_force_n", "friction_n", "force_n", "orientation",
-    "field_torque_nm", "torque_nm", "gripper_m", "media_s",
-)  # fmt: skip
-_ROWS_AT_ONCE: Final = 1 << 14

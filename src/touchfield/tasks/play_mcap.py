@@ -21,18 +21,15 @@ from touchfield._version import __version__
 from touchfield.arrays import Bools, Float64s
 from touchfield.atomic import atomic_path
 from touchfield.errors import import_extra
-from touchfield.render.block import FLAGS
+from touchfield.tasks.mcap_schemas import ARROW_TOPIC, POSE_TOPIC, PRIMITIVES, SCHEMAS, TICK_TOPIC
+from touchfield.tasks.play_log import ROWS_AT_ONCE, state_texts
 
-POSE_TOPIC: Final = "/hand/pose"
-TICK_TOPIC: Final = "/hand/tick"
-ARROW_TOPIC: Final = "/hand/arrow"
 FRAME: Final = "field"
 ARROWS_HZ: Final = 60.0
 """Arrows of a second, at most: as many as a screen shows."""
 
 ARROW_M_PER_N: Final = 0.01
 
-_ROWS_AT_ONCE: Final = 1 << 14
 _CHUNK_BYTES: Final = 1 << 20  # what a reader decompresses for one message, and what the writer keeps
 _NS: Final = 1_000_000_000
 
@@ -57,21 +54,14 @@ def write_mcap(path: Path, rows: NDArray[Any], device_to_field: Float64s) -> tup
     cannot be written.
     """
     library = require_mcap(path)
-    left_out = 0
+    omitted = 0
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         writer = library.Writer(file, chunk_size=_CHUNK_BYTES)
         writer.start(profile="", library=f"touchfield {__version__}")
-        channels = {
-            topic: writer.register_channel(
-                topic,
-                "json",
-                writer.register_schema(schema["title"], "jsonschema", json.dumps(schema).encode()),
-            )
-            for topic, schema in SCHEMAS.items()
-        }
+        channels = _register_channels(writer)
         next_arrow_ns = 0
         for ticks in _chunks(rows, device_to_field):
-            left_out += ticks.left_out
+            omitted += ticks.omitted
             for time_ns, pose, tick, arrow in zip(ticks.times_ns, ticks.poses, ticks.ticks, ticks.arrows):
                 sec, nsec = divmod(time_ns, _NS)
                 stamp = f'{{"timestamp":{{"sec":{sec},"nsec":{nsec}}}'
@@ -81,9 +71,21 @@ def write_mcap(path: Path, rows: NDArray[Any], device_to_field: Float64s) -> tup
                     next_arrow_ns = time_ns + round(_NS / ARROWS_HZ)
                     _add(writer, channels[ARROW_TOPIC], time_ns, _arrow_message(stamp, arrow))
         writer.finish()
-    if not left_out:
+    if not omitted:
         return ()
-    return (f"{left_out} ticks are not in {path}: the device reported a number that is not finite.",)
+    return (f"{omitted} ticks are not in {path}: the device reported a number that is not finite.",)
+
+
+def _register_channels(writer: Any) -> dict[str, int]:
+    """Return the number of the channel of each topic."""
+    return {
+        topic: writer.register_channel(
+            topic,
+            "json",
+            writer.register_schema(schema["title"], "jsonschema", json.dumps(schema).encode()),
+        )
+        for topic, schema in SCHEMAS.items()
+    }
 
 
 def _add(writer: Any, channel: int, time_ns: int, message: str) -> None:
@@ -94,37 +96,37 @@ def _add(writer: Any, channel: int, time_ns: int, message: str) -> None:
 
 
 class _Ticks(NamedTuple):
-    """Some ticks as the values of their messages; `left_out` counts those of which a number is not finite."""
+    """Some ticks as the values of their messages; `omitted` counts those of which a number is not finite."""
 
     times_ns: list[int]
     poses: list[tuple[float, ...]]
     ticks: list[tuple[Any, ...]]
     arrows: NDArray[Any]
-    left_out: int
+    omitted: int
 
 
 def _chunks(rows: NDArray[Any], device_to_field: Float64s) -> Iterator[_Ticks]:
     """Yield the values of all ticks, a limited number at a time."""
-    turning = np.linalg.det(device_to_field) * device_to_field  # of what has a sense of rotation
-    texts = {flags: _state_text(flags) for flags in np.unique(rows["flags"]).tolist()}
-    for first in range(0, len(rows), _ROWS_AT_ONCE):
-        given = rows[first : first + _ROWS_AT_ONCE]
-        some = given[_is_finite(given)]
-        force_n, torque_nm = some["force_n"] @ device_to_field.T, some["torque_nm"] @ turning.T
-        axis, w = some["orientation"][:, 1:] @ turning.T, some["orientation"][:, :1]
-        poses = np.column_stack([some["position_m"], axis, w]) + 0.0  # without -0
-        field_torque_nm = some["field_torque_nm"] @ turning.T
+    rotation_axes = np.linalg.det(device_to_field) * device_to_field  # a mirror reverses them
+    texts = state_texts(np.unique(rows["flags"]).tolist())
+    for first in range(0, len(rows), ROWS_AT_ONCE):
+        chunk = rows[first : first + ROWS_AT_ONCE]
+        ticks = chunk[_is_finite(chunk)]
+        force_n, torque_nm = ticks["force_n"] @ device_to_field.T, ticks["torque_nm"] @ rotation_axes.T
+        axis, w = ticks["orientation"][:, 1:] @ rotation_axes.T, ticks["orientation"][:, :1]
+        poses = np.column_stack([ticks["position_m"], axis, w]) + 0.0  # without -0
+        field_torque_nm = ticks["field_torque_nm"] @ rotation_axes.T
         numbers = np.column_stack([
-            some["field_force_n"], field_torque_nm, some["friction_n"], force_n, torque_nm,
-            some["velocity_m_s"], some["gripper_m"], some["media_s"],
+            ticks["field_force_n"], field_torque_nm, ticks["friction_n"], force_n, torque_nm,
+            ticks["velocity_m_s"], ticks["gripper_m"], ticks["media_s"],
         ]) + 0.0  # fmt: skip
-        states = [texts[flags] for flags in some["flags"].tolist()]
+        states = [texts[flags] for flags in ticks["flags"].tolist()]
         yield _Ticks(
-            np.rint(some["time_s"] * _NS).astype(np.int64).tolist(),
+            np.rint(ticks["time_s"] * _NS).astype(np.int64).tolist(),
             [tuple(row) for row in poses.tolist()],
-            [(*row, b, state) for row, b, state in zip(numbers.tolist(), some["buttons"].tolist(), states)],
-            np.column_stack([some["position_m"], force_n]),
-            len(given) - len(some),
+            [(*row, b, state) for row, b, state in zip(numbers.tolist(), ticks["buttons"].tolist(), states)],
+            np.column_stack([ticks["position_m"], force_n]),
+            len(chunk) - len(ticks),
         )
 
 
@@ -134,10 +136,6 @@ def _is_finite(rows: NDArray[Any]) -> Bools:
     numbers = np.column_stack([rows[name].reshape(len(rows), -1) for name in names])
     is_finite: Bools = np.isfinite(numbers).all(axis=1)
     return is_finite
-
-
-def _state_text(flags: int) -> str:
-    return "+".join(name for name, bit in FLAGS.items() if flags & bit) or "idle"
 
 
 # -- messages ----------------------------------------------------------------------------------------------
@@ -152,7 +150,6 @@ _TICK: Final = (
     f',"frame_id":"{FRAME}","field":{_WRENCH},"friction":{_VECTOR},"device":{_WRENCH},"velocity":{_VECTOR},'
     '"gripper_m":%.9g,"media_s":%.9g,"buttons":%d,"state":"%s"}'
 )
-_PRIMITIVES: Final = ("cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
 
 
 def _arrow_message(stamp: str, arrow: NDArray[Any]) -> str:
@@ -169,7 +166,7 @@ def _arrow_message(stamp: str, arrow: NDArray[Any]) -> str:
         "frame_locked": True,
         "metadata": [],
         "arrows": [_arrow(arrow[:3], arrow[3:] / force_n, force_n)] if force_n else [],
-        **{name: [] for name in _PRIMITIVES},
+        **{name: [] for name in PRIMITIVES},
     }
     return json.dumps({"deletions": [], "entities": [entity]})
 
@@ -191,75 +188,3 @@ def _arrow(tail_m: Float64s, direction: Float64s, force_n: float) -> dict[str, A
         "head_diameter": 0.003,
         "color": {"r": 0.85, "g": 0.3, "b": 0.1, "a": 1.0},
     }
-
-
-# -- schemas -----------------------------------------------------------------------------------------------
-
-
-def _object(title: str, **properties: Any) -> dict[str, Any]:
-    """Return a schema in which every property is required."""
-    named = {"title": title} if title else {}
-    return {**named, "type": "object", "properties": properties, "required": [*properties]}
-
-
-def _list(items: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "array", "items": items}
-
-
-_NUMBER: Final = {"type": "number"}
-_TEXT: Final = {"type": "string"}
-_NSEC: Final = {"type": "integer", "minimum": 0, "maximum": 999_999_999}
-_TIME: Final = {
-    "type": "object", "title": "time", "properties": {"sec": {"type": "integer", "minimum": 0}, "nsec": _NSEC}
-}  # fmt: skip
-_DURATION: Final = {
-    "type": "object", "title": "duration", "properties": {"sec": {"type": "integer"}, "nsec": _NSEC}
-}  # fmt: skip
-_VECTOR_SCHEMA: Final = _object("foxglove.Vector3", x=_NUMBER, y=_NUMBER, z=_NUMBER)
-_QUATERNION_SCHEMA: Final = _object("foxglove.Quaternion", x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER)
-_POSE_SCHEMA: Final = _object("foxglove.Pose", position=_VECTOR_SCHEMA, orientation=_QUATERNION_SCHEMA)
-_WRENCH_SCHEMA: Final = _object("", force=_VECTOR_SCHEMA, torque=_VECTOR_SCHEMA)
-_COLOR_SCHEMA: Final = _object("foxglove.Color", r=_NUMBER, g=_NUMBER, b=_NUMBER, a=_NUMBER)
-_ARROW_SCHEMA: Final = _object(
-    "foxglove.ArrowPrimitive",
-    pose=_POSE_SCHEMA,
-    shaft_length=_NUMBER,
-    shaft_diameter=_NUMBER,
-    head_length=_NUMBER,
-    head_diameter=_NUMBER,
-    color=_COLOR_SCHEMA,
-)
-_ENTITY_SCHEMA: Final = _object(
-    "foxglove.SceneEntity",
-    timestamp=_TIME,
-    frame_id=_TEXT,
-    id=_TEXT,
-    lifetime=_DURATION,
-    frame_locked={"type": "boolean"},
-    metadata=_list(_object("foxglove.KeyValuePair", key=_TEXT, value=_TEXT)),
-    arrows=_list(_ARROW_SCHEMA),
-    **{name: _list({"type": "object"}) for name in _PRIMITIVES},  # always empty
-)
-
-SCHEMAS: Final[dict[str, dict[str, Any]]] = {
-    POSE_TOPIC: _object("foxglove.PoseInFrame", timestamp=_TIME, frame_id=_TEXT, pose=_POSE_SCHEMA),
-    TICK_TOPIC: _object(
-        "touchfield.Tick",
-        timestamp=_TIME,
-        frame_id=_TEXT,
-        field=_WRENCH_SCHEMA,
-        friction=_VECTOR_SCHEMA,
-        device=_WRENCH_SCHEMA,
-        velocity=_VECTOR_SCHEMA,
-        gripper_m=_NUMBER,
-        media_s=_NUMBER,
-        buttons={"type": "integer"},
-        state=_TEXT,
-    ),
-    ARROW_TOPIC: _object(
-        "foxglove.SceneUpdate",
-        deletions=_list({"type": "object"}),  # always empty
-        entities=_list(_ENTITY_SCHEMA),
-    ),
-}
-"""The schema of each topic."""

@@ -8,7 +8,6 @@ reported.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -18,12 +17,12 @@ import numpy as np
 from touchfield.arrays import Float64s
 from touchfield.atomic import atomic_path
 from touchfield.compute.threads import Progress, silent
-from touchfield.errors import SourceError, import_extra
-from touchfield.files import readable, require_plain
+from touchfield.errors import import_extra
 from touchfield.medium import ForceField, HapticMedium, HapticScene
 from touchfield.medium.pose_track import PoseTrack
 from touchfield.network.opening import open_stream
 from touchfield.render.point_device import axes_of_text
+from touchfield.tasks.play_log import read_log
 
 TIMELINE: Final = "media"
 MAX_POINTS: Final = 20_000
@@ -39,13 +38,6 @@ MAX_POSES: Final = 20_000
 """Poses of a body, and ticks of a log."""
 
 _ARROW_SAMPLES: Final = 4.0  # length of the largest force, in samples of the lattice
-_LOG_COLUMNS: Final = (
-    *("media_s", "x_m", "y_m", "z_m", "field_x_n", "field_y_n", "field_z_n"),
-    *("friction_x_n", "friction_y_n", "friction_z_n"),
-)
-_MAX_ROWS: Final = 1 << 22  # as `play` writes
-_MAX_ROW_BYTES: Final = 640
-_LOG_EXPECTED: Final = "a log of `touchfield play --log OUT.csv`"
 _DIRECTIONS: Final = (("L", "R"), ("D", "U"), ("F", "B"))  # of the box: negative, positive
 
 
@@ -84,33 +76,6 @@ def view_in_rerun(
             with atomic_path(out) as temporary:
                 temporary.write_bytes(written.read() or b"")
     return RerunScene(logger.counts, tuple(logger.notes))
-
-
-def read_log(path: Path) -> Float64s:
-    """Read a log of ``play``, float64 [n, 7].
-
-    Columns are the time of the medium, the position of the hand, metres, and the force of the field with
-    friction, newtons. Raises SourceError if the file is none, or too large.
-    """
-    require_plain(path, _LOG_EXPECTED)
-    with readable(path, _LOG_EXPECTED):
-        if path.stat().st_size > _MAX_ROWS * _MAX_ROW_BYTES:
-            found = f"{path.stat().st_size:,} bytes"
-            raise SourceError(str(path), found, f"at most {_MAX_ROWS * _MAX_ROW_BYTES:,} bytes")
-        with path.open(encoding="utf-8", errors="replace") as file:
-            names = file.readline(1 << 12).strip().split(",")
-            if missing := [name for name in _LOG_COLUMNS if name not in names]:
-                raise SourceError(str(path), f"no column {missing[0]}", _LOG_EXPECTED)
-            columns = [names.index(name) for name in _LOG_COLUMNS]
-            try:
-                with warnings.catch_warnings(action="ignore"):  # of a file without a row
-                    rows = np.loadtxt(file, delimiter=",", usecols=columns, ndmin=2, max_rows=_MAX_ROWS)
-            except ValueError as error:
-                raise SourceError(str(path), f"a row that is no tick ({error})", _LOG_EXPECTED) from None
-    rows = rows[np.isfinite(rows).all(axis=1)]
-    if not len(rows):
-        raise SourceError(str(path), "no tick", _LOG_EXPECTED)
-    return np.column_stack([rows[:, :4], rows[:, 4:7] + rows[:, 7:]])
 
 
 class _Logger:

@@ -24,13 +24,13 @@ from touchfield.pipeline.spec import EncodeSpec
 from touchfield.tasks.editing import write_result
 from touchfield.tasks.matching import read_medium
 from touchfield.tasks.timeline_edits import TrackEdits, read_timeline
-from touchfield.tasks.touch_tracks import TouchTrack, is_movie, touch_tracks
+from touchfield.tasks.touch_tracks import TrackFile, is_movie, touch_tracks
 
-_MADE_AGAIN: Final = "Make the page of this file again (touchfield view), and edit there."
+_RENEW_PAGE: Final = "Make the page of this file again (touchfield view), and edit there."
 
 
 @dataclass
-class _Report:
+class _Summary:
     """Figures of each track, and notes."""
 
     rows: list[dict[str, Any]] = field(default_factory=list)
@@ -58,19 +58,21 @@ def edit_timeline(
     _check_forms(source, out)
     with tempfile.TemporaryDirectory() as name:
         tracks, notes = touch_tracks(source, Path(name))
-        found = _Report(notes=list(notes))
-        pairs = _paired(tracks, read_timeline(edits), found)
-        audible = [(track, wanted) for track, wanted in pairs if not wanted.is_muted]
+        summary = _Summary(notes=list(notes))
+        pairs = _paired(tracks, read_timeline(edits), summary)
+        audible = [(track, track_edits) for track, track_edits in pairs if not track_edits.is_muted]
         if not audible:
             raise InvalidArgument(str(edits), "every track muted", "a track that is left")
-        found.notes += [f"{track.name}: muted, and left out" for track, wanted in pairs if wanted.is_muted]
-        paths = [_edited(*pair, Path(name), spec, report, found) for pair in audible]
+        summary.notes += [
+            f"{track.name}: muted, and left out" for track, track_edits in pairs if track_edits.is_muted
+        ]
+        paths = [_edited_file(*pair, Path(name), spec, report, summary) for pair in audible]
         if is_movie(source) and out.suffix.lower() != ".touch":
             _write_movie(source, audible, paths, out, report)
         else:
             _write_touch(audible, paths, out)
-    figures = {"file": str(out), "tracks": found.rows, "file_bytes": out.stat().st_size}
-    return Result(figures, tuple(found.notes))
+    figures = {"file": str(out), "tracks": summary.rows, "file_bytes": out.stat().st_size}
+    return Result(figures, tuple(summary.notes))
 
 
 def _check_forms(source: Path, out: Path) -> None:
@@ -82,57 +84,59 @@ def _check_forms(source: Path, out: Path) -> None:
 
 
 def _paired(
-    tracks: Sequence[TouchTrack], edits: Sequence[TrackEdits], found: _Report
-) -> list[tuple[TouchTrack, TrackEdits]]:
+    tracks: Sequence[TrackFile], edits: Sequence[TrackEdits], summary: _Summary
+) -> list[tuple[TrackFile, TrackEdits]]:
     """Each track with its edits, which must be those of a track with as many frames at the same rate."""
     by_name = {track.name: track for track in tracks}
-    for wanted in edits:
-        track = by_name.get(wanted.name)
+    for track_edits in edits:
+        track = by_name.get(track_edits.name)
         if track is None:
             expected = f"one of {', '.join(by_name)}"
-            raise InvalidArgument(f"{wanted.location}.name", repr(wanted.name), expected, _MADE_AGAIN)
-        if (wanted.frame_count, wanted.rate_hz) != (track.frame_count, track.rate_hz):
-            edited = f"{wanted.frame_count} frames at {wanted.rate_hz:g} Hz"
+            raise InvalidArgument(
+                f"{track_edits.location}.name", repr(track_edits.name), expected, _RENEW_PAGE
+            )
+        if (track_edits.frame_count, track_edits.rate_hz) != (track.frame_count, track.rate_hz):
+            edited = f"{track_edits.frame_count} frames at {track_edits.rate_hz:g} Hz"
             expected = f"{track.frame_count} at {track.rate_hz:g} Hz, as the track has"
-            raise InvalidArgument(wanted.location, edited, expected, _MADE_AGAIN)
-        if wanted.crc32 != track.crc32:
-            found.notes.append(f"{track.name}: another file of the same frames was edited")
-    named = {wanted.name: wanted for wanted in edits}
+            raise InvalidArgument(track_edits.location, edited, expected, _RENEW_PAGE)
+        if track_edits.crc32 != track.crc32:
+            summary.notes.append(f"{track.name}: another file of the same frames was edited")
+    named = {track_edits.name: track_edits for track_edits in edits}
     for track in tracks:
         if track.name not in named:
-            found.notes.append(f"{track.name}: not in the edit list, and kept as it is")
+            summary.notes.append(f"{track.name}: not in the edit list, and kept as it is")
     return [(track, named.get(track.name) or _no_edits(track)) for track in tracks]
 
 
-def _no_edits(track: TouchTrack) -> TrackEdits:
+def _no_edits(track: TrackFile) -> TrackEdits:
     return TrackEdits(track.name, track.frame_count, track.rate_hz, track.crc32)
 
 
-def _edited(
-    track: TouchTrack,
+def _edited_file(
+    track: TrackFile,
     edits: TrackEdits,
     folder: Path,
     spec: EncodeSpec | None,
     report: Progress,
-    found: _Report,
+    summary: _Summary,
 ) -> Path:
     """The ``.touch`` file of a track with its strengths: its own, if there are none."""
     path, limited = track.path, 0
     if edits.strengths:
-        # a track that is silent in all its frames is what was wanted
+        # strengths of 0 % may silence every frame
         prepared = read_medium(track.path, replace(spec or EncodeSpec(), allow_empty=True))
         force_max_n = prepared.device.force_max_n
         limited = count_limited(prepared.medium, edits.strengths, force_max_n)
         medium = scale_frames(prepared.medium, edits.strengths, force_max_n)
-        path = folder / f"edited-{len(found.rows)}.touch"
+        path = folder / f"edited-{len(summary.rows)}.touch"
         written = write_result(prepared, [track.path], medium, path, report)
-        found.notes += [f"{track.name}: {note}" for note in written.notes]
+        summary.notes += [f"{track.name}: {note}" for note in written.notes]
         if prepared.spec.touch.mode != "lossless":
             note = "frames without a strength are coded again: --mode lossless keeps their bits"
-            found.notes.append(f"{track.name}: {note}")
+            summary.notes.append(f"{track.name}: {note}")
     if limited:
-        found.notes.append(f"{track.name}: {limited} frames are limited to the largest force of the device")
-    found.rows.append(
+        summary.notes.append(f"{track.name}: {limited} frames are limited to the largest force of the device")
+    summary.rows.append(
         {
             "name": track.name,
             "frames": track.frame_count,
@@ -147,7 +151,7 @@ def _edited(
 
 def _write_movie(
     source: Path,
-    pairs: Sequence[tuple[TouchTrack, TrackEdits]],
+    pairs: Sequence[tuple[TrackFile, TrackEdits]],
     paths: Sequence[Path],
     out: Path,
     report: Progress,
@@ -159,7 +163,7 @@ def _write_movie(
     mux_streams(source, streams, out, report)
 
 
-def _write_touch(pairs: Sequence[tuple[TouchTrack, TrackEdits]], paths: Sequence[Path], out: Path) -> None:
+def _write_touch(pairs: Sequence[tuple[TrackFile, TrackEdits]], paths: Sequence[Path], out: Path) -> None:
     if len(pairs) > 1:
         found = f"{len(pairs)} tracks of touch"
         raise InvalidArgument(str(out), found, "a movie, which holds several: OUT.mp4")

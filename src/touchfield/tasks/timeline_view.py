@@ -17,7 +17,7 @@ from touchfield.files import read_bytes
 from touchfield.network.opening import open_stream
 from touchfield.pipeline.array_medium import Drives, array_drives
 from touchfield.pipeline.stream import stream_device
-from touchfield.tasks.touch_tracks import TouchTrack, is_movie, touch_tracks
+from touchfield.tasks.touch_tracks import TrackFile, is_movie, touch_tracks
 from touchfield.viewer.timeline import timeline_page
 
 MAX_TABLE_BYTES: Final = 1 << 28
@@ -62,12 +62,12 @@ def view_timeline(source: str | Path, kind: str | None, report: Progress = silen
         total, done = sum(track.frame_count for track in tracks), 0
         rows, tables = list[dict[str, Any]](), list[UInt8s]()
         for track in tracks:
-            parts = _tables(track, device, report, done, total)
+            parts = _drive_tables(track, device, report, done, total)
             done += track.frame_count
             tables += parts.values()
             rows.append(_row(track, parts))
     columns, lattice_rows, _ = device.lattice
-    given = {
+    description = {
         "movie": Path(source).name,
         "device": device.title,
         "columns": columns,
@@ -77,11 +77,11 @@ def view_timeline(source: str | Path, kind: str | None, report: Progress = silen
     }
     movie = None if kind is None else (movie_bytes(source), kind)
     figures = {"tracks": [{key: row[key] for key in ("name", "frames", "rate_hz", "at_s")} for row in rows]}
-    page = timeline_page(given, tables, movie)
+    page = timeline_page(description, tables, movie)
     return TimelinePage(page, figures | ({"movie_notes": list(notes)} if notes else {}))
 
 
-def _row(track: TouchTrack, parts: dict[str, UInt8s]) -> dict[str, Any]:
+def _row(track: TrackFile, parts: dict[str, UInt8s]) -> dict[str, Any]:
     return {
         "name": track.name,
         "frames": track.frame_count,
@@ -92,7 +92,7 @@ def _row(track: TouchTrack, parts: dict[str, UInt8s]) -> dict[str, Any]:
     }
 
 
-def _device_of(tracks: tuple[TouchTrack, ...], name: str) -> Device:
+def _device_of(tracks: tuple[TrackFile, ...], name: str) -> Device:
     for track in tracks:
         with open_stream(track.path) as opened:
             device = stream_device(opened)
@@ -102,7 +102,7 @@ def _device_of(tracks: tuple[TouchTrack, ...], name: str) -> Device:
     raise InvalidArgument(name, "touch for a point device", "touch for an array of actuators", hint)
 
 
-def _check_size(tracks: tuple[TouchTrack, ...], device: Device, name: str) -> None:
+def _check_size(tracks: tuple[TrackFile, ...], device: Device, name: str) -> None:
     columns, rows, _ = device.lattice
     size = 2 * columns * rows * sum(track.frame_count for track in tracks)
     if size > MAX_TABLE_BYTES:
@@ -110,7 +110,9 @@ def _check_size(tracks: tuple[TouchTrack, ...], device: Device, name: str) -> No
         raise InvalidArgument(name, f"{size:,} bytes of drives", f"at most {MAX_TABLE_BYTES:,}", hint)
 
 
-def _tables(track: TouchTrack, device: Device, report: Progress, done: int, total: int) -> dict[str, UInt8s]:
+def _drive_tables(
+    track: TrackFile, device: Device, report: Progress, done: int, total: int
+) -> dict[str, UInt8s]:
     """Drives by "force" and "vibration", uint8 [frames, actuators]; a part that is always 0 is left out."""
     columns, rows, _ = device.lattice
     force, vibration = (np.zeros((track.frame_count, columns * rows), np.uint8) for _ in range(2))
@@ -121,5 +123,5 @@ def _tables(track: TouchTrack, device: Device, report: Progress, done: int, tota
                 table[frame] = np.rint(_FULL * part[0]).ravel()
             report(done + frame + 1, total)
     parts = {"force": force, "vibration": vibration}
-    found = {name: table for name, table in parts.items() if table.any()}
-    return found or {"force": force}
+    used = {name: table for name, table in parts.items() if table.any()}
+    return used or {"force": force}

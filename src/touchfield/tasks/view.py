@@ -32,15 +32,13 @@ from touchfield.pipeline.stream import OpenStream
 from touchfield.render.point_device import BOX_AXES, axes_matrix
 from touchfield.tasks.measure import MeasureSpec, measure_medium
 from touchfield.tasks.timeline_view import is_for_array, movie_bytes, view_timeline
+from touchfield.tasks.touch_tracks import PLAYED_MOVIES, is_movie
 from touchfield.viewer.browser import map_page_of, page_of
 from touchfield.viewer.page import write_png
 from touchfield.viewer.picture import shadows
 
 _MAX_FRAMES: Final = 30  # frames of a medium in memory that are coded for the page
 _HEIGHT_PX: Final = 640
-_MOVIES: Final = {".mp4": "video/mp4", ".m4v": "video/mp4", ".mov": "video/mp4"}
-_UNPLAYED: Final = (".mkv", ".webm", ".ts", ".mts", ".m2ts", ".m3u8", ".mpd")
-"""Movies whose touch is shown alone: not every browser plays them."""
 PAGES: Final = ("auto", "field", "map", "timeline")
 _DRAWN_FRAMES: Final = 3  # the first, the middle one and the last
 MAX_SOURCE_BYTES: Final = 1 << 25  # maximum size of the source within a page
@@ -123,8 +121,8 @@ def view(
             extra_figures = {"frames_of": len(medium)} if len(medium) > _MAX_FRAMES else {}
             return replace(shown, figures={**shown.figures, **extra_figures})
         movie = Path(str(medium))
-        kind = _MOVIES.get(movie.suffix.lower())
-        if is_remote(medium) or (kind is None and movie.suffix.lower() not in _UNPLAYED):
+        kind = PLAYED_MOVIES.get(movie.suffix.lower())
+        if is_remote(medium) or not is_movie(movie):
             is_plain = page == "auto" and against is None and not devices
             map_page, notes = _map_page(medium) if is_plain else (None, [])
             if map_page is not None:
@@ -153,7 +151,7 @@ def _timeline(
         hint = "Take them out, or show the page of the field: --page field."
         raise InvalidArgument("--page timeline", "--source or --device", "neither", hint)
     movie = Path(str(medium))
-    shown = view_timeline(movie, _MOVIES.get(movie.suffix.lower()), report)
+    shown = view_timeline(movie, PLAYED_MOVIES.get(movie.suffix.lower()), report)
     return Page(shown.html, shown.figures)
 
 
