@@ -34,6 +34,8 @@ from touchfield.maps.symbols import RELIEF, Symbol, relief_symbol, symbols
 
 MIN_TEXTURE_PINS: Final = 4
 """Fewest pins up by which a texture is known."""
+MIN_CONTOUR_PINS: Final = 3
+"""Fewest pins up by which the direction of a contour line is felt."""
 DOOR_REACH: Final = 2
 """Pins within which a door belongs to a wall."""
 
@@ -342,9 +344,9 @@ def _touches(drawing: _Drawing, feature: Feature) -> bool:
 def _draw_contours(drawing: _Drawing, relief: Relief) -> tuple[int, int]:
     """Draw contour lines where nothing else is; returns their pins in the window, and those drawn."""
     board, symbol = drawing.board, relief_symbol()
-    min_pins = (MIN_TEXTURE_PINS - 1) * (symbol.on + symbol.off) + 1  # so many pins up
-    features, size = relief.contours(drawing.window), max(board.rules.line_pins, min_pins)
-    network = network_of(features, symbol, drawing.window, board.blocked(), size)
+    min_pins = max(board.rules.line_pins, (MIN_CONTOUR_PINS - 1) * (symbol.on + symbol.off) + 1)
+    features = relief.contours(drawing.window)
+    network = network_of(features, symbol, drawing.window, board.blocked(), min_pins)
     raised = dashes(network.pins, symbol.on, symbol.off)
     for feature, pins in network.drawn:
         drawing.note_name(feature, pins & network.pins)
