@@ -39,7 +39,7 @@ _MARGIN_PINS: Final = 4
 """Around a view, so that lines of overlapping views agree."""
 _MARGIN_FRACTION: Final = 0.25
 """Of the size of the map around it: views reach beyond it by an eighth at most."""
-_ABOVE: Final = 1e-6
+_ABOVE: Final = 0.01
 """Of the interval, by which a line lies above its height: a lake at that height has a shore, and no noise."""
 _KEPT_MEANS: Final = 8
 
