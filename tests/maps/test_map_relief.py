@@ -16,7 +16,6 @@ from map_makers import INPUTS, LetterBraille, block, street, town, write_geojson
 from touchfield.cli.main import _exit_code
 from touchfield.container import TouchReader
 from touchfield.maps.board import FREE
-from touchfield.maps.check import check
 from touchfield.maps.guidelines import guidelines
 from touchfield.maps.symbols import RELIEF
 from touchfield.pipeline.decoding import open_file
