@@ -5,7 +5,8 @@
 Three extracts of OpenStreetMap and three school diagrams (``tests/maps/inputs``), on 60 x 40 pins. Of each
 level, up to `views` random views are drawn, checked against the guidelines, pair by pair of raised pins, and
 compared with the pins in the file. Labels are read back from the pins of the file and compared with what
-liblouis gives for their text; without liblouis they are left out.
+liblouis gives for their text; without liblouis they are left out. The first two are drawn again above hills,
+a GeoTIFF of 256 x 256 samples, with contour lines every 10 m.
 
 A pan is a random move: find the view, expand it, and give it to the display. Its time is processor time.
 Making is measured in a process of its own: a town of blocks, and a hostile file of random streets, each of
@@ -32,10 +33,12 @@ from touchfield.devices import device
 from touchfield.errors import InvalidArgument, MissingExtra
 from touchfield.maps.braille import Braille, cells_of
 from touchfield.maps.check import check
+from touchfield.maps.features import MapSource
 from touchfield.maps.guidelines import PinRules
 from touchfield.maps.layout import draw
 from touchfield.maps.pins import Window
-from touchfield.maps.reader import box_of, read_map
+from touchfield.maps.reader import box_of, metres_of_degree, read_map
+from touchfield.maps.relief import read_relief
 from touchfield.maps.zooms import draw_levels
 from touchfield.pipeline.stored_map import Position, StoredMap
 from touchfield.tasks.map import MapSpec, make_map
@@ -46,6 +49,7 @@ SOURCES = (
     "crossing.osm.pbf", "park.osm.pbf", "floor_plan.geojson", "triangle.svg", "parabola.svg", "cell.svg",
 )  # fmt: skip
 LEVELS, ROWS, COLUMNS, PITCH_MM = 4, 40, 60, 2.5
+RELIEF_SAMPLES, INTERVAL_M = 256, 10.0
 MOVES = ("left", "right", "up", "down", "in", "out")
 MAKE = """
 import json, sys
@@ -74,23 +78,40 @@ def stored_map(path: Path) -> StoredMap:
 # -- the pins ----------------------------------------------------------------------------------------------
 def sources(folder: Path, views: int) -> Figures:
     """Draw, check and read back the views of each source."""
-    return {name: source(INPUTS / name, folder / f"{name}.touch", views) for name in SOURCES}
+    figures = {name: source(INPUTS / name, folder / f"{name}.touch", views) for name in SOURCES}
+    for name in SOURCES[:2]:
+        out = folder / f"{name}.relief.touch"
+        figures[f"{name}, relief"] = source(INPUTS / name, out, views, has_relief=True)
+    return figures
 
 
-def source(path: Path, out: Path, views: int) -> Figures:
+def source(path: Path, out: Path, views: int, *, has_relief: bool = False) -> Figures:
     """Check up to `views` views of each level of a source, drawn anew and as stored."""
     braille, rng = translator(), random.Random(1)
     try:
-        make_map(path, out, MapSpec(zooms=LEVELS, has_labels=braille is not None))
+        read = read_map(path)
+        box = box_of(read, None)
+        window = Window.around(*box, ROWS, COLUMNS)
+        heights = hills(out.with_suffix(".tif"), read, window) if has_relief else None
+        spec = MapSpec(
+            zooms=LEVELS,
+            has_labels=braille is not None,
+            relief=heights,
+            interval_m=INTERVAL_M if has_relief else None,
+        )
+        make_map(path, out, spec)
     except MissingExtra as error:
         return {"absent": str(error)}
-    stored, read = stored_map(out), read_map(path)
-    box = box_of(read, None)
-    window = Window.around(*box, ROWS, COLUMNS)
-    whole = draw(read.features, window, PinRules(PITCH_MM), braille)
-    levels, _ = draw_levels(read.features, box, (window, whole), braille, LEVELS)
+    stored = stored_map(out)
+    relief = None
+    if heights is not None:
+        relief, _ = read_relief(heights, read, window)
+        relief.use_interval(INTERVAL_M)
+    whole = draw(read.features, window, PinRules(PITCH_MM), braille, relief)
+    levels, _ = draw_levels(read.features, box, (window, whole), braille, LEVELS, relief)
     row: Figures = {"levels": len(levels), "views": 0, "violations": 0, "views that differ": 0}
     gaps_mm, agree, labels = [], 0, 0
+    contour_pins = np.zeros(2, np.int64)
     for n, level in enumerate(levels):
         indices = rng.sample(range(len(level.views)), min(views, len(level.views)))
         for index in indices:
@@ -100,16 +121,43 @@ def source(path: Path, out: Path, views: int) -> Figures:
             row["views"] += 1
             row["violations"] += len(found.violations)
             row["views that differ"] += not same
+            contour_pins += level.views[index].contour_pins
             gaps_mm += [] if found.min_gap_mm is None else [found.min_gap_mm]
             if braille is not None:
                 right, count = labels_read(stored, position, braille)
                 agree, labels = agree + right, labels + count
+    if has_relief:
+        row |= {"pins on contour lines": int(contour_pins[0]), "of them drawn": int(contour_pins[1])}
     return row | {
         "least gap, mm": min(gaps_mm),
         "labels": labels,
         "labels as liblouis": agree,
         "map bytes": out.stat().st_size,
     }
+
+
+def hills(path: Path, read: MapSource, window: Window) -> Path:
+    """Write hills of 120 m beneath a map as GeoTIFF in degrees, a tenth larger than the map all around."""
+    import tifffile
+
+    size_m = 1.2 * window.step * np.array([window.columns, window.rows])
+    middle_m = np.array([window.west, window.north]) + window.step / 2 * np.array(
+        [window.columns - 1, 1 - window.rows]
+    )
+    origin_deg = np.array(read.origin_deg)
+    degree_m = metres_of_degree(origin_deg[1])
+    west, north = (middle_m + size_m * (-0.5, 0.5)) / degree_m + origin_deg
+    cell_deg = size_m / degree_m / RELIEF_SAMPLES
+    x, y = np.meshgrid(*[np.linspace(0, 1, RELIEF_SAMPLES)] * 2)
+    heights = 400 + 60 * x + 30 * np.sin(9 * x + 4 * y) * np.cos(7 * y - 3 * x)
+    geo_keys = (1, 1, 0, 3, 1024, 0, 1, 2, 1025, 0, 1, 1, 2048, 0, 1, 4326)
+    tags = [
+        (33550, 12, 3, (*map(float, cell_deg), 0.0), True),
+        (33922, 12, 6, (0.0, 0.0, 0.0, float(west), float(north), 0.0), True),
+        (34735, 3, len(geo_keys), geo_keys, True),
+    ]
+    tifffile.imwrite(path, heights.astype(np.float32), extratags=tags, metadata=None)
+    return path
 
 
 def labels_read(stored: StoredMap, position: Position, braille: Braille) -> tuple[int, int]:
@@ -229,6 +277,14 @@ def measure(views: int, moves: int, features: int) -> Figures:
     return {"pins": checked, "pans": moved, "making": made}
 
 
+def _contour_fraction(rows: list[Figures]) -> float | None:
+    """Return the least fraction of the pins on contour lines that is drawn above a relief."""
+    fractions = [
+        row["of them drawn"] / row["pins on contour lines"] for row in rows if "of them drawn" in row
+    ]
+    return min(fractions, default=None)
+
+
 def bars(figures: Figures) -> list[Bar]:
     """Require the guidelines on every view, the labels of liblouis, and the time of a pan."""
     rows = [row for row in figures["pins"].values() if "absent" not in row]
@@ -238,7 +294,8 @@ def bars(figures: Figures) -> list[Bar]:
     return [
         at_most("symbols closer than the guideline", sum(row["violations"] for row in rows), 0),
         at_most("stored views other than those checked", sum(row["views that differ"] for row in rows), 0),
-        at_least("sources checked", len(rows), len(SOURCES)),
+        at_least("sources checked", len(rows), len(SOURCES) + 2),
+        at_least("contour lines drawn with relief", _contour_fraction(rows), 0.1),
         at_least("labels as liblouis writes them", agreeing, 1.0),
         at_most("a pan of 60 x 40 pins, worst, processor time", worst, 50.0, "ms"),
         at_most(

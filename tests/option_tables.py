@@ -257,6 +257,8 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "level": case("-1", "spec.level", "-1"),
         "language": case("de", "spec.language", "de"),
         "zooms": case("3", "spec.zooms", 3),
+        "relief": case("heights.tif", "spec.relief", "heights.tif"),
+        "interval-m": case("2.5", "spec.interval_m", 2.5, "--relief heights.tif"),
         "no-labels": case(None, "spec.has_labels", False),
         "svg": case("{tmp}/out.svg", "make_map.svg", "{tmp}/out.svg"),
         "stl": case("{tmp}/out.stl", "make_map.stl", "{tmp}/out.stl"),

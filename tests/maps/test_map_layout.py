@@ -14,7 +14,7 @@ from touchfield.devices import device
 from touchfield.maps.board import Layout
 from touchfield.maps.check import check
 from touchfield.maps.guidelines import PinRules, guidelines
-from touchfield.maps.labels import legend_lines, legend_pages
+from touchfield.maps.labels import class_titles, legend_lines, legend_pages
 from touchfield.maps.layout import Drawn, draw
 from touchfield.maps.pins import Window, fill, trace
 from touchfield.maps.reader import box_of, on_level, read_map
@@ -186,7 +186,7 @@ def test_the_check_finds_a_fault(tmp_path: Path, fault: str, message: str) -> No
 
 def test_the_legend_has_every_symbol_and_key(tmp_path: Path) -> None:
     made = drawn(write_geojson(tmp_path / "town.geojson", *town()))
-    lines = legend_lines(made.layout, made.labels, "de")
+    lines = legend_lines(made.layout, made.labels, class_titles("de"))
     assert [line.text for line in lines][:3] == ["Straße", "Weg", "Haltestelle"]
     assert {line.text for line in lines if not line.kind} == {
         label.name for label in made.labels if label.is_key

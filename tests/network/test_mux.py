@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from map_makers import town, write_geojson
 from touchfield.cli.main import _exit_code
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.container import TouchReader
@@ -28,6 +29,7 @@ from touchfield.network.touch_track import KLV, TouchTrack, sync_record
 from touchfield.pipeline import encode
 from touchfield.pipeline.decoding import open_file
 from touchfield.pipeline.spec import EncodeSpec
+from touchfield.tasks.map import MapSpec, make_map
 from touchfield.tasks.view import view
 
 av = pytest.importorskip("av", reason="movies need the extra video")
@@ -295,3 +297,18 @@ def test_a_stream_without_an_error_bound_is_muxed_with_a_warning(folder: Path, t
     with warnings.catch_warnings():
         warnings.simplefilter("error", UnboundedError)
         mux(folder / "movie.mp4", folder / "noise.touch", tmp_path / "both.mp4")
+
+
+def test_the_track_of_a_map_is_reported_to_be_its_frame_alone(folder: Path, tmp_path: Path) -> None:
+    town_map = tmp_path / "town.touch"
+    source = write_geojson(tmp_path / "town.geojson", *town())
+    make_map(source, town_map, MapSpec(has_labels=False, zooms=2))
+    done = mux(folder / "movie.mp4", town_map, tmp_path / "both.mp4")
+    assert done.notes == ("town.touch: the zoom levels and names of the map are left out",)
+    demux(tmp_path / "both.mp4", tmp_path / "back.touch")
+    with TouchReader(tmp_path / "back.touch") as reader:
+        assert not reader.has_map
+    assert mux(folder / "movie.mp4", town_map, tmp_path / "both.mpd").notes == ()
+    with TouchReader(tmp_path / "both.touch") as reader:
+        assert reader.has_map
+    assert mux(folder / "movie.mp4", folder / "noise.touch", tmp_path / "noise.mp4").notes == ()

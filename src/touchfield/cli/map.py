@@ -18,6 +18,7 @@ from touchfield.cli.output import Answer, check_results, progress
     "map crossing.osm.pbf crossing.touch --device graphiti",
     "map park.geojson park.touch --box 10.06,48.13,10.08,48.14 --language de",
     "map plan.svg plan.touch --no-labels --svg swell.svg --stl plate.stl",
+    "map hills.osm.pbf hills.touch --relief dem.tif --svg swell.svg",
     name="map",
 )
 def make_map_command(
@@ -41,6 +42,12 @@ def make_map_command(
     zooms: Annotated[
         int | None, "Zoom levels for a display; default: until every feature and name is shown, at most 4."
     ] = None,
+    relief: Annotated[
+        Path | None, "Heights of the land beneath, such as a GeoTIFF in degrees: contour lines, or height."
+    ] = None,
+    interval_m: Annotated[
+        float | None, "Metres in height from a contour line to the next; default: at most 6 lines on the map."
+    ] = None,
     no_labels: Annotated[bool, typer.Option("--no-labels", help="Draw no Braille.")] = False,
     svg: Annotated[Path | None, "Also write a drawing for swell paper, .svg."] = None,
     stl: Annotated[Path | None, "Also write a plate for 3-D printers, .stl."] = None,
@@ -49,11 +56,12 @@ def make_map_command(
     """Make a tactile map: symbols that a finger can tell apart, Braille labels and a legend."""
     from touchfield.tasks.map import MapSpec, make_map
 
-    check_results((source,), out, svg, stl, plot=plot)
+    sources = (source,) if relief is None else (source, relief)
+    check_results(sources, out, svg, stl, plot=plot)
     corners = None
     if box is not None:
         corners = numbers_of("--box", box, (4,), "four numbers, such as 10.06,48.13,10.08,48.14")
-    spec = MapSpec(device, corners, level, language, not no_labels, zooms)
+    spec = MapSpec(device, corners, level, language, not no_labels, zooms, relief, interval_m)
     with progress("map"):
         made = make_map(source, out, spec, svg=svg, stl=stl)
     if plot is not None:

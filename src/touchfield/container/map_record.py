@@ -38,6 +38,8 @@ _SIDE: Final = Whole("u16", 1, 1024)
 _POSITION: Final = Real(-1e9, 1e9)
 _NAME_INDEX: Final = Whole("u32", 0, MAX_NAMES - 1)
 _KIND_INDEX: Final = Whole("u16", 0, 255)
+MAP_LEFT_OUT: Final = "the zoom levels and names of the map are left out"
+"""Note of what writes the frame of a map alone."""
 _MEND: Final = "Make the map again: touchfield map."
 
 

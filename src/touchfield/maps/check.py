@@ -15,7 +15,7 @@ from touchfield.arrays import Bools, Float64s, Int64s
 from touchfield.maps.board import Layout
 from touchfield.maps.braille import cells_of
 from touchfield.maps.guidelines import guidelines
-from touchfield.maps.symbols import symbols
+from touchfield.maps.symbols import symbol_of
 
 MAX_LISTED: Final = 20
 _REACH_PINS: Final = 8
@@ -104,7 +104,8 @@ def _styles(layout: Layout) -> list[str]:
             found.append(f"{len(kinds)} kinds of {role} ({', '.join(kinds)}) are more than {limit}.")
         looks: dict[object, str] = {}
         for kind in kinds:
-            look = symbols()[kind].look
+            symbol = symbol_of(kind)
+            look = kind if symbol is None else symbol.look
             if look in looks:
                 found.append(f"{looks[look]} and {kind} have the same symbol.")
             looks.setdefault(look, kind)

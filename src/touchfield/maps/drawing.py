@@ -20,7 +20,7 @@ from touchfield.atomic import atomic_path
 from touchfield.maps.board import FREE, Layout
 from touchfield.maps.guidelines import guidelines
 from touchfield.maps.labels import LegendLine
-from touchfield.maps.symbols import symbols
+from touchfield.maps.symbols import RELIEF, symbols
 
 MARGIN_MM: Final = 10.0
 """Around the pins on paper and on a plate."""
@@ -30,12 +30,31 @@ SAMPLES_PER_PIN: Final = 6
 
 def _joined(layout: Layout) -> list[tuple[tuple[int, int], tuple[int, int]]]:
     """Return the pairs of neighbouring raised pins of one line or solid area."""
-    pairs = []
-    rows, columns = layout.raised.shape
     is_joined = np.array(
-        [symbol.role == "line" or _is_solid(symbol.kind) for symbol in layout.symbols] + [False]
+        [
+            (symbol.role == "line" and symbol.kind != RELIEF) or _is_solid(symbol.kind)
+            for symbol in layout.symbols
+        ]
+        + [False]
     )
     joins = layout.raised & is_joined[layout.owner]
+    return _pairs(layout, joins)
+
+
+def _contours(layout: Layout) -> list[tuple[tuple[int, int], tuple[int, int]]]:
+    """Return the pairs of neighbouring pins of one contour line, up or down: on paper it is a thin line."""
+    return _pairs(layout, _of_relief(layout))
+
+
+def _of_relief(layout: Layout) -> Bools:
+    is_relief = np.array([symbol.kind == RELIEF for symbol in layout.symbols] + [False])
+    return np.asarray(is_relief[layout.owner])
+
+
+def _pairs(layout: Layout, joins: Bools) -> list[tuple[tuple[int, int], tuple[int, int]]]:
+    """Return the pairs of neighbouring pins of one symbol among those of a mask."""
+    pairs = []
+    rows, columns = joins.shape
     for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
         for row, column in np.argwhere(joins):
             other = (int(row) + down, int(column) + right)
@@ -54,6 +73,8 @@ def write_svg(
 ) -> None:
     """Write the map and below it the pages of its legend, black, in millimetres, for swell paper.
 
+    Contour lines are thin lines without pins.
+
     Raises `SourceError` if it cannot be written; no file is then left.
     """
     pitch_mm, dot_mm = layout.rules.pitch_mm, float(guidelines()["dot_mm"].value)
@@ -68,13 +89,13 @@ def write_svg(
         f"<desc>{escape(_description(lines, credit))}</desc>",
         f'<g transform="translate({MARGIN_MM:g} {MARGIN_MM:g})" stroke="#000" stroke-linecap="round" '
         f'stroke-width="{dot_mm:g}">',
-        *(
-            f'<path d="M{c0 * pitch_mm:g} {r0 * pitch_mm:g}L{c1 * pitch_mm:g} {r1 * pitch_mm:g}"/>'
-            for (r0, c0), (r1, c1) in _joined(layout)
-        ),
+        *_paths(_joined(layout), pitch_mm),
+        f'<g stroke-width="{float(guidelines()["contour_line_mm"].value):g}">',
+        *_paths(_contours(layout), pitch_mm),
+        "</g>",
         "</g>",
     ]
-    for n, pins in enumerate((layout.raised, *pages)):
+    for n, pins in enumerate((layout.raised & ~_of_relief(layout), *pages)):
         out.append(f'<g transform="translate({MARGIN_MM:g} {MARGIN_MM + n * page_mm:g})">')
         out += [
             f'<circle cx="{column * pitch_mm:g}" cy="{row * pitch_mm:g}" r="{dot_mm / 2:g}"/>'
@@ -85,38 +106,55 @@ def write_svg(
         temporary.write_text("\n".join([*out, "</svg>", ""]), "utf-8")
 
 
+def _paths(pairs: Sequence[tuple[tuple[int, int], tuple[int, int]]], pitch_mm: float) -> list[str]:
+    return [
+        f'<path d="M{c0 * pitch_mm:g} {r0 * pitch_mm:g}L{c1 * pitch_mm:g} {r1 * pitch_mm:g}"/>'
+        for (r0, c0), (r1, c1) in pairs
+    ]
+
+
 def _description(lines: Sequence[LegendLine], credit: str) -> str:
     return "; ".join(filter(None, (credit, *(line.text for line in lines))))
 
 
-def relief_mm(layout: Layout, height_mm: float, margin_mm: float = MARGIN_MM) -> tuple[Float64s, float]:
+def plate_mm(
+    layout: Layout, height_mm: float, land_mm: Float64s | None = None, margin_mm: float = MARGIN_MM
+) -> tuple[Float64s, float]:
     """Return heights of a plate with the raised pins on it, float64 [rows, columns], and their spacing.
 
-    Pins are domes and joined pins ridges of the same width, `height_mm` high; row 0 is the top.
+    Pins are domes and joined pins ridges of the same width, `height_mm` high; row 0 is the top. They stand on
+    `land_mm`, the height of the land under each pin, [rows, columns], which takes the place of contour lines.
     """
     dot_mm, pitch_mm = float(guidelines()["dot_mm"].value), layout.rules.pitch_mm
     spacing_mm, factor = pitch_mm / SAMPLES_PER_PIN, SAMPLES_PER_PIN
     margin = round(margin_mm / spacing_mm)
     shape = tuple(factor * (n - 1) + 1 + 2 * margin for n in layout.raised.shape)
     core = np.zeros(shape, np.bool_)
-    up = margin + factor * np.argwhere(layout.raised)
+    up = margin + factor * np.argwhere(layout.raised & ~_of_relief(layout))
     core[tuple(up.T)] = True
     for (r0, c0), (r1, c1) in _joined(layout):
         for step in range(factor + 1):
             core[margin + factor * r0 + step * (r1 - r0), margin + factor * c0 + step * (c1 - c0)] = True
+    ground_mm = np.zeros(shape) if land_mm is None else _ground_mm(land_mm, shape, margin)
     if not core.any():
-        return np.zeros(shape), spacing_mm
+        return ground_mm, spacing_mm
     distance_mm = spacing_mm * ndimage.distance_transform_edt(~core)
-    return height_mm * np.sqrt(np.maximum(1 - (2 * distance_mm / dot_mm) ** 2, 0)), spacing_mm
+    return ground_mm + height_mm * np.sqrt(np.maximum(1 - (2 * distance_mm / dot_mm) ** 2, 0)), spacing_mm
 
 
-def write_stl(path: Path, layout: Layout) -> int:
+def _ground_mm(land_mm: Float64s, shape: tuple[int, ...], margin: int) -> Float64s:
+    """Interpolate the height under the pins on the samples of a plate; its margin is that of its edge."""
+    at = (np.indices(shape) - margin) / SAMPLES_PER_PIN
+    return np.asarray(ndimage.map_coordinates(land_mm, at, order=1, mode="nearest"))
+
+
+def write_stl(path: Path, layout: Layout, land_mm: Float64s | None = None) -> int:
     """Write the map as a plate for 3-D printers, binary STL in millimetres; returns the triangles.
 
-    The surface is closed: the relief, its walls and a flat bottom. Raises `SourceError` if it cannot be
-    written; no file is then left.
+    `land_mm` is the height of the land under each pin, [rows, columns]. The surface is closed: the relief,
+    its walls and a flat bottom. Raises `SourceError` if it cannot be written; no file is then left.
     """
-    heights_mm, spacing_mm = relief_mm(layout, float(guidelines()["print_height_mm"].value))
+    heights_mm, spacing_mm = plate_mm(layout, float(guidelines()["print_height_mm"].value), land_mm)
     triangles = _solid(heights_mm + float(guidelines()["plate_mm"].value), spacing_mm)
     edges = triangles[:, 1:] - triangles[:, :1]
     normals = np.cross(edges[:, 0], edges[:, 1])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol
 
@@ -19,7 +19,7 @@ from touchfield.arrays import Bools
 from touchfield.maps.board import Board, Layout, Placed
 from touchfield.maps.braille import Braille, pins_of
 from touchfield.maps.guidelines import PinRules, guidelines
-from touchfield.maps.symbols import symbols
+from touchfield.maps.symbols import RELIEF, Symbol, relief_symbol, symbols
 
 MAX_NAME_CELLS: Final = 5
 """Longest name that stands on the map itself, cells; longer ones would fill the display."""
@@ -164,22 +164,32 @@ class LegendLine:
     kind: str = ""
 
 
-def legend_lines(layout: Layout, labels: Sequence[Label], language: str) -> tuple[LegendLine, ...]:
-    """Return the lines of the legend: the symbols that are used, then the keys by alphabet."""
+def class_titles(language: str, interval_m: float | None = None) -> dict[str, str]:
+    """Return the title of each class in a language; that of relief states the interval of contour lines."""
+    titles = {name: symbol.titled(language) for name, symbol in symbols().items()}
+    if interval_m is not None:
+        titles[RELIEF] = relief_symbol().titled(language).format(interval_m=f"{interval_m:.6g}")
+    return titles
+
+
+def legend_lines(
+    layout: Layout, labels: Sequence[Label], titles: Mapping[str, str]
+) -> tuple[LegendLine, ...]:
+    """Return the lines of the legend: the symbols in use by their titles, then the keys by alphabet."""
     kinds = {placed.kind for placed in layout.symbols}
+    known = (*symbols().values(), relief_symbol())
     lines = [
-        LegendLine(_sample(name), symbol.titled(language), name)
-        for name, symbol in symbols().items()
-        if name in kinds
+        LegendLine(_sample(symbol), titles.get(symbol.name, symbol.name), symbol.name)
+        for symbol in known
+        if symbol.name in kinds
     ]
     for label in sorted((label for label in labels if label.is_key), key=lambda label: label.text):
         lines.append(LegendLine(pins_of(label.cells, layout.rules.cell_pins), label.name))
     return tuple(lines)
 
 
-def _sample(kind: str) -> Bools:
+def _sample(symbol: Symbol) -> Bools:
     """Return a sample of a symbol, bool [3, columns]."""
-    symbol = symbols()[kind]
     if symbol.picture:
         return symbol.pattern((3, 3))
     if symbol.texture:

@@ -8,6 +8,7 @@ point symbols     beside their place if that is taken
 buildings         the solid texture, which a label cannot stand on
 labels            Braille, where nothing is (`touchfield.maps.labels`)
 textured areas    which make way for all of these
+contour lines     of a relief, where nothing else is
 """
 
 from __future__ import annotations
@@ -27,11 +28,14 @@ from touchfield.maps.features import Feature
 from touchfield.maps.guidelines import PinRules, guidelines
 from touchfield.maps.labels import Label, LabelRequest, put_labels
 from touchfield.maps.lines import dashes, network_of
-from touchfield.maps.pins import Window, fill
-from touchfield.maps.symbols import Symbol, symbols
+from touchfield.maps.pins import Window, fill, trace
+from touchfield.maps.relief import Relief
+from touchfield.maps.symbols import RELIEF, Symbol, relief_symbol, symbols
 
 MIN_TEXTURE_PINS: Final = 4
 """Fewest pins up by which a texture is known."""
+MIN_CONTOUR_PINS: Final = 3
+"""Fewest pins up by which the direction of a contour line is felt."""
 DOOR_REACH: Final = 2
 """Pins within which a door belongs to a wall."""
 
@@ -47,6 +51,7 @@ class Drawn:
     notes : tuple of str; What was left out, and why.
     named : tuple of (str, str); Class and name of the named features that have pins, each once.
     name_at : int32 [rows, columns]; Index in `named` of the feature to which a pin belongs, `FREE` for none.
+    contour_pins : (int, int); Pins on contour lines in the window, and those of them that are drawn.
     """
 
     layout: Layout
@@ -56,6 +61,7 @@ class Drawn:
     notes: tuple[str, ...]
     named: tuple[tuple[str, str], ...]
     name_at: Int32s
+    contour_pins: tuple[int, int] = (0, 0)
 
 
 @dataclass
@@ -77,12 +83,22 @@ class _Drawing:
     def request(self, feature: Feature, pins: Bools, *, must_be_inside: bool = False) -> None:
         """Ask for a label of a feature that is drawn on some pins, and note its name there."""
         if feature.name and pins.any():
-            self.name_at[pins] = self.named.setdefault((feature.kind, feature.name), len(self.named))
+            self.note_name(feature, pins)
             self.requests.append(LabelRequest(feature.name, feature.kind, pins, must_be_inside))
 
+    def note_name(self, feature: Feature, pins: Bools) -> None:
+        """Note the name of a feature on some pins."""
+        self.name_at[pins] = self.named.setdefault((feature.kind, feature.name), len(self.named))
 
-def draw(features: Sequence[Feature], window: Window, rules: PinRules, braille: Braille | None) -> Drawn:
-    """Draw features in a window; without `braille` there are no labels."""
+
+def draw(
+    features: Sequence[Feature],
+    window: Window,
+    rules: PinRules,
+    braille: Braille | None,
+    relief: Relief | None = None,
+) -> Drawn:
+    """Draw features in a window, and the contour lines of `relief`; without `braille` there are no labels."""
     by_kind, notes = _told_apart(features)
     drawing = _Drawing(Board(window.rows, window.columns, rules), window, by_kind, notes=notes)
     _draw_lines(drawing)
@@ -92,6 +108,7 @@ def draw(features: Sequence[Feature], window: Window, rules: PinRules, braille: 
     areas = _area_masks(drawing)
     labels, unlabelled = put_labels(drawing.board, drawing.requests, braille)
     _draw_areas(drawing, is_solid=False, masks=areas)
+    contour_pins = (0, 0) if relief is None else _draw_contours(drawing, relief)
     counts = {kind: (drawing.seen[kind], drawing.drawn[kind]) for kind in drawing.seen}
     return Drawn(
         drawing.board.layout(),
@@ -101,6 +118,7 @@ def draw(features: Sequence[Feature], window: Window, rules: PinRules, braille: 
         tuple(drawing.notes),
         tuple(drawing.named),
         drawing.name_at,
+        contour_pins,
     )
 
 
@@ -320,3 +338,23 @@ def _touches(drawing: _Drawing, feature: Feature) -> bool:
     """True if a point of a feature lies in the window."""
     pins = np.concatenate([drawing.window.to_pins(part) for part in feature.parts])
     return bool(((pins >= 0) & (pins <= np.subtract(drawing.board.shape, 1))).all(axis=1).any())
+
+
+# -- relief ------------------------------------------------------------------------------------------------
+def _draw_contours(drawing: _Drawing, relief: Relief) -> tuple[int, int]:
+    """Draw contour lines where nothing else is; returns their pins in the window, and those drawn."""
+    board, symbol = drawing.board, relief_symbol()
+    min_pins = max(board.rules.line_pins, (MIN_CONTOUR_PINS - 1) * (symbol.on + symbol.off) + 1)
+    features = relief.contours(drawing.window)
+    network = network_of(features, symbol, drawing.window, board.blocked(), min_pins)
+    raised = dashes(network.pins, symbol.on, symbol.off)
+    for feature, pins in network.drawn:
+        drawing.note_name(feature, pins & network.pins)
+    for part in parts_of(network.pins):
+        names = {f.name: None for f, pins in network.drawn if (pins & part).any()}
+        board.put(Placed(RELIEF, "line", tuple(names)), part, raised)
+    anywhere = np.zeros(board.shape, np.bool_)
+    for feature in features:
+        for path in trace(drawing.window.to_pins(feature.parts[0]), *board.shape):
+            anywhere[tuple(path.T)] = True
+    return int(anywhere.sum()), int(network.pins.sum())

@@ -77,7 +77,10 @@ def trace(line: Float64s, rows: int, columns: int) -> list[Int64s]:
     line = line[np.concatenate([[True], moves])]
     line = line if len(line) > 1 else np.repeat(line, 2, axis=0)
     start, stop, is_inside = _clipped(line[:-1], line[1:], rows, columns)
-    pieces = [_straight(start[n], stop[n]) for n in np.flatnonzero(is_inside)]
+    start, stop = start[is_inside], stop[is_inside]
+    ends = np.rint(np.stack([start, stop], axis=1)).astype(np.int16)
+    is_short = np.abs(stop - start).max(axis=1) <= 1  # as those of a contour line: no pin between its ends
+    pieces = [ends[n] if short else _straight(start[n], stop[n]) for n, short in enumerate(is_short.tolist())]
     if not pieces:
         return []
     pins = np.concatenate(pieces)

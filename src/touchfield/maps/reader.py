@@ -81,12 +81,13 @@ def _corners(source: MapSource, box: tuple[float, float, float, float]) -> tuple
     if source.origin_deg is None:
         left, top, right, bottom = box
         return np.array([left, -bottom]), np.array([right, -top])
-    scale = _metres_of_degree(source.origin_deg[1])
+    scale = metres_of_degree(source.origin_deg[1])
     corners = (np.array(box).reshape(2, 2) - source.origin_deg) * scale
     return corners[0], corners[1]
 
 
-def _metres_of_degree(latitude_deg: float) -> Float64s:
+def metres_of_degree(latitude_deg: float) -> Float64s:
+    """Return the metres of a degree of longitude and of latitude on the plane of a map, float64 [2]."""
     degree_m = float(np.radians(EARTH_RADIUS_M))
     return np.array([degree_m * np.cos(np.radians(latitude_deg)), degree_m])
 
@@ -95,5 +96,5 @@ def _degrees(source: MapSource, low: Float64s, high: Float64s) -> list[float]:
     """Return a box as an option states it."""
     if source.origin_deg is None:
         return [float(v) for v in (low[0], -high[1], high[0], -low[1])]
-    scale = _metres_of_degree(source.origin_deg[1])
+    scale = metres_of_degree(source.origin_deg[1])
     return [float(v) for corner in (low, high) for v in corner / scale + source.origin_deg]

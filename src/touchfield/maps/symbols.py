@@ -20,6 +20,8 @@ from touchfield.arrays import Bools
 
 SHAPES: Final = ("line", "area", "point")
 FALLBACK_LANGUAGE: Final = "en"
+RELIEF: Final = "contour"
+"""Name of the symbol of relief, which is no class of features."""
 FILLS: Final = ("fill1", "fill2", "fill3", "fill4", "fill5")
 """Classes of the colours of a drawing."""
 
@@ -75,8 +77,7 @@ def _bits(rows: tuple[str, ...]) -> Bools:
 
 
 @cache
-def symbols() -> Mapping[str, Symbol]:
-    """Return all classes by name, the most important first."""
+def _table() -> Mapping[str, Symbol]:
     text = (resources.files("touchfield.maps") / "symbols.toml").read_text("utf-8")
     found = []
     for name, row in tomllib.loads(text).items():
@@ -85,6 +86,22 @@ def symbols() -> Mapping[str, Symbol]:
         }
         found.append(Symbol(name=name, **values))
     return MappingProxyType({symbol.name: symbol for symbol in sorted(found, key=lambda s: s.priority)})
+
+
+@cache
+def symbols() -> Mapping[str, Symbol]:
+    """Return all classes of features by name, the most important first."""
+    return MappingProxyType({name: symbol for name, symbol in _table().items() if name != RELIEF})
+
+
+def symbol_of(kind: str) -> Symbol | None:
+    """Return the symbol of a class of features, or of relief; None if there is none of this name."""
+    return _table().get(kind)
+
+
+def relief_symbol() -> Symbol:
+    """Return the symbol of relief; its title has the field ``interval_m``."""
+    return _table()[RELIEF]
 
 
 @cache

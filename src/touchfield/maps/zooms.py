@@ -20,6 +20,7 @@ from touchfield.maps.features import Feature
 from touchfield.maps.guidelines import PinRules
 from touchfield.maps.layout import Drawn, draw, told_apart
 from touchfield.maps.pins import Window
+from touchfield.maps.relief import Relief
 
 MAX_LEVELS: Final = 6
 DEFAULT_LEVELS: Final = 4
@@ -88,12 +89,14 @@ def draw_levels(
     whole: tuple[Window, Drawn],
     braille: Braille | None,
     count: int | None,
+    relief: Relief | None = None,
 ) -> tuple[tuple[Level, ...], tuple[str, ...]]:
     """Draw `count` zoom levels of a map; returns them and notes.
 
     `box` is the part of the map that is shown, `whole` the window of all of it and what was drawn there, the
     first level. None draws up to `DEFAULT_LEVELS`, until one shows every feature and name. There are fewer
-    if more than `MAX_VIEWS` views, `MAX_FEATURES_DRAWN` or `MAX_POINTS_DRAWN` were necessary.
+    if more than `MAX_VIEWS` views, `MAX_FEATURES_DRAWN` or `MAX_POINTS_DRAWN` were necessary. `relief` is
+    drawn on every level.
     """
     window, drawn = whole
     levels = [Level(ViewGrid.over(*box, window, 0), (drawn,))]
@@ -111,7 +114,7 @@ def draw_levels(
         points_drawn += sum(int(shown.points[indices].sum()) for indices in selected)
         if features_drawn > MAX_FEATURES_DRAWN or points_drawn > MAX_POINTS_DRAWN:
             return tuple(levels), (_limited(zoom, f"{features_drawn} features in its views"),)
-        levels.append(Level(grid, _views(grid, shown, selected, drawn.layout.rules, braille)))
+        levels.append(Level(grid, _views(grid, shown, selected, (drawn.layout.rules, braille), relief)))
     return tuple(levels), ()
 
 
@@ -123,11 +126,11 @@ def _views(
     grid: ViewGrid,
     shown: _Extents,
     selected: Sequence[Sequence[int]],
-    rules: PinRules,
-    braille: Braille | None,
+    style: tuple[PinRules, Braille | None],
+    relief: Relief | None,
 ) -> tuple[Drawn, ...]:
     return tuple(
-        draw([shown.features[n] for n in indices], window, rules, braille)
+        draw([shown.features[n] for n in indices], window, *style, relief)
         for window, indices in zip(grid.windows(), selected)
     )
 

@@ -20,6 +20,7 @@ from typing import Any, Final
 from touchfield.atomic import atomic_path
 from touchfield.compute.threads import Progress, silent
 from touchfield.container import TouchReader
+from touchfield.container.map_record import MAP_LEFT_OUT
 from touchfield.container.records import OBJECTS_CODER
 from touchfield.errors import InvalidArgument, warn_unbounded
 from touchfield.files import refuse_overwriting
@@ -118,7 +119,7 @@ def mux(
         seconds = reader.head.frame_count / reader.head.rate_hz
         if kind == ".mpd":
             names = write_dash(source, Path(stream), out, at_s, 8 * reader.size / seconds)
-            return Muxed(str(out), len(reader.segments), reader.size, seconds, at_s, names)
+            return Muxed(str(out), len(reader.segments), reader.size, seconds, at_s, names)  # the whole file
         zero_s, picture_s = _starts_s(source)
         start_s = zero_s + at_s - picture_s
         touch = _Touch(reader, zero_s + at_s, start_s)
@@ -127,7 +128,8 @@ def mux(
             with atomic_path(sidecar) as temporary:
                 temporary.write_bytes(_with_sync(reader, start_s))
     files = () if sidecar is None else (str(sidecar),)
-    return Muxed(str(out), len(reader.segments), sizes[0], seconds, at_s, names, files)
+    notes = (f"{Path(stream).name}: {MAP_LEFT_OUT}",) if reader.has_map else ()
+    return Muxed(str(out), len(reader.segments), sizes[0], seconds, at_s, names, files, notes)
 
 
 def mux_streams(

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy import ndimage
 
 from touchfield.arrays import Float64s, Int32s, Int64s
 from touchfield.container.map_record import (
@@ -21,7 +23,7 @@ from touchfield.container.map_record import (
     ViewSymbol,
     encode_view,
 )
-from touchfield.maps.board import FREE
+from touchfield.maps.board import AROUND, FREE
 from touchfield.maps.features import Feature, MapSource
 from touchfield.maps.labels import Translator
 from touchfield.maps.layout import Drawn
@@ -34,34 +36,46 @@ _Key = tuple[str, str]
 """Class and name."""
 
 
+@dataclass(frozen=True)
+class MapTexts:
+    """Texts of a map.
+
+    title : str; Its name.
+    language : str; Language of the titles and of the Braille.
+    classes : mapping of str to str; Title of each class.
+    """
+
+    title: str
+    language: str
+    classes: Mapping[str, str]
+
+
 def map_record(
     read: MapSource,
     box: tuple[Float64s, Float64s],
     levels: Sequence[Level],
-    title: str,
-    language: str,
+    texts: MapTexts,
     braille: Translator | None,
 ) -> tuple[TactileMap, tuple[str, ...]]:
     """Return the record of a map that was drawn, and notes on what the index leaves out.
 
-    `box` is the part of the map that is shown, and `language` that of the Braille.
+    `box` is the part of the map that is shown.
     """
     tables, layout = _Tables(), levels[0].views[0].layout
     views = tuple(_view(drawn, tables) for level in levels for drawn in level.views)
     places, notes = _places(read, box, levels, tables)
-    language = language if braille else ""
     rows, columns = layout.raised.shape
     record = TactileMap(
         version=VERSION,
-        title=_shortened(title),
+        title=_shortened(texts.title),
         attribution=_shortened(read.attribution),
-        language=language[:64],
+        language=texts.language[:64] if braille else "",
         is_drawing=int(read.origin_deg is None),
         origin_deg=read.origin_deg or (0.0, 0.0),
         rows=rows,
         columns=columns,
         pitch_mm=layout.rules.pitch_mm,
-        kinds=tuple(_kind(name, language, braille) for name in tables.kinds),
+        kinds=tuple(_kind(name, texts.classes, braille) for name in tables.kinds),
         names=tuple(MapName(text=text, cells=_cells(text, braille)) for text in tables.names),
         places=places,
         levels=tuple(_level(level) for level in levels),
@@ -90,8 +104,8 @@ def _shortened(text: str) -> str:
     return plain.encode("utf-8", "replace")[:256].decode("utf-8", "ignore")
 
 
-def _kind(name: str, language: str, braille: Translator | None) -> MapKind:
-    title = symbols()[name].titled(language) if name in symbols() else name
+def _kind(name: str, titles: Mapping[str, str], braille: Translator | None) -> MapKind:
+    title = titles.get(name, name)
     return MapKind(name=name, title=title, cells=_cells(title, braille))
 
 
@@ -169,7 +183,7 @@ def _places(
     read: MapSource, box: tuple[Float64s, Float64s], levels: Sequence[Level], tables: _Tables
 ) -> tuple[tuple[MapPlace, ...], tuple[str, ...]]:
     """Return the index, by the order of the file, and notes."""
-    boxes = _boxes(read.features, box)
+    boxes = _boxes(read.features, box, levels[0])
     kept = boxes[:MAX_NAMES]
     first = _first_levels(kept, levels)
     places = tuple(
@@ -187,10 +201,14 @@ def _places(
 
 
 def _boxes(
-    features: Sequence[Feature], box: tuple[Float64s, Float64s]
+    features: Sequence[Feature], box: tuple[Float64s, Float64s], level: Level
 ) -> list[tuple[_Key, Float64s, Float64s]]:
-    """Return the boxes of the named features within a box; lines and areas of one class and name are one."""
-    boxes: dict[tuple[str, str, int], tuple[Float64s, Float64s]] = {}
+    """Return the boxes of the named features within a box, by the order of the file.
+
+    Lines and areas of one class and name are one place where they are within a fingertip on `level`, the
+    first one.
+    """
+    ends: dict[tuple[str, str, int], list[tuple[int, Float64s, Float64s]]] = {}
     for n, feature in enumerate(features):
         if not feature.name:
             continue
@@ -198,12 +216,43 @@ def _boxes(
         high = np.max([part.max(axis=0) for part in feature.parts], axis=0)
         if (low > box[1]).any() or (high < box[0]).any():
             continue
-        low, high = np.maximum(low, box[0]), np.minimum(high, box[1])
         key = (feature.kind, feature.name, n if feature.shape == "point" else -1)
-        if key in boxes:
-            low, high = np.minimum(low, boxes[key][0]), np.maximum(high, boxes[key][1])
-        boxes[key] = low, high
-    return [((kind, name), low, high) for (kind, name, _), (low, high) in boxes.items()]
+        ends.setdefault(key, []).append((n, np.maximum(low, box[0]), np.minimum(high, box[1])))
+    found = [
+        (group[0][0], (kind, name), *_joined([low for _, low, _ in group], [high for _, _, high in group]))
+        for (kind, name, _), members in ends.items()
+        for group in _near_groups(members, level)
+    ]
+    return [(key, low, high) for _, key, low, high in sorted(found, key=lambda place: place[0])]
+
+
+def _joined(lows: Sequence[Float64s], highs: Sequence[Float64s]) -> tuple[Float64s, Float64s]:
+    return np.min(lows, axis=0), np.max(highs, axis=0)
+
+
+def _near_groups(
+    members: list[tuple[int, Float64s, Float64s]], level: Level
+) -> list[list[tuple[int, Float64s, Float64s]]]:
+    """Divide boxes into groups that are within a fingertip of each other on the pins of a level.
+
+    On pins, because the time is then bounded however many boxes there are.
+    """
+    if len(members) == 1:
+        return [members]
+    window, reach = level.grid.first, level.views[0].layout.rules.displacement_pins / 2
+    covered = np.zeros((window.rows, window.columns), np.bool_)
+    corners = []
+    for _, low, high in members:
+        top, left = window.to_pins(np.array([[low[0], high[1]]]))[0] - reach
+        bottom, right = window.to_pins(np.array([[high[0], low[1]]]))[0] + reach
+        first = max(round(top), 0), max(round(left), 0)
+        covered[first[0] : max(round(bottom), 0) + 1, first[1] : max(round(right), 0) + 1] = True
+        corners.append((min(first[0], window.rows - 1), min(first[1], window.columns - 1)))
+    part_of = ndimage.label(covered, AROUND)[0]
+    groups: dict[int, list[tuple[int, Float64s, Float64s]]] = {}
+    for corner, member in zip(corners, members):
+        groups.setdefault(int(part_of[corner]), []).append(member)
+    return list(groups.values())
 
 
 def _first_levels(places: Sequence[tuple[_Key, Float64s, Float64s]], levels: Sequence[Level]) -> list[int]:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from touchfield.compute.cuda import needs_gpu
 from touchfield.container import TouchReader
+from touchfield.container.map_record import MAP_LEFT_OUT
 from touchfield.container.remote import is_remote
 from touchfield.devices import Device, device
 from touchfield.errors import InvalidArgument
@@ -167,6 +168,8 @@ class StreamScene(FixedLatticeScene):
         notes = (
             "A .touch file keeps its own device, lattice and placement; options of the scene do nothing.",
         )
+        if reader.has_map:
+            notes += (f"{reader.name}: {MAP_LEFT_OUT}",)
         super().__init__(stream.medium, stream.declared_device, notes, stream.placement, stream.scene)
 
 

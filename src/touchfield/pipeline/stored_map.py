@@ -219,7 +219,8 @@ class StoredMap:
         felt = Layout(
             layout.raised, layout.owner, tuple(layout.symbols[n] for n in up if n >= 0), layout.rules
         )
-        lines = legend_lines(felt, self.labels(position), record.language)
+        titles = {kind.name: kind.title for kind in record.kinds}
+        lines = legend_lines(felt, self.labels(position), titles)
         pages, _ = legend_pages(lines, self, record.rows, record.columns, layout.rules)
         return pages
 

@@ -17,6 +17,7 @@ from typing import Any, Final
 
 from touchfield.compute.threads import Progress, silent
 from touchfield.container import TouchReader
+from touchfield.container.map_record import MAP_LEFT_OUT
 from touchfield.errors import InvalidArgument, require_between, require_ending, require_not_negative
 from touchfield.files import refuse_overwriting
 from touchfield.filters.edit import cross_fade, edit_medium
@@ -113,7 +114,7 @@ def _map_notes(sources: Sequence[str | Path]) -> tuple[str, ...]:
     for path in files:
         with TouchReader(path) as reader:
             if reader.has_map:
-                notes.append(f"{path.name}: the zoom levels and names of the map are left out")
+                notes.append(f"{path.name}: {MAP_LEFT_OUT}")
     return tuple(notes)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from scipy import ndimage
 
 from touchfield.arrays import Bools, Float64s
 from touchfield.atomic import atomic_path
@@ -21,16 +22,17 @@ from touchfield.exchange.symbolic import ArrayEffect, effect_medium
 from touchfield.filters.device_spec import device_grid
 from touchfield.maps.braille import Braille
 from touchfield.maps.check import Checked, check
-from touchfield.maps.drawing import draw_report, relief_mm, write_stl, write_svg
+from touchfield.maps.drawing import draw_report, plate_mm, write_stl, write_svg
 from touchfield.maps.features import MapSource
 from touchfield.maps.guidelines import PinRules, guidelines
-from touchfield.maps.labels import LegendLine, legend_lines, legend_pages
+from touchfield.maps.labels import LegendLine, class_titles, legend_lines, legend_pages
 from touchfield.maps.layout import Drawn, draw
 from touchfield.maps.pins import Window
 from touchfield.maps.reader import box_of, on_level, read_map
+from touchfield.maps.relief import MAX_HEIGHTS, Relief, read_relief
 from touchfield.maps.zooms import MAX_LEVELS, Level, draw_levels
 from touchfield.pipeline.encoding import encode_prepared
-from touchfield.pipeline.map_index import map_record
+from touchfield.pipeline.map_index import MapTexts, map_record
 from touchfield.pipeline.preparation import prepare
 from touchfield.pipeline.provenance import file_provenance
 from touchfield.pipeline.source import FixedLatticeScene
@@ -55,6 +57,9 @@ class MapSpec:
     level : str or None; The floor of a building.
     language : str; Of the Braille: a key of `touchfield.maps.braille.TABLES`, or a table of liblouis.
     has_labels : bool; False draws symbols only.
+    relief : path or None; Heights of the land beneath the map, such as a GeoTIFF in degrees.
+    interval_m : float or None; Difference in height of neighbouring contour lines. None takes one that gives
+        few lines.
     zooms : int or None; Zoom levels for a display, 1 to `touchfield.maps.zooms.MAX_LEVELS`. None makes
         as many as show every feature and name, at most `touchfield.maps.zooms.DEFAULT_LEVELS`.
     """
@@ -65,8 +70,13 @@ class MapSpec:
     language: str = "en"
     has_labels: bool = True
     zooms: int | None = None
+    relief: str | Path | None = None
+    interval_m: float | None = None
 
     def __post_init__(self) -> None:
+        if self.interval_m is not None and self.relief is None:
+            found = f"{self.interval_m:g} m without a relief"
+            raise InvalidArgument("--interval-m", found, "heights for contour lines: --relief DEM.tif")
         if self.zooms is not None:
             require_between(1, MAX_LEVELS, zooms=self.zooms)
 
@@ -134,24 +144,31 @@ def make_map(
     box = box_of(read, spec.box)
     window = Window.around(*box, rows, columns)
     braille = _braille(read, spec, rules)
-    drawn = draw(read.features, window, rules, braille)
+    relief, relief_notes = _relief(read, window, spec)
+    drawn = draw(read.features, window, rules, braille, relief)
     if not drawn.layout.symbols:
         found = f"nothing that is large enough for {rows} x {columns} pins"
         raise SourceError(str(source), found, "a feature of a line's or a symbol's size", _SMALLER)
-    lines = legend_lines(drawn.layout, drawn.labels, spec.language) if braille else ()
+    titles = class_titles(spec.language, relief.interval_m if relief else None)
+    lines = legend_lines(drawn.layout, drawn.labels, titles) if braille else ()
     pages, page_notes = legend_pages(lines, braille, rows, columns, rules) if braille else ((), ())
     title = read.title or Path(source).name
-    levels, zoom_notes = _levels(read, box, (window, drawn), braille, spec, target)
-    record, index_notes = map_record(read, box, levels, title, spec.language, braille)
-    files = _write(path, drawn, pages, target, source, record)
+    levels, zoom_notes = _levels(read, box, (window, drawn), braille, spec, target, relief)
+    record, index_notes = map_record(read, box, levels, MapTexts(title, spec.language, titles), braille)
+    heights_m = relief.under_m(window) if relief else None
+    files = _write(path, drawn, pages, target, source, record, heights_m)
     if svg is not None:
         write_svg(Path(svg), drawn.layout, pages, lines, title, read.attribution)
         files += (Path(svg),)
     if stl is not None:
-        write_stl(Path(stl), drawn.layout)
+        write_stl(Path(stl), drawn.layout, _land_mm(heights_m, "print_relief_mm"))
         files += (Path(stl),)
     checked = check(drawn.layout)
     figures = _figures(read, window, target, drawn, checked, lines, files) | {"title": title}
+    if relief is not None:
+        figures |= {"relief": _relief_figures(relief, drawn)}
+        has_land = stl is not None or not target.is_array
+        relief_notes += _relief_notes(relief, levels, has_land=has_land)
     if target.is_array:
         figures |= _level_figures(levels, record)
     elsewhere = figures["violations"] - len(checked.violations)
@@ -159,9 +176,8 @@ def make_map(
         zoom_notes += (f"Against the guidelines: {elsewhere} violations in the views of the zoom levels.",)
     pages_left_out = bool(pages) and not target.is_array
     notes = _notes(read, drawn, checked, braille, pages_left_out=pages_left_out)
-    return MadeMap(
-        drawn, checked, pages, lines, files, figures, (*notes, *zoom_notes, *index_notes, *page_notes)
-    )
+    notes += (*relief_notes, *zoom_notes, *index_notes, *page_notes)
+    return MadeMap(drawn, checked, pages, lines, files, figures, notes)
 
 
 _SMALLER: Final = "Draw a smaller part: --box."
@@ -196,10 +212,11 @@ def _levels(
     braille: Braille | None,
     spec: MapSpec,
     target: Device,
+    relief: Relief | None,
 ) -> tuple[tuple[Level, ...], tuple[str, ...]]:
     """Draw the zoom levels of a map for a display; a point device shows the whole map only."""
     if target.is_array:
-        return draw_levels(read.features, box, whole, braille, spec.zooms)
+        return draw_levels(read.features, box, whole, braille, spec.zooms, relief)
     levels, _ = draw_levels(read.features, box, whole, braille, 1)
     note = f"{target.name}, a point device, shows the whole map: zoom levels are for pin displays."
     return levels, (note,) if (spec.zooms or 1) > 1 else ()
@@ -212,9 +229,11 @@ def _write(
     target: Device,
     source: str | Path,
     record: TactileMap,
+    heights_m: Float64s | None,
 ) -> tuple[Path, ...]:
     if not target.is_array:
-        heights_mm, spacing_mm = relief_mm(drawn.layout, POINT_HEIGHT_MM, 0.0)
+        land_mm = _land_mm(heights_m, "point_relief_mm")
+        heights_mm, spacing_mm = plate_mm(drawn.layout, POINT_HEIGHT_MM, land_mm, 0.0)
         scene = HeightScene(heights_mm / 1000, (spacing_mm / 1000,) * 2, name=Path(source).name)
         prepared = prepare(scene, EncodeSpec(device=target.name))
         encode_prepared(prepared, path, file_provenance(source, prepared))
@@ -236,6 +255,71 @@ def _write_pins(path: Path, pins: Bools, target: Device, source: str | Path) -> 
     spec = EncodeSpec(device=target.name, nw=None, touch=TouchSpec(mode="lossless"))
     prepared = prepare(scene, spec)
     encode_prepared(prepared, path, file_provenance(source, prepared))
+
+
+# -- relief ------------------------------------------------------------------------------------------------
+def _relief(read: MapSource, window: Window, spec: MapSpec) -> tuple[Relief | None, tuple[str, ...]]:
+    if spec.relief is None:
+        return None, ()
+    relief, notes = read_relief(spec.relief, read, window)
+    if spec.interval_m is not None:
+        relief.use_interval(spec.interval_m)
+    return relief, notes
+
+
+def _land_mm(heights_m: Float64s | None, rule: str) -> Float64s | None:
+    """Return heights under the pins as those of a plate, from 0 to the height of a rule, [rows, columns].
+
+    Where the land is unknown it has the height of the nearest pin that is known: an edge would be felt.
+    """
+    if heights_m is None:
+        return None
+    nearest = ndimage.distance_transform_edt(np.isnan(heights_m), return_distances=False, return_indices=True)
+    heights_m = heights_m[tuple(nearest)]
+    above_m = heights_m - heights_m.min()
+    range_m = max(float(above_m.max()), float(guidelines()["min_interval_m"].value))  # plains stay flat
+    return np.asarray(above_m * (float(guidelines()[rule].value) / range_m))
+
+
+def _relief_figures(relief: Relief, drawn: Drawn) -> dict[str, Any]:
+    pins, drawn_pins = drawn.contour_pins
+    return {
+        "low_m": relief.low_m,
+        "high_m": relief.high_m,
+        "interval_m": relief.interval_m,
+        "known_fraction": relief.known_fraction,
+        "contour_pins": f"{drawn_pins} of {pins}",
+    }
+
+
+def _relief_notes(relief: Relief, levels: tuple[Level, ...], *, has_land: bool) -> tuple[str, ...]:
+    notes = []
+    unknown, (pins, drawn_pins) = 1 - relief.known_fraction, levels[0].views[0].contour_pins
+    if unknown > 0:
+        instead = ", and the land is level with its edge" if has_land else ""
+        notes.append(
+            f"The relief is unknown under {_percent(unknown)} of the pins: no contour lines{instead}."
+        )
+    if not pins:
+        notes.append(
+            f"No contour line: heights of {relief.low_m:.6g} to {relief.high_m:.6g} m, an interval of "
+            f"{relief.interval_m:g} m (--interval-m)."
+        )
+    elif drawn_pins < pins:
+        notes.append(
+            f"{_percent(1 - drawn_pins / pins)} of the contour lines are left out on the whole map: they are "
+            "where symbols are, too close to others, or too short."
+        )
+    if relief.steep_views:
+        notes.append(
+            f"{relief.steep_views} views have no contour lines: more than {MAX_HEIGHTS} would cross them "
+            "(--interval-m)."
+        )
+    return tuple(notes)
+
+
+def _percent(fraction: float) -> str:
+    return f"{max(1, round(100 * fraction))} %"
 
 
 # -- report ------------------------------------------------------------------------------------------------

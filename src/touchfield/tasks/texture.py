@@ -13,7 +13,9 @@ from typing import Final
 import numpy as np
 
 from touchfield.arrays import Float64s
+from touchfield.atomic import atomic_path
 from touchfield.container import TouchReader, TouchWriter
+from touchfield.container.writer import with_map
 from touchfield.errors import InvalidArgument, require_ending, warn_unbounded
 from touchfield.perception.vibrotactile import BANDS_HZ, band_rms, dft321, handle_force_n
 from touchfield.pipeline.decoding import stream_of
@@ -184,7 +186,15 @@ def store_materials(stream: str | Path, materials: Sequence[Material], out: str 
     """
     require_ending(out, "OUT.touch")
     text = stored_json(materials)
-    with TouchReader(stream) as reader, TouchWriter(out) as writer:
+    with TouchReader(stream) as reader, atomic_path(out) as temporary:
+        _write_materials(reader, temporary, text)
+        tactile_map = reader.read_map()
+        if tactile_map is not None:
+            temporary.write_bytes(with_map(temporary.read_bytes(), tactile_map))
+
+
+def _write_materials(reader: TouchReader, out: Path, text: str) -> None:
+    with TouchWriter(out) as writer:
         warn_unbounded(stream_of(reader).error_bound().get("error_bound_note"))
         writer.write_head(reader.head, {**reader.provenance, KEY: text})
         for n in range(reader.object_count):

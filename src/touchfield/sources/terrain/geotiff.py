@@ -227,7 +227,7 @@ def reference_of(path: Path, tags: Mapping[int, Any]) -> GeoReference:
     is_elevation = bool(affine or keys or nodata or scale != 1 or offset or _GDAL_METADATA in tags)
     return GeoReference(
         affine, None, None, is_degrees, unit_m, vertical_m, scale, offset, nodata, is_elevation,
-        (*notes, *unit_notes, *height_notes, *_auxiliary_notes(path)),
+        (*notes, *unit_notes, *height_notes, *_auxiliary_notes(path)), epsg=_epsg(keys, is_degrees),
     )  # fmt: skip
 
 
@@ -249,6 +249,12 @@ def _is_degrees(keys: Mapping[int, float]) -> bool | None:
     if model is not None:
         return model == _GEOGRAPHIC
     return True if _GEOGRAPHIC_CRS in keys and _PROJECTED_CRS not in keys else None
+
+
+def _epsg(keys: Mapping[int, float], is_degrees: bool | None) -> int | None:
+    """Return the EPSG code of the coordinate system; None if it has none, or is defined by the file."""
+    code = int(keys.get(_GEOGRAPHIC_CRS if is_degrees else _PROJECTED_CRS, 0))
+    return code if 0 < code < _USER_DEFINED else None
 
 
 def _affine(tags: Mapping[int, Any]) -> tuple[Affine | None, tuple[str, ...]]:

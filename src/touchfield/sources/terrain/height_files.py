@@ -95,6 +95,18 @@ def scene_of_xarray(array: Any, options: SourceOptions | None = None) -> HeightS
     )
 
 
+def read_heights(path: Path) -> tuple[NDArray[Any], GeoReference]:
+    """Read a map of heights as it is stored, [rows, cols] or [frames, rows, cols], and what is stated of it.
+
+    Raises `SourceError` for an unknown ending, or a file that cannot be read.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in _READERS:
+        found = f"a file named {suffix or 'without suffix'}"
+        raise SourceError(str(path), found, ", ".join(_READERS))
+    return _READERS[suffix](path)
+
+
 def _recognise(path: Path) -> bool:
     suffix = path.suffix.lower()
     names = f"{path.parent.name}/{path.name}".lower()
@@ -119,11 +131,7 @@ def _recognise(path: Path) -> bool:
 
 
 def _open(path: Path, options: SourceOptions) -> Scene:
-    suffix = path.suffix.lower()
-    if suffix not in _READERS:
-        found = f"a file named {suffix or 'without suffix'}"
-        raise SourceError(str(path), found, ", ".join(_READERS))
-    return scene_of(path, *_READERS[suffix](path), options)
+    return scene_of(path, *read_heights(path), options)
 
 
 KIND = SourceKind(

@@ -70,6 +70,7 @@ class GeoReference(NamedTuple):
     `unit_m` metres unless they are degrees. A height is (value * scale + offset) units of `vertical_unit_m`
     metres; `nodata` are values that mark gaps. `is_elevation` is False for a picture without any of these.
     `affine` and `cell` are those of the file also where a `reduction` left fewer samples, with gaps as NaN.
+    `epsg` is the code of the coordinate system, where it has one.
     """
 
     affine: Affine | None = None
@@ -84,6 +85,7 @@ class GeoReference(NamedTuple):
     is_elevation: bool = True
     notes: tuple[str, ...] = ()
     reduction: Reduction | None = None
+    epsg: int | None = None
 
     @property
     def factor(self) -> Pair:
@@ -122,6 +124,26 @@ def scene_of(
     rate_hz, factor = options.rate_hz or 30.0, options.exaggeration
     with as_source_error(f"{path}, "):
         return HeightScene(heights, cell_m, exaggeration=factor, rate_hz=rate_hz, notes=notes, name=str(path))
+
+
+def stated_heights(
+    path: Path, values: NDArray[Any], reference: GeoReference
+) -> tuple[Heights, tuple[str, ...]]:
+    """Return the heights that a file states, metres, in its own directions and NaN in gaps; and notes.
+
+    Raises `SourceError`, which names `path`, for a picture without a scale of heights.
+    """
+    if not reference.is_elevation:
+        mend = "Write the heights as a GeoTIFF."
+        raise SourceError(str(path), "a picture without a scale of heights", "an elevation model", mend)
+    heights = as_heights(values)
+    for value in reference.nodata:
+        heights[is_marked_gap(heights, value)] = np.nan
+    notes = leave_out_stand_ins(heights) if reference.reduction is None else ()
+    scale, offset = reference.scale, reference.offset
+    if scale != 1 or offset != 0:
+        notes += (f"Heights are stored values times {scale:g} plus {offset:g}, as the file states.",)
+    return (heights.astype(np.float64) * scale + offset) * reference.vertical_unit_m, notes
 
 
 def as_heights(values: NDArray[Any]) -> Heights:
