@@ -165,7 +165,7 @@ class StreamScene(FixedLatticeScene):
         reader = TouchReader(path)
         stream = stream_of(reader)
         self.head, self.file_bytes = reader.head, reader.size
-        notes = (
+        notes: tuple[str, ...] = (
             "A .touch file keeps its own device, lattice and placement; options of the scene do nothing.",
         )
         if reader.has_map:

@@ -186,7 +186,7 @@ def store_materials(stream: str | Path, materials: Sequence[Material], out: str 
     """
     require_ending(out, "OUT.touch")
     text = stored_json(materials)
-    with TouchReader(stream) as reader, atomic_path(out) as temporary:
+    with TouchReader(stream) as reader, atomic_path(Path(out)) as temporary:
         _write_materials(reader, temporary, text)
         tactile_map = reader.read_map()
         if tactile_map is not None:
