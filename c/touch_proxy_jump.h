@@ -3,7 +3,8 @@
    The force changes at once by as much as the field itself changes at the hand: along that change, and in other directions as
    far as the hand moves. The rest of a change is owed. It comes with time, and with the motion of the hand by K per metre,
    less half of what the field may pass on: in full where it works against the motion, half where it lies across it, and not
-   where it works along it, so that it drives no hand. */
+   where it works along it, so that it drives no hand. In free space of a medium of one frame it comes with motion in any
+   direction, as after a slip round a rim: no wall can come back there that it would have softened. */
 #ifndef TOUCH_PROXY_JUMP_H
 #define TOUCH_PROXY_JUMP_H
 
@@ -35,11 +36,18 @@ static inline touch_vector touch_shortened(touch_vector v, double length) {
     return size > length ? touch_scale(1.0 - length / size, v) : touch_zero();
 }
 
+/* True if neither a surface nor the field holds the hand, and the medium does not change, so that none will while it rests. */
+static inline int touch_is_free_for_good(const touch_isosurface *s, touch_vector stored_n) {
+    if (s->receiver->layout.frame_count > 1 || s->receiver->state.proxy.is_in_contact) return 0;
+    return touch_magnitude(stored_n) < TOUCH_PROXY_FREE_LEVELS * s->level_n;
+}
+
 /* How much of what is owed comes with the motion of the hand, N, where the force changed by `passed_n` at once. */
 static inline double touch_given_by_motion(const touch_isosurface *s, touch_vector hand_m, touch_vector owed_n,
-                                           double passed_n) {
+                                           double passed_n, int is_free) {
     double size_n = touch_magnitude(owed_n);
     if (!(size_n > 0.0)) return 0.0;
+    if (is_free) return s->stiffness_n_per_m * touch_magnitude(hand_m);
     double along_m = touch_dot(hand_m, owed_n) / size_n;
     double against_m = 0.5 * (touch_magnitude(hand_m) - along_m);
     return touch_fmax(0.0, s->stiffness_n_per_m * against_m - TOUCH_PROXY_EASE_PASSED * passed_n);
@@ -68,7 +76,8 @@ static inline void touch_ease_jump(const touch_isosurface *s, const touch_contac
     touch_vector at_once_n = within_n; /* in no time, at a seam, which fades */
     if (dt_s > 0.0) at_once_n = touch_passed_change(s, motion->hand_m, within_n, own_n);
     touch_vector owed_n = touch_add(proxy->eased_n, touch_subtract(change_n, at_once_n));
-    owed_n = touch_shortened(owed_n, touch_given_by_motion(s, motion->hand_m, owed_n, passed_n));
+    int is_free = touch_is_free_for_good(s, stored_n);
+    owed_n = touch_shortened(owed_n, touch_given_by_motion(s, motion->hand_m, owed_n, passed_n, is_free));
     double given_n_per_s = touch_fmin(touch_magnitude(owed_n) / TOUCH_PROXY_EASE_SMALL_S, s->large_n / TOUCH_PROXY_EASE_S);
     proxy->eased_n = touch_shortened(owed_n, given_n_per_s * dt_s);
 }

@@ -154,6 +154,24 @@ def test_a_hand_that_slides_off_is_released_once(shape: Box | Sphere) -> None:
     assert releases > 30
 
 
+def test_a_hand_that_slips_round_a_rim_feels_nothing_in_free_space() -> None:
+    """It was braked for 0.7 s by what was still owed from the plate."""
+    field, rim_m = field_of(Box((0.0, 0.0, 0.0), (0.0025, 0.03, 0.02))), np.array([0.006, 0.0, -0.018])
+    rendered = Held(field)
+
+    def push(t: float, hand_m: np.ndarray) -> np.ndarray:
+        """A spring of 200 N/m, whose end goes straight into the plate."""
+        way_m = min(1.0, t / 0.4) * (0.0035 + 2.4 / 200.0)
+        return 200.0 * (rim_m - np.array([way_m, 0.0, 0.0]) - hand_m)
+
+    hand, forces, proxy = rendered.pushed(rim_m, push, 1.5)
+    is_free = (hand[:, 0] < -0.003) & (np.linalg.norm(proxy - hand, axis=1) < 1e-6)
+    is_free &= np.linalg.norm(field.sample_n(hand), axis=1) < 0.4 * rendered.wall.level_n
+    first = np.flatnonzero(is_free)[0]
+    is_felt = is_free & (np.linalg.norm(forces, axis=1) > rendered.wall.level_n)
+    assert is_free[-1] and not is_felt[first + 100 :].any()
+
+
 @pytest.mark.parametrize("thickness_mm", [1, 2, 5])
 def test_a_thin_plate_is_little_stiffer_than_its_field(thickness_mm: int) -> None:
     """Behind the middle of a plate the stored force falls, and that of the proxy's spring takes over."""
