@@ -34,7 +34,7 @@ _WALL: Final = ForceProfile(((-2 * SPACING_M, SPACING_M, 1.0, 0.0),))
 _IJK: Final = np.indices((BRICK,) * 3).reshape(3, -1).T  # [512, 3]
 _BODY_ROWS: Final = slice(9, 24)  # samples from 0.3 to 1.5 m above the ground
 _MIN_KNOWN: Final = 0.95
-_CHANGE_S: Final = 3.0  # what has not moved for so long stands
+_CHANGE_S: Final = 3.0  # what was seen for so long without a change stands
 _FEET_M, _MAX_RAISED_M, _MIN_FLOOR_SAMPLES = 0.4, 0.45, 8
 
 
@@ -90,7 +90,8 @@ class Memory:
         placed = _moved(points, wearer_from_anchor)
         placed[:, 1] -= _standing_m(placed)
         self._note_changes(samples.changes, now_s)
-        has_changed = now_s - self._changed_s[rows, inner] <= _CHANGE_S
+        last_seen_s = self._seen_s[index[:, 0], index[:, 2]]
+        has_changed = last_seen_s - self._changed_s[rows, inner] <= _CHANGE_S
         columns = index[:, [0, 2]]
         is_body = placed[:, 1] > MIN_BODY_M
         self._movers.update(columns[is_body], has_changed[is_body], self._seen_s == now_s, now_s)
