@@ -6,8 +6,9 @@ around it, relative to that depth. Right poses of a Kinect or a renderer leave a
 86 to 98 % of the points within `TOLERANCE` (docs/depth-sequences.md); wrong ones leave 0 to 58 %.
 
 The pairs of pictures are chosen by depth alone: far enough apart for the view to have changed, near enough to
-overlap. Poses that disagree are read in the other ways of `pose_form`, and in other units; a reading fits if
-most points agree under it.
+overlap. Pictures of a corridor look alike wherever they are taken; if a pair sees nothing in common under the
+poses, nearer ones are compared. Poses that disagree are read in the other ways of `pose_form`, and in other
+units; a reading fits if most points agree under it.
 """
 
 from __future__ import annotations
