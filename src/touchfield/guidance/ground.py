@@ -24,7 +24,7 @@ from typing import Final
 import numpy as np
 
 from touchfield.arrays import Float32s, Float64s
-from touchfield.guidance.parallel import parallel_normal, parallel_scores, plane_height_m
+from touchfield.guidance.parallel import parallel_normal, parallel_scores, plane_height_m, tolerance_m
 from touchfield.guidance.spec import GuideSpec
 
 MAX_LOST_S: Final = 1.0
@@ -45,7 +45,6 @@ _BASELINE_PX: Final = 3  # on both sides of a pixel, for its normal
 _LEVEL_COSINE: Final = math.cos(math.radians(35.0))
 _MAX_OTHER_M: Final = 0.7  # between the ground and other level surfaces
 _FOLLOW: Final = 0.03  # weight of a new height in the mean: within a step of 0.3 s the mean stays
-_TOLERANCE_M, _NOISE_PER_M = 0.015, 0.003
 
 
 @dataclass(frozen=True)
@@ -129,16 +128,16 @@ class GroundFinder:
         if not len(ups):
             return None
         above_m = some @ ups.T + heights
-        tolerance_m = _tolerance_m(some)[:, None]
+        margin_m = tolerance_m(some)[:, None]
         weight = 1 / some[:, 2:]  # the wearer stands on the nearest of two grounds
-        scores = ((np.abs(above_m) < tolerance_m) * weight).sum(axis=0)
-        scores -= _BELOW_WEIGHT * ((above_m < -2 * tolerance_m) * weight).sum(axis=0)
+        scores = ((np.abs(above_m) < margin_m) * weight).sum(axis=0)
+        scores -= _BELOW_WEIGHT * ((above_m < -2 * margin_m) * weight).sum(axis=0)
         best = int(np.argmax(scores))
         ground = _refined(low, Ground(ups[best], float(heights[best])))
         is_level = ground is not None and ground.up @ expected_up >= math.cos(math.radians(tilt_deg))
         if ground is None or not is_level or not heights_m[0] <= ground.height_m <= heights_m[1]:
             return None
-        inliers = np.abs(low @ ground.up + ground.height_m) < _tolerance_m(low)
+        inliers = np.abs(low @ ground.up + ground.height_m) < tolerance_m(low)
         min_inliers = max(_MIN_POINTS, _MIN_FRACTION * points[..., 0].size)
         return ground if np.count_nonzero(inliers) >= min_inliers else None
 
@@ -199,15 +198,10 @@ def _level_points(points: Float32s, up: Float64s, min_below_m: float) -> Float64
     return np.asarray(middle[is_low][np.abs(cosines) > _LEVEL_COSINE], np.float64)
 
 
-def _tolerance_m(points: Float64s) -> Float64s:
-    """Return how far a point of the ground may lie from its plane: the noise grows with the square."""
-    return np.asarray(_TOLERANCE_M + _NOISE_PER_M * points[:, 2] ** 2)
-
-
 def _refined(points: Float64s, ground: Ground) -> Ground | None:
     """Fit the plane to its inliers by least squares, twice; None if these do not determine it."""
     for _ in range(2):
-        inliers = points[np.abs(points @ ground.up + ground.height_m) < _tolerance_m(points)]
+        inliers = points[np.abs(points @ ground.up + ground.height_m) < tolerance_m(points)]
         if len(inliers) < _MIN_POINTS:
             return None
         centre = inliers.mean(axis=0)

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from touchfield.arrays import Bools, Float64s
+from touchfield.arrays import Float64s
 
 _BIN_M: Final = 0.015
 _BINS: Final = 121  # up to 0.9 m above and below
@@ -63,11 +63,16 @@ def plane_height_m(
     windows = _histograms((heights - expected_m)[:, None], 1 / points[:, 2])[0]
     offsets = (np.arange(_BINS) - _MIDDLE) * _BIN_M
     windows[np.abs(offsets) > range_m] = 0
-    is_inlier = _is_within(points, heights - expected_m - offsets[np.argmax(windows)])
+    is_inlier = np.abs(heights - expected_m - offsets[np.argmax(windows)]) < tolerance_m(points)
     if np.count_nonzero(is_inlier) < min_points:
         return None
     height_m = float(heights[is_inlier].mean())
     return height_m if abs(height_m - expected_m) <= range_m else None
+
+
+def tolerance_m(points: Float64s) -> Float64s:
+    """Return how far a point may lie from its plane: the noise grows with the square of the distance."""
+    return np.asarray(_TOLERANCE_M + _NOISE_PER_M * points[:, 2] ** 2)
 
 
 def _largest_groups(points: Float64s, up: Float64s) -> list[Float64s]:
@@ -78,14 +83,10 @@ def _largest_groups(points: Float64s, up: Float64s) -> list[Float64s]:
     groups = []
     for _ in range(2):
         best = int(np.argmax(windows))
-        groups.append(points[_is_within(points, heights - middle_m - (best - _MIDDLE) * _BIN_M)])
+        offsets_m = heights - middle_m - (best - _MIDDLE) * _BIN_M
+        groups.append(points[np.abs(offsets_m) < tolerance_m(points)])
         _exclude(windows, best)
     return [group for group in groups if len(group) >= _MIN_POINTS]
-
-
-def _is_within(points: Float64s, offsets_m: Float64s) -> Bools:
-    """Return which points lie in a plane from which they are `offsets_m` away: the noise grows."""
-    return np.asarray(np.abs(offsets_m) < _TOLERANCE_M + _NOISE_PER_M * points[:, 2] ** 2)
 
 
 def _exclude(windows: Float64s, middle: int) -> None:
