@@ -15,6 +15,7 @@ from touchfield.guidance.directions import MIN_SAMPLES, nearest_beside_m
 from touchfield.guidance.guide import State
 from touchfield.guidance.lost import HOLD_S, LostSurfaces
 from touchfield.guidance.movers import Movers
+from touchfield.guidance.parallel import parallel_normal, parallel_scores, plane_height_m
 
 
 def turned_away(speed_m_s: float) -> list[Situation]:
@@ -39,6 +40,16 @@ def test_who_stands_is_remembered() -> None:
     for n in range(75):
         pose = pose_at(0, 0, float(np.clip(4.0 * (n - 30), 0, 80)))
         situation = guide.update(picture([*HALL, person], pose, n), n / 30, makers.as_pose(pose))
+    assert situation.states[2] == State.NEAR
+
+
+def test_who_walked_and_stands_for_some_seconds_is_remembered() -> None:
+    guide = Guide(CAMERA, *SIZE)
+    person = cylinder(0.0, 2.9, 0.22, 1.7, "person", -0.8)
+    for n in range(75):
+        pose = pose_at(0, 0, float(np.clip(6.0 * (n - 55), 0, 80)))
+        seen = picture([*HALL, person.at(min(n, 15) / 10)], pose, n)
+        situation = guide.update(seen, n / 10, makers.as_pose(pose))
     assert situation.states[2] == State.NEAR
 
 
@@ -98,3 +109,35 @@ def test_the_ground_stays_level_before_a_raised_floor() -> None:
         up = pose[:3, :3].T @ [0, 1, 0]
         assert ground.up @ up > math.cos(math.radians(1.0)), n
         assert ground.height_m == pytest.approx(pose[1, 3], abs=0.04)
+
+
+@pytest.mark.parametrize("low_m", [2.0, 2.3])
+def test_a_raised_floor_is_no_obstacle_without_poses(low_m: float) -> None:
+    """The wearer steps up and down again; the floor is never near, and the camera bobs by 2 degrees."""
+    bodies = [body for body in floors(0.15, low_m, low_m + 1.2) if body.kind == "floor"]
+    way, guide = Corridor(bodies, 3.0, 5.0), Guide(CAMERA, *SIZE)
+    shown = []
+    for n in range(75):
+        pose = way.pose(n / 15)
+        situation = guide.update(picture(bodies, pose, n), n / 15)
+        assert State.NEAR not in situation.states, n
+        assert situation.ground.up @ (pose[:3, :3].T @ [0, 1, 0]) > math.cos(math.radians(1.0)), n
+        if low_m + 0.2 < pose[2, 3] < low_m + 1.0:
+            shown.append(situation.ahead.drop_m < 2.2)
+    assert len(shown) > 10 and all(shown), "the lower floor ahead is no new ground"
+
+
+def test_a_floor_and_a_step_have_one_tilt() -> None:
+    """A single plane through both is tilted by 5 degrees."""
+    rng = np.random.default_rng(0)
+    x, z = rng.uniform(-1, 1, 3000), rng.uniform(1.4, 3.2, 3000)
+    y = 1.35 - np.where(z > 2.2, 0.15, 0.0) + 0.003 * rng.normal(size=3000)
+    points, tilted = np.stack([x, y, z], 1), np.array([0.0, -math.cos(0.05), -math.sin(0.05)])
+    level = np.array([0.0, -1.0, 0.0])
+    scores = parallel_scores(points, np.stack([level, tilted]), np.array([1.35, 1.45]))
+    assert scores[0] > 1.2 * scores[1]
+    up = parallel_normal(points, tilted)
+    assert up is not None and up @ level > math.cos(math.radians(0.1))
+    assert plane_height_m(points, up, 1.35, 0.07, 40) == pytest.approx(1.35, abs=0.003)
+    assert plane_height_m(points, up, 1.2, 0.07, 40) == pytest.approx(1.2, abs=0.003)
+    assert plane_height_m(points, up, 1.5, 0.07, 40) is None

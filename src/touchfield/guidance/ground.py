@@ -1,10 +1,15 @@
 """Finds the plane of the ground in the points of a depth picture, and with it the wearer's frame.
 
-Points whose surface is nearly level are selected. Planes through three random ones are scored by the points
-near them, less those below (RANSAC; Fischler and Bolles 1981); the best is refined by least squares. A plane
-is the ground if it is nearly level and at a height that fits: what the last frame and the poses predict, or
-else how the wearer carries the camera (`GuideSpec`). Without any ground for `MAX_LOST_S` the search starts
-anew.
+Points whose surface is nearly level are selected, and planes through three random ones are scored (RANSAC;
+Fischler and Bolles 1981). At the start, a plane scores by the points near it, less those below; the best is
+refined by least squares. It is the ground if it is nearly level and at a height at which a wearer carries the
+camera (`GuideSpec`).
+
+From then on the tilt and the height are found one after the other. The tilt is that of two parallel planes
+(`parallel`), near that of the last frame or of the poses. The height is that of the plane near the mean
+height of the camera, which is as far above a step as above the floor before. While no plane is there, as when
+a wearer steps up, the mean is used. After `MAX_LOST_S` without a tilt, or `MAX_UNSEEN_S` without a height,
+the search starts anew.
 
 The wearer's frame has x to the right, y up and z forward, where the camera looks (left-handed axes); its
 origin is the point of the ground below the camera.
@@ -13,16 +18,19 @@ origin is the point of the ground below the camera.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from touchfield.arrays import Float32s, Float64s
+from touchfield.guidance.parallel import parallel_normal, parallel_scores, plane_height_m, tolerance_m
 from touchfield.guidance.spec import GuideSpec
 
 MAX_LOST_S: Final = 1.0
-"""How long the last ground is used without a new one; a person falls from the predicted height later."""
+"""How long the last ground is used without any level surface; its tilt is unknown later."""
+MAX_UNSEEN_S: Final = 2.5
+"""How long the mean height is used without a plane there: longer than what is on a step takes to pass."""
 
 _HEIGHTS_M: Final = (0.4, 2.3)  # of a camera that a person wears
 _FREE_TILT_DEG, _NEXT_TILT_DEG = 30.0, 8.0  # from what is expected at the start, and from frame to frame
@@ -35,8 +43,8 @@ _MAX_GROUND_M: Final = 4.5  # farther away the noise of a depth camera is larger
 _BELOW_WEIGHT: Final = 0.6
 _BASELINE_PX: Final = 3  # on both sides of a pixel, for its normal
 _LEVEL_COSINE: Final = math.cos(math.radians(35.0))
-_FOLLOW: Final = 0.1  # weight of a new height in the expected one
-_TOLERANCE_M, _NOISE_PER_M = 0.015, 0.003
+_MAX_OTHER_M: Final = 0.7  # between the ground and other level surfaces
+_FOLLOW: Final = 0.03  # weight of a new height in the mean: within a step of 0.3 s the mean stays
 
 
 @dataclass(frozen=True)
@@ -75,8 +83,8 @@ class GroundFinder:
         self._level = np.array([0.0, -math.cos(pitch), -math.sin(pitch)])
         self._stated_m = spec.camera_height_m
         self._ground: Ground | None = None
-        self._seen_s = -math.inf
-        self._expected_m: float | None = None
+        self._level_s = self._seen_s = -math.inf  # last tilt, last height
+        self._mean_m = 0.0
         self._random = np.random.default_rng(0)
 
     def find(self, points: Float32s, now_s: float, level: Float64s | None = None) -> Ground:
@@ -88,28 +96,20 @@ class GroundFinder:
         """
         last = self._ground
         if last is not None and level is not None:
-            last = Ground(level, last.height_m, last.age_s)
-        is_lost = last is None or now_s - self._seen_s > MAX_LOST_S
+            last = replace(last, up=level)
+        is_lost = now_s - self._level_s > MAX_LOST_S or now_s - self._seen_s > MAX_UNSEEN_S
         if last is None or is_lost:
-            self._expected_m = None
-            found = self._search(points, self._level, _FREE_TILT_DEG, self._free_heights())
+            self._ground = self._search(points, self._level, _FREE_TILT_DEG, self._free_heights())
+            if self._ground is None:
+                return Ground(self._level, self._stated_m or 1.3, math.inf, is_seen=False)
+            self._level_s, self._mean_m = now_s, self._ground.height_m
         else:
-            middle_m = self._expected_m or last.height_m
-            heights = (middle_m - _HEIGHT_STEP_M, middle_m + _HEIGHT_STEP_M)
             tilt_deg = _NEXT_TILT_DEG if level is None else _POSED_TILT_DEG
-            found = self._search(points, last.up, tilt_deg, heights)
-        if found is not None:
-            self._ground, self._seen_s = found, now_s
-            before_m = found.height_m if self._expected_m is None else self._expected_m
-            self._expected_m = before_m + _FOLLOW * (found.height_m - before_m)
-            return found
-        if last is not None and not is_lost:
-            # of the mean, not of the last frame, which a wearer on a step has raised already
-            height_m = last.height_m if self._expected_m is None else self._expected_m
-            self._ground = Ground(last.up, height_m, now_s - self._seen_s)
-            return self._ground
-        self._ground = None
-        return Ground(self._level, self._stated_m or 1.3, math.inf, is_seen=False)
+            self._ground = self._follow(points, last.up, tilt_deg, now_s)
+        if self._ground.age_s == 0:
+            self._seen_s = now_s
+            self._mean_m += _FOLLOW * (self._ground.height_m - self._mean_m)
+        return self._ground
 
     def _free_heights(self) -> tuple[float, float]:
         if self._stated_m is None:
@@ -128,18 +128,43 @@ class GroundFinder:
         if not len(ups):
             return None
         above_m = some @ ups.T + heights
-        tolerance_m = _tolerance_m(some)[:, None]
+        margin_m = tolerance_m(some)[:, None]
         weight = 1 / some[:, 2:]  # the wearer stands on the nearest of two grounds
-        scores = ((np.abs(above_m) < tolerance_m) * weight).sum(axis=0)
-        scores -= _BELOW_WEIGHT * ((above_m < -2 * tolerance_m) * weight).sum(axis=0)
+        scores = ((np.abs(above_m) < margin_m) * weight).sum(axis=0)
+        scores -= _BELOW_WEIGHT * ((above_m < -2 * margin_m) * weight).sum(axis=0)
         best = int(np.argmax(scores))
         ground = _refined(low, Ground(ups[best], float(heights[best])))
         is_level = ground is not None and ground.up @ expected_up >= math.cos(math.radians(tilt_deg))
         if ground is None or not is_level or not heights_m[0] <= ground.height_m <= heights_m[1]:
             return None
-        inliers = np.abs(low @ ground.up + ground.height_m) < _tolerance_m(low)
+        inliers = np.abs(low @ ground.up + ground.height_m) < tolerance_m(low)
         min_inliers = max(_MIN_POINTS, _MIN_FRACTION * points[..., 0].size)
         return ground if np.count_nonzero(inliers) >= min_inliers else None
+
+    def _follow(self, points: Float32s, expected_up: Float64s, tilt_deg: float, now_s: float) -> Ground:
+        """Return the ground whose tilt is near `expected_up`; its height is the mean if it is not seen."""
+        age_s = now_s - self._seen_s
+        low = _level_points(points, expected_up, 0.5 * self._mean_m)
+        up = self._common_up(low, expected_up, tilt_deg)
+        if up is None:
+            return Ground(expected_up, self._mean_m, age_s)
+        self._level_s = now_s
+        min_points = max(_MIN_POINTS, _MIN_FRACTION * points[..., 0].size)
+        height_m = plane_height_m(low, up, self._mean_m, _HEIGHT_STEP_M, min_points)
+        return Ground(up, self._mean_m, age_s) if height_m is None else Ground(up, height_m)
+
+    def _common_up(self, low: Float64s, expected_up: Float64s, tilt_deg: float) -> Float64s | None:
+        """Return the normal of the level points [n, 3] near `expected_up`, or None."""
+        if len(low) < _MIN_POINTS:
+            return None
+        some = low[self._random.integers(0, len(low), min(len(low), _SCORED_POINTS))]
+        heights_m = (self._mean_m - _MAX_OTHER_M, self._mean_m + _MAX_OTHER_M)
+        ups, heights = self._planes(low, expected_up, tilt_deg, heights_m)
+        if not len(ups):
+            return None
+        up = parallel_normal(low, ups[np.argmax(parallel_scores(some, ups, heights))])
+        is_near = up is not None and up @ expected_up >= math.cos(math.radians(tilt_deg))
+        return up if is_near else None
 
     def _planes(
         self, low: Float64s, expected_up: Float64s, tilt_deg: float, heights_m: tuple[float, float]
@@ -173,15 +198,10 @@ def _level_points(points: Float32s, up: Float64s, min_below_m: float) -> Float64
     return np.asarray(middle[is_low][np.abs(cosines) > _LEVEL_COSINE], np.float64)
 
 
-def _tolerance_m(points: Float64s) -> Float64s:
-    """Return how far a point of the ground may lie from its plane: the noise grows with the square."""
-    return np.asarray(_TOLERANCE_M + _NOISE_PER_M * points[:, 2] ** 2)
-
-
 def _refined(points: Float64s, ground: Ground) -> Ground | None:
     """Fit the plane to its inliers by least squares, twice; None if these do not determine it."""
     for _ in range(2):
-        inliers = points[np.abs(points @ ground.up + ground.height_m) < _tolerance_m(points)]
+        inliers = points[np.abs(points @ ground.up + ground.height_m) < tolerance_m(points)]
         if len(inliers) < _MIN_POINTS:
             return None
         centre = inliers.mean(axis=0)

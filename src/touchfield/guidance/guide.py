@@ -79,7 +79,7 @@ class Situation:
     contact_s : float64 [8]
         Time to contact; inf if the surface does not come nearer.
     ground : Ground
-        Plane of the ground; its `is_seen` is False if there was none for a second.
+        Plane of the ground; its `is_seen` is False if it is only assumed (`GroundFinder`).
     ahead : GroundAhead
         Distance of the next step up and of the next drop.
     is_blind : bool

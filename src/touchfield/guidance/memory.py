@@ -34,6 +34,7 @@ _WALL: Final = ForceProfile(((-2 * SPACING_M, SPACING_M, 1.0, 0.0),))
 _IJK: Final = np.indices((BRICK,) * 3).reshape(3, -1).T  # [512, 3]
 _BODY_ROWS: Final = slice(9, 24)  # samples from 0.3 to 1.5 m above the ground
 _MIN_KNOWN: Final = 0.95
+_CHANGE_S: Final = 3.0  # what was seen for so long without a change stands
 _FEET_M, _MAX_RAISED_M, _MIN_FLOOR_SAMPLES = 0.4, 0.45, 8
 
 
@@ -53,6 +54,7 @@ class Memory:
         self._volume: FusedVolume | None = None
         self._seen_s = np.full((_BRICKS[0] * BRICK, _BRICKS[2] * BRICK), -np.inf)
         self._movers = Movers((_BRICKS[0] * BRICK, _BRICKS[2] * BRICK))
+        self._changed_s: Float64s = np.full((len(self._bricks), BRICK**3), -np.inf)
 
     def add(self, reduced_m: Float32s, anchor_from_camera: Float64s, position_m: Float64s) -> None:
         """Add a picture; `position_m` float64 [3] is the wearer's place on the ground, anchor axes."""
@@ -87,7 +89,10 @@ class Memory:
         points = self._volume.grid.to_m(index) - normal * samples.distance_m[rows, inner, None]
         placed = _moved(points, wearer_from_anchor)
         placed[:, 1] -= _standing_m(placed)
-        has_changed, columns = samples.changes[rows, inner] > 0, index[:, [0, 2]]
+        self._note_changes(samples.changes, now_s)
+        last_seen_s = self._seen_s[index[:, 0], index[:, 2]]
+        has_changed = last_seen_s - self._changed_s[rows, inner] <= _CHANGE_S
+        columns = index[:, [0, 2]]
         is_body = placed[:, 1] > MIN_BODY_M
         self._movers.update(columns[is_body], has_changed[is_body], self._seen_s == now_s, now_s)
         return placed, self._movers.has_moved(columns)
@@ -112,6 +117,11 @@ class Memory:
         is_whole = (known & before).sum(axis=1) >= _MIN_KNOWN * counted
         columns = self._columns(wearer_from_anchor)
         return np.asarray(is_whole & ~self._movers.reached_bins(columns, now_s, self._warn_m))
+
+    def _note_changes(self, changes: NDArray[np.uint8], now_s: float) -> None:
+        """Note when samples changed; the volume keeps its `changes` [bricks, 512] until they are cleared."""
+        self._changed_s[changes > 0] = now_s
+        changes[:] = 0
 
     def _columns(self, wearer_from_anchor: Float64s) -> Float32s:
         """Return the positions of all columns of the lattice, float32 [n, 3], wearer's frame."""
@@ -144,6 +154,9 @@ class Memory:
         rows = np.ravel_multi_index(tuple(sources[is_shared].T), _BRICKS)
         for new, old in zip(_arrays(after), _arrays(before), strict=True):
             new[is_shared] = old[rows]
+        changed_s = np.full_like(self._changed_s, -np.inf)
+        changed_s[is_shared] = self._changed_s[rows]
+        self._changed_s = changed_s
         self._seen_s = _shifted(self._seen_s, moved)
         self._movers.last_s = _shifted(self._movers.last_s, moved)
 

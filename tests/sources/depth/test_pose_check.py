@@ -82,6 +82,29 @@ def test_right_poses_agree(tmp_path: Path) -> None:
     assert note.startswith("Poses and depth agree: 9") and not scene.sequence.has_wrong_poses
 
 
+def write_corridor(folder: Path, step_m: float, unit_m: float = 1.0) -> Path:
+    """24 pictures of a corridor without an end, which look alike wherever they are taken, up to 5 m."""
+    v, u = np.mgrid[:60, :80]
+    x, y = (u - 39.5) / 65, (v - 29.5) / 65
+    depth = np.minimum(1.3 / np.maximum(y, 1e-6), 1.8 / np.maximum(np.abs(x), 1e-6))
+    depth[depth > 5] = 0
+    poses = np.tile(np.eye(4), (24, 1, 1))
+    poses[:, 2, 3] = step_m / unit_m * np.arange(24)
+    for i in range(24):
+        make.write_png(folder / "depth" / f"{i:02d}.png", np.round(1000 * depth).astype(np.uint16))
+    (folder / "intrinsics.txt").write_text("65 65 39.5 29.5\n")
+    make.write_rows(folder / "poses.txt", poses.reshape(-1, 16))
+    return folder
+
+
+def test_right_poses_of_pictures_that_look_alike_agree(tmp_path: Path) -> None:
+    """The pictures that are chosen by depth are up to 9.6 m apart, and see nothing in common."""
+    note, scene = note_of(write_corridor(tmp_path / "m", 0.8))
+    assert note.startswith("Poses and depth agree: ") and not scene.sequence.has_wrong_poses
+    note, scene = note_of(write_corridor(tmp_path / "mm", 0.8, unit_m=1e-3))
+    assert "disagree" in note and scene.sequence.has_wrong_poses
+
+
 @pytest.mark.parametrize("form", WRITTEN)
 def test_the_reading_that_fits_wrong_poses_is_named_and_mends_them(tmp_path: Path, form: str) -> None:
     folder = write_room(tmp_path, WRITTEN[form])

@@ -6,8 +6,9 @@ around it, relative to that depth. Right poses of a Kinect or a renderer leave a
 86 to 98 % of the points within `TOLERANCE` (docs/depth-sequences.md); wrong ones leave 0 to 58 %.
 
 The pairs of pictures are chosen by depth alone: far enough apart for the view to have changed, near enough to
-overlap. Poses that disagree are read in the other ways of `pose_form`, and in other units; a reading fits if
-most points agree under it.
+overlap. Pictures of a corridor look alike wherever they are taken; if a pair sees nothing in common under the
+poses, nearer ones are compared. Poses that disagree are read in the other ways of `pose_form`, and in other
+units; a reading fits if most points agree under it.
 """
 
 from __future__ import annotations
@@ -64,6 +65,10 @@ class PoseCheck(NamedTuple):
     note: str
 
 
+_View = tuple[int, int, Float64s, Float32s]
+"""Two frames, the points of the first, and the picture of the second."""
+
+
 class _Reading(NamedTuple):
     """Other poses, the option that selects them, and what it means."""
 
@@ -84,10 +89,9 @@ def check_poses(sequence: DepthSequence, file_poses: Float64s | None = None) -> 
     depth_m = lru_cache(maxsize=_CACHED_FRAMES)(sequence.depth_m)
     poses, intrinsics = np.asarray(sequence.poses, np.float64), sequence.intrinsics
     pairs = choose_pairs(sequence, depth_m)
-    views = [(i, j, surface_points(depth_m(i), intrinsics), depth_m(j)) for i, j in pairs]
-    views += [(j, i, surface_points(depth_m(j), intrinsics), depth_m(i)) for i, j in pairs]
+    views = _views(pairs, depth_m, intrinsics)
 
-    def measure(poses: Float64s, min_fraction: float = 0.0) -> Agreement:
+    def measure(poses: Float64s, min_fraction: float = 0.0, views: list[_View] = views) -> Agreement:
         """Stop after a view if less than `min_fraction` agrees so far."""
         errors = np.empty(0)
         for i, j, points, depth in views:
@@ -101,8 +105,13 @@ def check_poses(sequence: DepthSequence, file_poses: Float64s | None = None) -> 
     static = measure(np.tile(np.eye(4), (len(poses), 1, 1)))
     if static.point_count < MIN_POINTS_A_VIEW * len(views):
         return None
-    if as_read.fraction >= RIGHT_FRACTION and as_read.point_count >= MIN_POINTS:
-        return PoseCheck(True, as_read, f"Poses and depth agree: {as_read}.")
+    nearer = as_read
+    while nearer.point_count < MIN_POINTS and any(j - i > 1 for i, j in pairs):
+        # pictures of a corridor look alike, so that they were chosen too far apart to overlap
+        pairs = [(i, i + max(1, (j - i) // 2)) for i, j in pairs]
+        nearer = measure(poses, views=_views(pairs, depth_m, intrinsics))
+    if nearer.fraction >= RIGHT_FRACTION and nearer.point_count >= MIN_POINTS:
+        return PoseCheck(True, nearer, f"Poses and depth agree: {nearer}.")
     form = "agree" if as_read.fraction >= PART_FRACTION else "agree in part"
     other = _readings(sequence, poses if file_poses is None else np.asarray(file_poses, np.float64))
     measured = [(reading, measure(reading.poses, _HOPELESS)) for reading in other]
@@ -114,6 +123,14 @@ def check_poses(sequence: DepthSequence, file_poses: Float64s | None = None) -> 
         return PoseCheck(True, as_read, f"Poses and depth {form}: {as_read}.")
     mend = "Check poses, times, camera and --depth-scale, or leave the poses out with --frame camera"
     return PoseCheck(False, as_read, f"{wrong}, and no other reading of the poses fits. {mend}.")
+
+
+def _views(
+    pairs: list[tuple[int, int]], depth_m: Callable[[int], Float32s], intrinsics: Intrinsics
+) -> list[_View]:
+    """Return the points of each picture of the pairs, and the other picture into which they are projected."""
+    both_ways = [*pairs, *((j, i) for i, j in pairs)]
+    return [(i, j, surface_points(depth_m(i), intrinsics), depth_m(j)) for i, j in both_ways]
 
 
 def choose_pairs(sequence: DepthSequence, depth_m: Callable[[int], Float32s]) -> list[tuple[int, int]]:
