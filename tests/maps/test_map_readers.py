@@ -146,7 +146,7 @@ BAD_JSON: dict[str, tuple[str, str]] = {
     ),
     "no coordinates": ('{"type": "Feature", "properties": {"amenity": "x"}, "geometry": {"type": "Point"}}',
                        "no 'coordinates'"),
-    "metres": (json.dumps(feature("Point", [500000, 5400000], amenity="x")), "expected degrees.*ogr2ogr"),
+    "metres": (json.dumps(feature("Point", [500000, 5400000], amenity="x")), "in degrees.*-s_srs"),
     "half the world": (json.dumps(feature("LineString", [[0, 0], [90, 40]], highway="path")), "20 degrees"),
     "huge numbers": (json.dumps(feature("Point", [1e308, 1e308], amenity="x")), "position|degrees"),
     "another system": (
@@ -175,6 +175,19 @@ def test_too_many_points_and_features_are_refused(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(features, "MAX_FEATURES", 3)
     with pytest.raises(SourceError, match="more than 3 features"):
         read_map(write_geojson(tmp_path / "b.geojson", *town()))
+
+
+def test_a_feature_without_a_geometry_is_reported(tmp_path: Path) -> None:
+    nothing = {"type": "Feature", "properties": {"name": "Planned"}, "geometry": None}
+    source = read_map(write_geojson(tmp_path / "a.geojson", nothing, *town()))
+    assert "Left out: 1 features without a geometry." in source.notes
+
+
+def test_a_track_of_a_satellite_receiver_is_to_be_converted(tmp_path: Path) -> None:
+    path = tmp_path / "way.gpx"
+    path.write_text('<gpx version="1.1" creator="a"><wpt lat="48" lon="10"/></gpx>')
+    with pytest.raises(InvalidArgument, match=r"\.gpx.*ogr2ogr OUT\.geojson way\.gpx"):
+        read_map(path)
 
 
 UNDRAWN = """<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 400 400">
