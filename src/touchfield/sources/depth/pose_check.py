@@ -7,7 +7,8 @@ around it, relative to that depth. Right poses of a Kinect or a renderer leave a
 
 The pairs of pictures are chosen by depth alone: far enough apart for the view to have changed, near enough to
 overlap. Poses that disagree are read in the other ways of `pose_form`, and in other units; a reading fits if
-most points agree under it.
+most points agree under it. Along a corridor the view changes so late that no frame overlaps any more under
+right poses: nearer frames then decide, if they agree, and no other reading fits them better.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ FIT_GAIN: Final = 0.5  # and it leaves at most this part of the error, and of th
 TIE_FRACTION: Final = 0.02  # readings this near to the best fraction fit as well, if their median error is
 TIE_ERROR: Final = 1.5  # at most this many times the smallest,
 TIE_OFFSET: Final = 5e-4  # plus this
+NEAR_TIE_FRACTION: Final = 0.005  # the same of near frames, in which wrong readings differ by little
 PART_FRACTION: Final = 0.8  # a smaller fraction is noted as an agreement in part
 WRONG_FRACTION: Final = 0.5  # without a reading that fits, poses are questioned below this fraction
 CHANGED_FRACTION: Final = 0.3  # two pictures differ enough if at most this fraction agrees without motion
@@ -72,6 +74,15 @@ class _Reading(NamedTuple):
     meaning: str
 
 
+class _View(NamedTuple):
+    """Two frames, points of the first, float64 [3, n], and the depth of the second."""
+
+    first: int
+    second: int
+    points: Float64s
+    depth_m: Float32s
+
+
 def check_poses(sequence: DepthSequence, file_poses: Float64s | None = None) -> PoseCheck | None:
     """Check the poses of a sequence against its depth.
 
@@ -84,18 +95,10 @@ def check_poses(sequence: DepthSequence, file_poses: Float64s | None = None) -> 
     depth_m = lru_cache(maxsize=_CACHED_FRAMES)(sequence.depth_m)
     poses, intrinsics = np.asarray(sequence.poses, np.float64), sequence.intrinsics
     pairs = choose_pairs(sequence, depth_m)
-    views = [(i, j, surface_points(depth_m(i), intrinsics), depth_m(j)) for i, j in pairs]
-    views += [(j, i, surface_points(depth_m(j), intrinsics), depth_m(i)) for i, j in pairs]
+    views = _views(pairs, depth_m, intrinsics)
 
     def measure(poses: Float64s, min_fraction: float = 0.0) -> Agreement:
-        """Stop after a view if less than `min_fraction` agrees so far."""
-        errors = np.empty(0)
-        for i, j, points, depth in views:
-            motion = np.linalg.inv(poses[j]) @ poses[i]
-            errors = np.concatenate([errors, relative_errors(points, depth, motion, intrinsics)])
-            if _agreement(errors).fraction < min_fraction:
-                break
-        return _agreement(errors)
+        return _measure(views, poses, intrinsics, min_fraction)
 
     as_read = measure(poses)
     static = measure(np.tile(np.eye(4), (len(poses), 1, 1)))
@@ -104,7 +107,11 @@ def check_poses(sequence: DepthSequence, file_poses: Float64s | None = None) -> 
     if as_read.fraction >= RIGHT_FRACTION and as_read.point_count >= MIN_POINTS:
         return PoseCheck(True, as_read, f"Poses and depth agree: {as_read}.")
     form = "agree" if as_read.fraction >= PART_FRACTION else "agree in part"
-    other = _readings(sequence, poses if file_poses is None else np.asarray(file_poses, np.float64))
+    other = list(_readings(sequence, poses if file_poses is None else np.asarray(file_poses, np.float64)))
+    if as_read.point_count < MIN_POINTS:
+        near = _near_agreement(sequence, depth_m, pairs, other)
+        if near is not None:
+            return PoseCheck(True, near, f"Poses and depth of near frames agree: {near}.")
     measured = [(reading, measure(reading.poses, _HOPELESS)) for reading in other]
     best, wrong = _best_fit(measured, as_read), f"Poses and depth disagree: {as_read}"
     if best is not None:
@@ -114,6 +121,45 @@ def check_poses(sequence: DepthSequence, file_poses: Float64s | None = None) -> 
         return PoseCheck(True, as_read, f"Poses and depth {form}: {as_read}.")
     mend = "Check poses, times, camera and --depth-scale, or leave the poses out with --frame camera"
     return PoseCheck(False, as_read, f"{wrong}, and no other reading of the poses fits. {mend}.")
+
+
+def _views(pairs: list[tuple[int, int]], depth_m: Callable[[int], Float32s], k: Intrinsics) -> list[_View]:
+    """Return each frame of the pairs with the points that are projected into the other one."""
+    both = [*pairs, *((j, i) for i, j in pairs)]
+    return [_View(i, j, surface_points(depth_m(i), k), depth_m(j)) for i, j in both]
+
+
+def _measure(views: list[_View], poses: Float64s, k: Intrinsics, min_fraction: float = 0.0) -> Agreement:
+    """Measure how well views agree; stop after one if less than `min_fraction` agrees so far."""
+    errors = np.empty(0)
+    for i, j, points, depth in views:
+        motion = np.linalg.inv(poses[j]) @ poses[i]
+        errors = np.concatenate([errors, relative_errors(points, depth, motion, k)])
+        if _agreement(errors).fraction < min_fraction:
+            break
+    return _agreement(errors)
+
+
+def _near_agreement(
+    sequence: DepthSequence,
+    depth_m: Callable[[int], Float32s],
+    pairs: list[tuple[int, int]],
+    other: list[_Reading],
+) -> Agreement | None:
+    """Return how well the farthest frames agree that see something in common; None if they do not.
+
+    The gap of each pair is halved until they do.
+    """
+    poses, k = np.asarray(sequence.poses, np.float64), sequence.intrinsics
+    while any(j - i > 1 for i, j in pairs):
+        pairs = [(i, i + max(1, (j - i) // 2)) for i, j in pairs]
+        views = _views(pairs, depth_m, k)
+        found = _measure(views, poses, k)
+        if found.point_count >= MIN_POINTS_A_VIEW * len(views):
+            best = max(_measure(views, reading.poses, k, _HOPELESS).fraction for reading in other)
+            is_right = found.fraction >= max(PART_FRACTION, best - NEAR_TIE_FRACTION)
+            return found if is_right else None
+    return None
 
 
 def choose_pairs(sequence: DepthSequence, depth_m: Callable[[int], Float32s]) -> list[tuple[int, int]]:
