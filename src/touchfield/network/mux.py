@@ -123,6 +123,10 @@ def mux(
     """
     out = Path(out)
     kind = out.suffix.lower()
+    if Path(movie).suffix.lower() == ".touch":
+        raise InvalidArgument(
+            str(movie), "a .touch file", "a movie", "The movie comes first: mux MOVIE STREAM OUT."
+        )
     sidecar = out.with_suffix(".touch") if has_sidecar else None
     _check(out, at_s, sidecar)
     refuse_overwriting(out, movie, stream)
@@ -172,6 +176,9 @@ def after_picture_s(movie: str | Path, at_s: float) -> float:
     with _opened(movie) as source:
         zero_s, picture_s = _starts_s(source)
     return zero_s + at_s - picture_s
+
+
+_CONVERT: Final = "Convert the movie first: ffmpeg -i MOVIE -pix_fmt yuv420p NEW.mp4."
 
 
 def require_movie(out: Path) -> None:
@@ -297,7 +304,8 @@ def _copy(
                 sink.mux(packet)
             writer.write(float("inf"))
     except (av.FFmpegError, ValueError) as error:
-        raise InvalidArgument(str(out), str(error), "a form that holds the tracks of the movie") from None
+        expected = "a form that holds the tracks of the movie"
+        raise InvalidArgument(str(out), str(error), expected, _CONVERT) from None
 
 
 class _TouchTracks:
