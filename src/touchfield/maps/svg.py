@@ -167,9 +167,7 @@ def _add(
 
 def _line_class(element: Any) -> str:
     """Return the class of a line by its dashes: those shorter than twice the width are dots."""
-    values = (
-        element.values or {}
-    )  # not `stroke_width`, which has the scale of the drawing and dashes have not
+    values = element.values or {}  # its `stroke_width` has the scale of the drawing, and dashes have not
     lengths = _numbers(values.get("stroke-dasharray"))[:2]
     if not lengths or max(lengths) <= 0:
         return "solid"
@@ -238,9 +236,8 @@ def _check(path: Path, data: bytes) -> int:
             outside += 1
         enclosing.append(inner)
         if len(enclosing) > MAX_DEPTH:
-            raise SourceError(
-                str(path), f"elements within elements, {len(enclosing)} deep", f"up to {MAX_DEPTH}"
-            )
+            found = f"elements within elements, {len(enclosing)} deep"
+            raise SourceError(str(path), found, f"up to {MAX_DEPTH}")
 
     def refuse(name: str, system: str | None, public: str | None, has_internal: bool) -> None:
         if has_internal:
