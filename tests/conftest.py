@@ -34,12 +34,8 @@ gc.disable()  # until all tests are collected: imported modules stay
 EXTERNAL = (
     *("compute/test_cuda.py", "conformance/test_c.py", "conformance/test_c_head.py"),
     *("conformance/test_c_encode.py", "conformance/test_c_queries.py", "conformance/test_native_module.py"),
-    *(
-        "integrations",
-        "viewer/test_browser.py",
-        "viewer/test_dash_players.py",
-        "viewer/test_timeline_page.py",
-    ),
+    *("integrations", "viewer/test_browser.py", "viewer/test_dash_players.py"),
+    "viewer/test_timeline_page.py",
     "network/test_repackaging.py::test_a_copied_movie",
     "test_docs.py::test_the_site_builds",
 )

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from map_makers import INPUTS, LetterBraille, letter_cell, town, write_geojson
+from map_makers import INPUTS, LetterBraille, letter_cell, street, town, write_geojson
 from touchfield.cli.main import _exit_code
 from touchfield.devices import device
 from touchfield.devices.drivers.registry import steps_of
@@ -231,3 +231,34 @@ def test_keys_recall_their_names_and_differ() -> None:
     assert next(keys_of("Queen Street")) == "qs" and next(keys_of("Ölweg")) == "ol"
     keys = list(keys_of("公園"))
     assert len(keys) == len(set(keys)) == 26**2
+
+
+@pytest.mark.usefixtures("letters")
+def test_a_name_without_a_letter_in_the_table_gets_no_key(tmp_path: Path) -> None:
+    streets = [
+        street(0, y, 0.003, y, highway="primary", name=n) for y, n in ((0.0004, "長安街"), (0.001, "Gate"))
+    ]
+    made = make_map(write_geojson(tmp_path / "a.geojson", *streets), tmp_path / "a.touch")
+    assert [label.name for label in made.drawn.labels] == ["Gate"]
+    assert made.drawn.unlabelled == ("長安街",)
+    assert any("長安街" in note and "No label" in note for note in made.notes)
+
+
+def test_a_drawing_and_a_plate_have_their_endings(
+    source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for option, wrong, expected in (("--svg", "a.png", ".svg"), ("--stl", "a.txt", ".stl")):
+        assert run("map", source, tmp_path / "a.touch", "--no-labels", option, tmp_path / wrong) == 2
+        assert expected in capsys.readouterr().err
+    assert not list(tmp_path.glob("a.*"))
+
+
+@pytest.mark.usefixtures("letters")
+def test_a_picture_whose_font_lacks_letters_has_one_warning(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("matplotlib")
+    source = write_geojson(tmp_path / "長安街.geojson", street(0, 0, 0.003, 0, highway="primary"))
+    assert run("map", source, tmp_path / "a.touch", "--no-labels", "--plot", tmp_path / "a.png") == 0
+    error = capsys.readouterr().err
+    assert error.count("lacks letters") == 1 and "Glyph" not in error

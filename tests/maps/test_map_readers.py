@@ -172,7 +172,7 @@ BAD_JSON: dict[str, tuple[str, str]] = {
     ),
     "no coordinates": ('{"type": "Feature", "properties": {"amenity": "x"}, "geometry": {"type": "Point"}}',
                        "no 'coordinates'"),
-    "metres": (json.dumps(feature("Point", [500000, 5400000], amenity="x")), "expected degrees.*ogr2ogr"),
+    "metres": (json.dumps(feature("Point", [500000, 5400000], amenity="x")), "in degrees.*-s_srs"),
     "half the world": (json.dumps(feature("LineString", [[0, 0], [90, 40]], highway="path")), "20 degrees"),
     "huge numbers": (json.dumps(feature("Point", [1e308, 1e308], amenity="x")), "position|degrees"),
     "another system": (
@@ -203,6 +203,53 @@ def test_too_many_points_and_features_are_refused(tmp_path: Path, monkeypatch: p
         read_map(write_geojson(tmp_path / "b.geojson", *town()))
 
 
+def test_a_feature_without_a_geometry_is_reported(tmp_path: Path) -> None:
+    nothing = {"type": "Feature", "properties": {"name": "Planned"}, "geometry": None}
+    source = read_map(write_geojson(tmp_path / "a.geojson", nothing, *town()))
+    assert "Left out: 1 features without a geometry." in source.notes
+
+
+def test_a_track_of_a_satellite_receiver_is_to_be_converted(tmp_path: Path) -> None:
+    path = tmp_path / "way.gpx"
+    path.write_text('<gpx version="1.1" creator="a"><wpt lat="48" lon="10"/></gpx>')
+    with pytest.raises(InvalidArgument, match=r"\.gpx.*ogr2ogr OUT\.geojson way\.gpx"):
+        read_map(path)
+
+
+UNDRAWN = """<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 400 400">
+<mask id="m"><rect width="11" height="9"/></mask><marker><rect width="12" height="9"/></marker>
+<symbol id="s"><rect id="bench" width="13" height="9"/></symbol><use href="#s" x="200"/>
+<g style="display: none"><rect width="14" height="9"/></g>
+<g visibility="hidden"><rect width="15" height="9"/><rect width="16" height="9" visibility="visible"/></g>
+<g opacity="0.0"><rect width="17" height="9"/><text>hidden</text></g>
+<rect width="18" height="9" opacity="0.1"/>
+<flowRoot><flowRegion><rect width="19" height="9"/></flowRegion><flowPara>Old</flowPara></flowRoot></svg>"""
+
+
+def test_a_drawing_shows_what_a_browser_shows(tmp_path: Path) -> None:
+    pytest.importorskip("svgelements")
+    path = tmp_path / "a.svg"
+    path.write_text(UNDRAWN)
+    source = read_map(path)
+    widths = sorted(round(float(np.ptp(feature.parts[0][:, 0]))) for feature in source.features)
+    assert widths == [13, 16, 18]
+    assert max(feature.parts[0][:, 0].max() for feature in source.features) == 213  # where `use` puts it
+    assert set(source.notes) == {
+        "Left out: 4 hidden layers or elements.",
+        "Left out: 1 flowed texts (Inkscape: Text, Convert to Text).",
+    }
+
+
+@pytest.mark.parametrize(("dashes", "kind"), [("4,4", "dashed"), ("1 3", "dotted"), ("none", "solid")])
+def test_dashes_have_the_scale_of_their_line(tmp_path: Path, dashes: str, kind: str) -> None:
+    pytest.importorskip("svgelements")
+    path = tmp_path / "a.svg"
+    line = f'<path d="M0 0H90" stroke="#000" fill="none" style="stroke-width:1;stroke-dasharray:{dashes}"/>'
+    size = 'width="210mm" height="148mm" viewBox="0 0 210 148"'  # 3.8 pixels in a unit
+    path.write_text(f'<svg xmlns="http://www.w3.org/2000/svg" {size}>{line}</svg>')
+    assert [feature.kind for feature in read_map(path).features] == [kind]
+
+
 BOMB = '<!DOCTYPE svg [<!ENTITY a "{}">]><svg xmlns="http://www.w3.org/2000/svg"><text>&a;</text></svg>'
 USES = "".join(f'<g id="g{n}">{f"<use href=#g{n + 1}#/>" * 10}</g>'.replace("#g", '"#g').replace("#/", '"/')
                for n in range(12))  # fmt: skip
@@ -216,6 +263,7 @@ BAD_SVG: dict[str, tuple[str, str]] = {
         f'<svg xmlns="http://www.w3.org/2000/svg"><defs>{USES}</defs><use href="#g0"/></svg>', "elements"),
     "an instance of itself": (
         '<svg xmlns="http://www.w3.org/2000/svg"><g id="a"><use href="#a"/></g></svg>', "within itself"),
+    "deep nesting": (f"<svg>{'<g>' * 300}{'</g>' * 300}</svg>", "257 deep"),
     "nothing": ('<svg xmlns="http://www.w3.org/2000/svg"/>', "nothing that can be drawn"),
 }  # fmt: skip
 

@@ -209,6 +209,7 @@ def test_each_error_is_one_clear_line(
         (["mux", movie, touch, str(tmp_path / "out.avi")], ".avi"),
         (["mux", str(tmp_path / "text.mp4"), touch, str(out)], "a movie that ffmpeg reads"),
         (["mux", movie, movie, str(out)], "movie.mp4"),
+        (["mux", touch, movie, str(out)], "The movie comes first"),
         (["mux", movie, touch, movie], "the file that is read"),
         (["mux", movie, str(also), str(also)], "the file that is read"),
         (["mux", movie, touch, str(out), "--at-s", "-1"], "--at-s"),

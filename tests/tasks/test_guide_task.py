@@ -305,3 +305,8 @@ def test_recordings_of_public_sets(shared_data: Path) -> None:
         for n in range(4):
             situation = walk.update(sequence.depth_m(n), n / 30, sequence.poses[n])
         assert not situation.is_blind and 2 in situation.states[3:5]
+
+
+def test_a_log_is_csv(tmp_path: Path) -> None:
+    with pytest.raises(InvalidArgument, match=r"'\.mcap'; expected LOG\.csv"):
+        guide(tmp_path, log=tmp_path / "log.mcap")

@@ -161,6 +161,25 @@ def test_movie_with_one_source_says_so(tmp_path: Path) -> None:
     assert not (tmp_path / "c.mp4").exists()
 
 
+def test_sound_of_zeros_says_so(tmp_path: Path) -> None:
+    movie = write_movie(tmp_path / "a.mp4", pictures(10), np.zeros((2, 20000), np.float32))
+    notes = watch(movie, tmp_path / "b.mp4").notes
+    assert any("silent throughout" in note for note in notes)
+
+
+def test_tracks_that_the_form_does_not_hold_are_to_be_converted(tmp_path: Path) -> None:
+    av = pytest.importorskip("av")
+    with av.open(str(tmp_path / "a.gif"), "w") as container:
+        track = container.add_stream("gif", rate=10)
+        track.width, track.height, track.pix_fmt = 64, 48, "rgb8"
+        for values in pictures(10):
+            container.mux(track.encode(av.VideoFrame.from_ndarray(values, format="rgb24")))
+        container.mux(track.encode(None))
+    with pytest.raises(InvalidArgument, match=r"gif.*Convert the movie first"):
+        watch(tmp_path / "a.gif", tmp_path / "b.mp4")
+    assert not (tmp_path / "b.mp4").exists()
+
+
 @pytest.mark.parametrize("content", [b"", b"\0" * 100, b"#EXTM3U\n/etc/passwd\n"])
 def test_no_movie_is_one_line(content: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "bad.mp4").write_bytes(content)

@@ -95,23 +95,28 @@ def command(panel: str, *examples: str, name: str | None = None) -> Callable[[Ca
 
 @contextmanager
 def _print_warnings() -> Iterator[list[str]]:
-    """Print each distinct `UnboundedError` warning to stderr when it occurs; yield a list of their texts."""
+    """Print each distinct `UnboundedError` to stderr when it occurs; yield a list of their texts.
+
+    Of the letters that Matplotlib's font lacks, one for each, a single text is printed.
+    """
     texts: list[str] = []
     with warnings.catch_warnings():
         usual = warnings.showwarning
 
         def show(message: Any, category: type[Warning], *location: Any, **details: Any) -> None:
-            if not issubclass(category, UnboundedError):
+            text = _BOXES if str(message).startswith("Glyph ") else str(message)
+            if not (text is _BOXES or issubclass(category, UnboundedError)):
                 usual(message, category, *location, **details)
-            elif str(message) not in texts:
-                texts.append(str(message))
-                sys.stderr.write(printable(f"warning: {message}\n"))
+            elif text not in texts:
+                texts.append(text)
+                sys.stderr.write(printable(f"warning: {text}\n"))
 
         warnings.showwarning = show
         warnings.simplefilter("always", UnboundedError)
         yield texts
 
 
+_BOXES: Final = "The font of the picture lacks letters; it shows boxes in their place."
 BY_NAME: Final = inspect.Parameter.KEYWORD_ONLY
 
 

@@ -114,6 +114,9 @@ class Collector:
 
 
 _HINT: Final = "Cut out a smaller area first."
+_IN_METRES: Final = (
+    "If they are metres, state their system: ogr2ogr -s_srs EPSG:3857 -t_srs EPSG:4326 OUT.geojson IN."
+)
 
 
 def clean_name(text: str) -> str:
@@ -134,9 +137,7 @@ def on_plane(source: Collector, where: str) -> tuple[tuple[Feature, ...], tuple[
     is_degrees = (np.abs([low[0], high[0]]) <= 180).all() and (np.abs([low[1], high[1]]) <= 90).all()
     found = f"longitudes {low[0]:.9g} to {high[0]:.9g} and latitudes {low[1]:.9g} to {high[1]:.9g}"
     if not is_degrees:
-        raise SourceError(
-            where, found, "degrees (WGS 84)", "Convert them first: ogr2ogr -t_srs EPSG:4326 OUT IN."
-        )
+        raise SourceError(where, found, "longitude, then latitude, in degrees (WGS 84)", _IN_METRES)
     if np.max(np.abs([low[1], high[1]])) > MAX_LATITUDE_DEG or np.max(high - low) > MAX_EXTENT_DEG:
         expected = f"up to {MAX_EXTENT_DEG:g} degrees, within {MAX_LATITUDE_DEG:g} of the equator"
         raise SourceError(where, found, expected, _HINT)

@@ -36,7 +36,7 @@ def read_geojson(path: Path) -> MapSource:
     document = read_json(path, MAX_BYTES, _EXPECTED)
     _require_degrees(document)
     found = Collector(str(path))
-    for properties, geometry in _geometries(document, {}, 0):
+    for properties, geometry in _geometries(found, document, {}, 0):
         _add(found, properties, geometry)
     require_features(found, "features with tags such as highway, building or natural, or a property class")
     features, origin = on_plane(found, str(path))
@@ -69,27 +69,29 @@ def _require_degrees(document: JsonValue) -> None:
         return
     name = crs.at("properties", {}).at("name", "").text()
     if not any(word in name for word in _WGS84):
-        hint = "Convert it first: ogr2ogr -t_srs EPSG:4326 OUT IN."
+        hint = "Convert it first: ogr2ogr -t_srs EPSG:4326 OUT.geojson IN."
         raise crs.wrong(f"the coordinate system {name[:60]!r}", "none (RFC 7946: WGS 84)", hint)
 
 
 def _geometries(
-    value: JsonValue, properties: dict[str, str], depth: int
+    found: Collector, value: JsonValue, properties: dict[str, str], depth: int
 ) -> Iterator[tuple[dict[str, str], JsonValue]]:
-    """Yield each plain geometry below a value with the tags of its feature."""
+    """Yield each plain geometry below a value with the tags of its feature; count features without one."""
     if depth > MAX_DEPTH:
         raise value.wrong("collections within collections", f"at most {MAX_DEPTH} deep")
     kind = value.at("type").text()
     if kind == "FeatureCollection":
         for feature in value.at("features").elements():
-            yield from _geometries(feature, {}, depth + 1)
+            yield from _geometries(found, feature, {}, depth + 1)
     elif kind == "Feature":
         geometry = value.at("geometry", None)
-        if geometry.value is not None:
-            yield from _geometries(geometry, _tags(value.at("properties", None)), depth + 1)
+        if geometry.value is None:
+            found.left_out["features without a geometry"] += 1
+        else:
+            yield from _geometries(found, geometry, _tags(value.at("properties", None)), depth + 1)
     elif kind == "GeometryCollection":
         for geometry in value.at("geometries").elements():
-            yield from _geometries(geometry, properties, depth + 1)
+            yield from _geometries(found, geometry, properties, depth + 1)
     elif kind in _SHAPES:
         yield properties, value
     else:

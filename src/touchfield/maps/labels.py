@@ -101,6 +101,8 @@ def _importance(request: LabelRequest) -> tuple[int, int, str]:
 
 
 def _put(board: Board, request: LabelRequest, braille: Braille, taken: set[str]) -> Label | None:
+    if not any(braille.cells(request.name)):
+        return None  # a key would have an empty line in the legend
     texts = [request.name] if request.name not in taken else []
     key = next((key for key in keys_of(request.name) if key not in taken), None)
     for text in (*texts, *filter(None, (key,))):

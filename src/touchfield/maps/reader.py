@@ -37,7 +37,8 @@ def read_map(path: str | Path) -> MapSource:
     reader = READERS.get(Path(path).suffix.lower())
     if reader is None:
         expected = f"a map or a drawing: {', '.join(READERS)}"
-        raise InvalidArgument(str(path), f"the ending {Path(path).suffix!r}", expected)
+        hint = f"Convert it first: ogr2ogr OUT.geojson {Path(path).name}." if Path(path).is_file() else ""
+        raise InvalidArgument(str(path), f"the ending {Path(path).suffix!r}", expected, hint)
     return reader(Path(path))
 
 

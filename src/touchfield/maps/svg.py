@@ -3,16 +3,18 @@
 The class of an element follows from words in its id, its class and the labels of the layers around it; else
 from its paint. An element with a fill is an area, one without a line: dashed if its stroke is dashed. Each
 colour of areas without a class gets a texture of its own, up to `FILLS`. White areas are paper. Texts become
-Braille labels. Nothing outside the file is read.
+Braille labels. Nothing outside the file is read, and nothing is drawn that a browser does not draw.
 """
 
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
+from xml.etree import ElementTree
 from xml.parsers import expat
 
 import numpy as np
@@ -27,6 +29,8 @@ from touchfield.sources.mesh.instances import ROOT, Definitions
 MAX_BYTES: Final = 1 << 22
 MAX_ELEMENTS: Final = 1 << 16
 """Elements of the drawing, those of instances (``use``) counted each time."""
+MAX_DEPTH: Final = 256
+"""Of elements within elements."""
 CURVE_POINTS: Final = 12
 """Points of a curve, its ends included: on a display of 60 pins a curve across it deviates by half a pin."""
 WHITE: Final = 235
@@ -36,6 +40,11 @@ _GIVEN_BY_PROGRAM: Final = re.compile(
     r"(path|rect|circle|ellipse|line|polyline|polygon|g|layer|svg|text|tspan|use|image|group|shape)[-_.]?\d[\d-]*"
 )
 """Ids that drawing programs number by themselves."""
+_SVG: Final = "{http://www.w3.org/2000/svg}"
+_UNDRAWN: Final = ("mask", "marker", "symbol", "pattern", "clipPath", "flowRoot", "foreignObject")
+"""Elements whose contents browsers draw by reference only, or not at all; svgelements draws them."""
+_FLOWED: Final = "flowed texts (Inkscape: Text, Convert to Text)"
+_HIDDEN: Final = "hidden layers or elements"
 _LABELS: Final = (
     "{http://www.inkscape.org/namespaces/inkscape}label", "inkscape:label", "aria-label", "data-name", "id",
     "class",
@@ -55,12 +64,35 @@ def read_svg(path: Path) -> MapSource:
     if outside:
         found.left_out["references to other files, which are not read"] += outside
     with library_faults(path, "a drawing that svgelements does not read", _EXPECTED):
-        drawing = svgelements.SVG.parse(BytesIO(data), reify=True)
+        drawing = svgelements.SVG.parse(BytesIO(_drawn(data, found)), reify=True)
         elements = list(_elements(svgelements, drawing, ()))
         for element, labels in reversed(elements):  # what lies on top takes the most important texture
             _add(svgelements, found, colours, element, labels)
     require_features(found, "lines, filled shapes or texts")
     return MapSource(tuple(found.features), None, None, found.notes())
+
+
+def _drawn(data: bytes, found: Collector) -> bytes:
+    """Return the drawing with `_UNDRAWN` elements within ``defs``; count flowed texts and hidden parts."""
+    root = ElementTree.fromstring(data)
+    for parent in list(root.iter()):
+        for n, element in enumerate(parent):
+            tag = str(element.tag).removeprefix(_SVG)
+            style = element.get("style", "").replace(" ", "")
+            if element.get("display") == "none" or "display:none" in style:
+                found.left_out[_HIDDEN] += 1
+            elif tag in _UNDRAWN:
+                found.left_out[_FLOWED] += tag == "flowRoot"
+                parent[n] = ElementTree.Element(f"{_SVG}defs")
+                parent[n].append(element)
+    found.left_out += Counter()  # without zeros
+    return ElementTree.tostring(root)
+
+
+def _is_hidden(element: Any) -> bool:
+    values = getattr(element, "values", None) or {}
+    opacity = str(values.get("opacity") or "1").rstrip("%")
+    return values.get("visibility") in ("hidden", "collapse") or not opacity.strip("0.")
 
 
 def _elements(svgelements: Any, group: Any, labels: tuple[str, ...]) -> Iterator[tuple[Any, tuple[str, ...]]]:
@@ -98,6 +130,9 @@ class _Colours:
 def _add(
     svgelements: Any, found: Collector, colours: _Colours, element: Any, labels: tuple[str, ...]
 ) -> None:
+    if _is_hidden(element):
+        found.left_out[_HIDDEN] += 1
+        return
     if isinstance(element, svgelements.Text):
         text = (element.text or "").strip()
         if text:
@@ -132,11 +167,16 @@ def _add(
 
 def _line_class(element: Any) -> str:
     """Return the class of a line by its dashes: those shorter than twice the width are dots."""
-    dashes = str((element.values or {}).get("stroke-dasharray") or "none")
-    lengths = [float(word) for word in re.findall(r"[\d.]+", dashes)[:2] if word.strip(".")]
+    values = element.values or {}  # its `stroke_width` has the scale of the drawing, and dashes have not
+    lengths = _numbers(values.get("stroke-dasharray"))[:2]
     if not lengths or max(lengths) <= 0:
         return "solid"
-    return "dotted" if lengths[0] < 2 * float(element.stroke_width or 1) else "dashed"
+    width = (*_numbers(values.get("stroke-width")), 1.0)[0]
+    return "dotted" if lengths[0] < 2 * width else "dashed"
+
+
+def _numbers(text: Any) -> list[float]:
+    return [float(number) for number in re.findall(r"\d+\.?\d*|\.\d+", str(text or ""))]
 
 
 def _is_closed(parts: list[Float64s]) -> bool:
@@ -195,6 +235,9 @@ def _check(path: Path, data: bytes) -> int:
         elif link and not link.startswith(("#", "data:")) and tag in ("use", "image", "script"):
             outside += 1
         enclosing.append(inner)
+        if len(enclosing) > MAX_DEPTH:
+            found = f"elements within elements, {len(enclosing)} deep"
+            raise SourceError(str(path), found, f"up to {MAX_DEPTH}")
 
     def refuse(name: str, system: str | None, public: str | None, has_internal: bool) -> None:
         if has_internal:

@@ -28,6 +28,9 @@ _PES_BYTES: Final = 60_000
 
 _MAX_BYTES: Final = 1 << 62
 _LABEL: Final = "touch: {}"
+_PROTOCOLS: Final = "file,crypto,data"
+"""A playlist of a stranger may name files beside it, and no address."""
+_CONVERT: Final = "Convert the movie first: ffmpeg -i MOVIE -pix_fmt yuv420p NEW.mp4."
 
 Sample = tuple[float, float, bytes]
 """Start in the movie in seconds, duration in seconds, and bytes."""
@@ -78,7 +81,7 @@ def open_movie(movie: str | Path) -> Iterator[Any]:
     """
     av = import_extra("av", "touch in a movie", "av", "video")
     try:
-        source = av.open(str(movie))
+        source = av.open(str(movie), options={"protocol_whitelist": _PROTOCOLS})
     except (av.FFmpegError, OSError, ValueError) as error:
         raise file_error(movie, error, "a movie that ffmpeg reads") from None
     with source:
@@ -122,7 +125,8 @@ def copy_movie(
                 sink.mux(packet)
             writer.write(float("inf"))
     except (av.FFmpegError, ValueError) as error:
-        raise InvalidArgument(out.name, str(error), "a form that holds the tracks of the movie") from None
+        expected = "a form that holds the tracks of the movie"
+        raise InvalidArgument(out.name, str(error), expected, _CONVERT) from None
 
 
 class _SampleWriter:

@@ -109,6 +109,10 @@ def mux(
     """
     out = Path(out)
     kind = out.suffix.lower()
+    if Path(movie).suffix.lower() == ".touch":
+        raise InvalidArgument(
+            str(movie), "a .touch file", "a movie", "The movie comes first: mux MOVIE STREAM OUT."
+        )
     sidecar = out.with_suffix(".touch") if has_sidecar else None
     _check(out, at_s, sidecar)
     refuse_overwriting(out, movie, stream)

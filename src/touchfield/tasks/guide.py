@@ -20,7 +20,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 from touchfield.devices import device
 from touchfield.devices.drivers.registry import array_device, array_kinds, is_array_device
-from touchfield.errors import InvalidArgument, SourceError, require_between, require_kinds, require_up_to
+from touchfield.errors import (
+    InvalidArgument,
+    SourceError,
+    require_between,
+    require_ending,
+    require_kinds,
+    require_up_to,
+)
 from touchfield.guidance.feed import CameraFeed, Feed, ReplayFeed
 from touchfield.guidance.guide import Guide
 from touchfield.guidance.pattern import Patterns
@@ -104,6 +111,8 @@ def guide(
     is unknown, unsuitable or missing.
     """
     run = run or GuideRun()
+    if log is not None:
+        require_ending(log, "LOG.csv")
     profile, driver = _array_of(run)
     patterns = Patterns(profile, run.guide)
     sequence = open_sequence(source, options or SourceOptions())

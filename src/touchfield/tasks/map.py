@@ -137,6 +137,10 @@ def make_map(
     """
     spec, path = spec or MapSpec(), Path(out)
     require_ending(path, "OUT.touch")
+    if svg is not None:
+        require_ending(svg, "DRAWING.svg")
+    if stl is not None:
+        require_ending(stl, "PLATE.stl")
     target = device(spec.device)
     rows, columns, rules = _pins_of(target)
     read = read_map(source)
@@ -383,13 +387,16 @@ def _notes(
     ]
     names = sum(bool(feature.name) for feature in read.features)
     if braille is None and names:
-        notes.append(f"{names} names are not shown: --no-labels.")
+        notes.append(f"{names} {'name is' if names == 1 else 'names are'} not shown: --no-labels.")
     if drawn.unlabelled:
         shown = ", ".join(drawn.unlabelled[:8])
-        notes.append(f"{len(drawn.unlabelled)} names have no room on the map: {shown}.")
+        notes.append(f"No label on the whole map, for want of room or of letters: {shown}.")
     if braille is not None and braille.unknown:
         unknown = ", ".join(sorted(braille.unknown)[:5])
-        notes.append(f"{braille.table} lacks letters of these texts, which are left out: {unknown}.")
+        notes.append(
+            f"{braille.table} lacks letters of these texts, which are left out: {unknown}. --language takes "
+            "any table of liblouis."
+        )
     if pages_left_out:
         notes.append("A point device gets no pages of the legend: it is in this report, and in the --svg.")
     notes += [f"Against the guidelines: {text}" for text in checked.violations]

@@ -205,6 +205,8 @@ def _notes(movie: Path, tracks: MovieTracks, made: dict[str, _Made], spec: Watch
         notes.append("The movie has no picture: the touch is that of the sound.")
     if tracks.pictures and not tracks.sounds and spec.only is None:
         notes.append("The movie has no sound: the touch is that of the picture.")
+    if "sound" in made and (features := made["sound"].features) is not None and features.silent_fraction == 1:
+        notes.append("The sound is silent throughout: its touch does nothing.")
     if tracks.sounds > 1 and "sound" in made:
         notes.append(f"Of {tracks.sounds} sounds the first is used ({tracks.sound}); all are copied.")
     if tracks.subtitles:

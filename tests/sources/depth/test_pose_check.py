@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import corridor_makers as corridors
 import depth_makers as make
 import fusion_makers as rooms
 from touchfield.errors import InvalidArgument
@@ -262,3 +263,50 @@ def test_real_sequences_raise_no_alarm(
     scene.sequence.poses = np.linalg.inv(scene.sequence.poses)
     check = pose_check.check_poses(scene.sequence)
     assert check is not None and "With --pose-form inverted (" in check.note
+
+
+def write_walk(folder: Path, poses: np.ndarray) -> Path:
+    """A walk between two walls, with a box and a hole, seen to 5 m: pictures far apart are alike."""
+    turn = Rotation.from_euler("x", -20, degrees=True).as_matrix()
+    k = corridors.kinect()
+    v, u = np.mgrid[:120, :160]
+    rays = np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy, np.ones(u.shape)], -1) @ turn.T
+    x, y, z = np.moveaxis(rays, -1, 0)
+    rng = np.random.default_rng(0)
+    for n in range(80):
+        front = (3.5 - 0.06 * n) / z
+        is_box = (np.abs(front * x - 0.6) < 0.2) & (front * y > 0.55) & (front > 0)
+        floor = 1.35 / np.maximum(y, 1e-6)
+        floor = np.where(np.abs(0.06 * n + floor * z - 6.8) < 0.5, floor * 1.95 / 1.35, floor)
+        depth = np.minimum(floor, 1.8 / np.maximum(np.abs(x), 1e-6))
+        depth = np.where(is_box, np.minimum(depth, front), depth)
+        depth += 0.002 * depth**2 * rng.normal(size=depth.shape)
+        depth[(depth < 0.5) | (depth > 5)] = 0
+        make.write_png(folder / "depth" / f"{n:02d}.png", np.round(1000 * depth).astype(np.uint16))
+    (folder / "intrinsics.txt").write_text(f"{k.fx} {k.fy} {k.cx} {k.cy}\n")
+    np.savetxt(folder / "poses.txt", poses.reshape(len(poses), 16))
+    return folder
+
+
+def walk_along_corridor() -> np.ndarray:
+    poses = np.tile(np.eye(4), (80, 1, 1))
+    poses[:, :3, :3] = Rotation.from_euler("x", -20, degrees=True).as_matrix()
+    poses[:, 2, 3] = 0.06 * np.arange(80)
+    return poses
+
+
+@pytest.mark.parametrize(("form", "is_right"), [("", True), ("opengl", False), ("mm", False), ("ros", False)])
+def test_frames_of_a_corridor_that_are_alike_do_not_refute_its_poses(
+    tmp_path: Path, form: str, is_right: bool
+) -> None:
+    true = walk_along_corridor()
+    written = {
+        "": true,
+        "opengl": true @ OPENGL,
+        "mm": scaled(true, 1000),
+        "ros": true @ np.linalg.inv(BODY),
+    }[form]
+    folder = write_walk(tmp_path, written)
+    scene = open_source(folder, SourceOptions(depth_scale=1000.0))
+    assert isinstance(scene, DepthScene)
+    assert scene.sequence.has_wrong_poses == (not is_right)

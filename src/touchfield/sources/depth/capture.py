@@ -156,9 +156,15 @@ class OpencvCamera(Pictures):
         cv2 = import_extra("cv2", "a camera", "opencv-python-headless", "camera")
         self.name = f"camera:{device}"
         backend = cv2.CAP_IMAGES if "%" in device else cv2.CAP_ANY  # an image sequence keeps all its bits
+        logging = cv2.utils.logging
+        level = logging.setLogLevel(logging.LOG_LEVEL_ERROR)  # its warnings say no more than the error below
         self._camera = cv2.VideoCapture(int(device) if device.isdigit() else device, backend)
+        logging.setLogLevel(level)
         if not self._camera.isOpened():
-            raise SourceError(self.name, "no camera that OpenCV can open", "its number, such as camera:0")
+            hint = "Is it connected? watch:FOLDER takes pictures that a program of the camera writes."
+            raise SourceError(
+                self.name, "no camera that OpenCV can open", "its number, such as camera:0", hint
+            )
         self._camera.set(cv2.CAP_PROP_CONVERT_RGB, 0)  # keep 16 bits if the main picture has them
         self._depth_map = cv2.CAP_OPENNI_DEPTH_MAP  # 0, which is the main picture of other cameras
 

@@ -6,9 +6,9 @@ around it, relative to that depth. Right poses of a Kinect or a renderer leave a
 86 to 98 % of the points within `TOLERANCE` (docs/depth-sequences.md); wrong ones leave 0 to 58 %.
 
 The pairs of pictures are chosen by depth alone: far enough apart for the view to have changed, near enough to
-overlap. Pictures of a corridor look alike wherever they are taken; if a pair sees nothing in common under the
-poses, nearer ones are compared. Poses that disagree are read in the other ways of `pose_form`, and in other
-units; a reading fits if most points agree under it.
+overlap. Poses that disagree are read in the other ways of `pose_form`, and in other units; a reading fits if
+most points agree under it. Along a corridor the view changes so late that no frame overlaps any more under
+right poses: nearer frames then decide, if they agree, and no other reading fits them better.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ FIT_GAIN: Final = 0.5  # and it leaves at most this part of the error, and of th
 TIE_FRACTION: Final = 0.02  # readings this near to the best fraction fit as well, if their median error is
 TIE_ERROR: Final = 1.5  # at most this many times the smallest,
 TIE_OFFSET: Final = 5e-4  # plus this
+NEAR_TIE_FRACTION: Final = 0.005  # the same of near frames, in which wrong readings differ by little
 PART_FRACTION: Final = 0.8  # a smaller fraction is noted as an agreement in part
 WRONG_FRACTION: Final = 0.5  # without a reading that fits, poses are questioned below this fraction
 CHANGED_FRACTION: Final = 0.3  # two pictures differ enough if at most this fraction agrees without motion
@@ -65,16 +66,21 @@ class PoseCheck(NamedTuple):
     note: str
 
 
-_View = tuple[int, int, Float64s, Float32s]
-"""Two frames, the points of the first, and the picture of the second."""
-
-
 class _Reading(NamedTuple):
     """Other poses, the option that selects them, and what it means."""
 
     poses: Float64s
     option: str
     meaning: str
+
+
+class _View(NamedTuple):
+    """Two frames, points of the first, float64 [3, n], and the depth of the second."""
+
+    first: int
+    second: int
+    points: Float64s
+    depth_m: Float32s
 
 
 def check_poses(sequence: DepthSequence, file_poses: Float64s | None = None) -> PoseCheck | None:
@@ -91,29 +97,21 @@ def check_poses(sequence: DepthSequence, file_poses: Float64s | None = None) -> 
     pairs = choose_pairs(sequence, depth_m)
     views = _views(pairs, depth_m, intrinsics)
 
-    def measure(poses: Float64s, min_fraction: float = 0.0, views: list[_View] = views) -> Agreement:
-        """Stop after a view if less than `min_fraction` agrees so far."""
-        errors = np.empty(0)
-        for i, j, points, depth in views:
-            motion = np.linalg.inv(poses[j]) @ poses[i]
-            errors = np.concatenate([errors, relative_errors(points, depth, motion, intrinsics)])
-            if _agreement(errors).fraction < min_fraction:
-                break
-        return _agreement(errors)
+    def measure(poses: Float64s, min_fraction: float = 0.0) -> Agreement:
+        return _measure(views, poses, intrinsics, min_fraction)
 
     as_read = measure(poses)
     static = measure(np.tile(np.eye(4), (len(poses), 1, 1)))
     if static.point_count < MIN_POINTS_A_VIEW * len(views):
         return None
-    nearer = as_read
-    while nearer.point_count < MIN_POINTS and any(j - i > 1 for i, j in pairs):
-        # pictures of a corridor look alike, so that they were chosen too far apart to overlap
-        pairs = [(i, i + max(1, (j - i) // 2)) for i, j in pairs]
-        nearer = measure(poses, views=_views(pairs, depth_m, intrinsics))
-    if nearer.fraction >= RIGHT_FRACTION and nearer.point_count >= MIN_POINTS:
-        return PoseCheck(True, nearer, f"Poses and depth agree: {nearer}.")
+    if as_read.fraction >= RIGHT_FRACTION and as_read.point_count >= MIN_POINTS:
+        return PoseCheck(True, as_read, f"Poses and depth agree: {as_read}.")
     form = "agree" if as_read.fraction >= PART_FRACTION else "agree in part"
-    other = _readings(sequence, poses if file_poses is None else np.asarray(file_poses, np.float64))
+    other = list(_readings(sequence, poses if file_poses is None else np.asarray(file_poses, np.float64)))
+    if as_read.point_count < MIN_POINTS:
+        near = _near_agreement(sequence, depth_m, pairs, other)
+        if near is not None:
+            return PoseCheck(True, near, f"Poses and depth of near frames agree: {near}.")
     measured = [(reading, measure(reading.poses, _HOPELESS)) for reading in other]
     best, wrong = _best_fit(measured, as_read), f"Poses and depth disagree: {as_read}"
     if best is not None:
@@ -125,12 +123,43 @@ def check_poses(sequence: DepthSequence, file_poses: Float64s | None = None) -> 
     return PoseCheck(False, as_read, f"{wrong}, and no other reading of the poses fits. {mend}.")
 
 
-def _views(
-    pairs: list[tuple[int, int]], depth_m: Callable[[int], Float32s], intrinsics: Intrinsics
-) -> list[_View]:
-    """Return the points of each picture of the pairs, and the other picture into which they are projected."""
-    both_ways = [*pairs, *((j, i) for i, j in pairs)]
-    return [(i, j, surface_points(depth_m(i), intrinsics), depth_m(j)) for i, j in both_ways]
+def _views(pairs: list[tuple[int, int]], depth_m: Callable[[int], Float32s], k: Intrinsics) -> list[_View]:
+    """Return each frame of the pairs with the points that are projected into the other one."""
+    both = [*pairs, *((j, i) for i, j in pairs)]
+    return [_View(i, j, surface_points(depth_m(i), k), depth_m(j)) for i, j in both]
+
+
+def _measure(views: list[_View], poses: Float64s, k: Intrinsics, min_fraction: float = 0.0) -> Agreement:
+    """Measure how well views agree; stop after one if less than `min_fraction` agrees so far."""
+    errors = np.empty(0)
+    for i, j, points, depth in views:
+        motion = np.linalg.inv(poses[j]) @ poses[i]
+        errors = np.concatenate([errors, relative_errors(points, depth, motion, k)])
+        if _agreement(errors).fraction < min_fraction:
+            break
+    return _agreement(errors)
+
+
+def _near_agreement(
+    sequence: DepthSequence,
+    depth_m: Callable[[int], Float32s],
+    pairs: list[tuple[int, int]],
+    other: list[_Reading],
+) -> Agreement | None:
+    """Return how well the farthest frames agree that see something in common; None if they do not.
+
+    The gap of each pair is halved until they do.
+    """
+    poses, k = np.asarray(sequence.poses, np.float64), sequence.intrinsics
+    while any(j - i > 1 for i, j in pairs):
+        pairs = [(i, i + max(1, (j - i) // 2)) for i, j in pairs]
+        views = _views(pairs, depth_m, k)
+        found = _measure(views, poses, k)
+        if found.point_count >= MIN_POINTS_A_VIEW * len(views):
+            best = max(_measure(views, reading.poses, k, _HOPELESS).fraction for reading in other)
+            is_right = found.fraction >= max(PART_FRACTION, best - NEAR_TIE_FRACTION)
+            return found if is_right else None
+    return None
 
 
 def choose_pairs(sequence: DepthSequence, depth_m: Callable[[int], Float32s]) -> list[tuple[int, int]]:
