@@ -173,12 +173,13 @@ def write_archive(path: Path, files: Iterable[Path], root: Path) -> None:
     part.replace(path)
 
 
-def write_site(path: Path) -> None:
-    """Write the archive of the site, unless it is there."""
+def write_site(path: Path, released: str) -> None:
+    """Write the archive of the site, unless it is there: pages that a browser opens without a server."""
     if path.exists():
         return
     with tempfile.TemporaryDirectory() as site:
-        run([sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", site])
+        command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", site]
+        run(command, OFFLINE="true", SITE_VERSION=f"touchfield {released}")
         files = [file for file in Path(site).rglob("*") if file.is_file()]
         write_archive(path, files, Path(site))
 
@@ -198,7 +199,7 @@ def build(folder: Path, released: str) -> None:
     headers = folder / f"touchfield-c-{released}.zip"
     tasks: list[Task] = [
         *wheel_tasks(folder),
-        partial(write_site, folder / f"touchfield-site-{released}.zip"),
+        partial(write_site, folder / f"touchfield-site-{released}.zip", released),
         partial(build_sdist, folder),
         partial(write_archive, conformance, tracked_files("conformance"), ROOT),
         partial(write_archive, headers, tracked_files("c", "docs/format"), ROOT),
