@@ -38,12 +38,14 @@ def missing_tools(modules: Iterable[str], target: str) -> list[str]:
 
 
 def run(command: Iterable[str | Path], cwd: str | Path = ROOT, **variables: str) -> None:
-    """Run a command, and print it with its output when it has ended.
+    """Run a command; print it, and its output once it has ended: other commands run at the same time.
 
     `variables` are added to the environment. Raises `subprocess.CalledProcessError` if the command fails.
     """
     parts = [str(part) for part in command]
     environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"} | variables
+    shown = " ".join(part for part in parts if "\n" not in part)
+    print(f"+ {shown}", flush=True)
     done = subprocess.run(
         parts,
         cwd=cwd,
@@ -53,8 +55,8 @@ def run(command: Iterable[str | Path], cwd: str | Path = ROOT, **variables: str)
         text=True,
         check=False,
     )
-    shown = " ".join(part for part in parts if "\n" not in part)
-    print(f"+ {shown}\n{done.stdout}", end="", flush=True)
+    if done.stdout:
+        print(f"= {shown}\n{done.stdout}", end="", flush=True)
     if done.returncode:
         raise subprocess.CalledProcessError(done.returncode, parts)
 
