@@ -179,7 +179,7 @@ def write_site(path: Path, released: str) -> None:
         return
     with tempfile.TemporaryDirectory() as site:
         command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", site]
-        run(command, OFFLINE="true", SITE_VERSION=f"touchfield {released}")
+        run(command, SITE_DIRECTORY_URLS="false", SITE_VERSION=f"touchfield {released}")
         files = [file for file in Path(site).rglob("*") if file.is_file()]
         write_archive(path, files, Path(site))
 
