@@ -18,6 +18,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -124,6 +125,14 @@ def prepare_folder(folder: Path, commit: str) -> None:
     stamp.write_text(commit)
 
 
+def remove_parts(folder: Path) -> None:
+    """Remove what an interrupted run has left incomplete in `folder`."""
+    for part in folder.glob(".*.part"):
+        part.unlink()
+    for unchecked in folder.glob(".wheel-*"):
+        shutil.rmtree(unchecked)
+
+
 def build_sdist(folder: Path) -> None:
     """Build the source distribution into `folder`."""
     run([sys.executable, "-m", "build", "--sdist", "--no-isolation", "--outdir", folder, ROOT])
@@ -193,8 +202,7 @@ def write_sums(folder: Path) -> None:
 
 def build(folder: Path, released: str) -> None:
     """Build all files into `folder`, as many at a time as there are cores."""
-    for part in folder.glob(".*.part"):
-        part.unlink()
+    remove_parts(folder)
     conformance = folder / f"touchfield-conformance-{released}.zip"
     headers = folder / f"touchfield-c-{released}.zip"
     tasks: list[Task] = [

@@ -98,6 +98,17 @@ def test_an_interrupted_release_goes_on_only_for_its_commit(tmp_path: Path) -> N
     assert (tmp_path / "touchfield-0.2.0.tar.gz").exists()
 
 
+def test_what_an_interrupted_run_left_incomplete_is_removed(tmp_path: Path) -> None:
+    (tmp_path / ".touchfield-site-0.2.0.zip.part").touch()
+    (tmp_path / ".wheel-abc").mkdir()
+    (tmp_path / ".wheel-abc" / "touchfield-0.2.0-cp311-abi3-win_amd64.whl").touch()
+    (tmp_path / "touchfield-0.2.0-cp311-abi3-musllinux_1_2_x86_64.whl").touch()
+    release.remove_parts(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [
+        "touchfield-0.2.0-cp311-abi3-musllinux_1_2_x86_64.whl"
+    ]
+
+
 def test_files_of_no_commit_are_not_used_again(tmp_path: Path) -> None:
     release.prepare_folder(tmp_path, "")
     with pytest.raises(SystemExit, match="expected an empty folder"):
