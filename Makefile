@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo module test test-thorough test-all bench lint gallery site reproduction golden wheels release web browser-tests clean
+.PHONY: demo module test test-thorough test-all bench lint gallery site reproduction golden wheels release rehearsal version web browser-tests clean
 
 demo: .venv/ready
 	$(BIN)/touchfield demo demo
@@ -49,15 +49,26 @@ golden: .venv/ready
 	$(BIN)/python conformance/make_golden.py
 	$(BIN)/python conformance/make_queries.py
 
+RELEASE_TOOLS := abi3audit auditwheel build twine 'ziglang>=0.16'
+
 # wheels for the platforms of build_backend/targets.py, cross-compiled by zig, and checked
 wheels: .venv/ready
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check abi3audit auditwheel 'ziglang>=0.16'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(RELEASE_TOOLS)
 	$(BIN)/python build_backend/wheels.py dist
 
 # all that a release publishes, built and checked in dist/; nothing is uploaded
 release: .venv/ready
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check abi3audit auditwheel build twine 'ziglang>=0.16'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(RELEASE_TOOLS)
 	$(BIN)/python build_backend/release.py dist
+
+# the same before a release: what would forbid to publish dist/ is reported last
+rehearsal: .venv/ready
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(RELEASE_TOOLS)
+	$(BIN)/python build_backend/release.py dist --rehearsal
+
+# a new version, in the places that state it: make version VERSION=0.2.0
+version: .venv/packages
+	$(BIN)/python build_backend/set_version.py '$(VERSION)'
 
 # the page of `touchfield view`, built from web/ and c/; needs node, and npm's registry once
 web: .venv/ready web/node_modules/.package-lock.json

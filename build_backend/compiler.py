@@ -22,7 +22,8 @@ ZIGLANG = "ziglang>=0.16"
 # no fused products: encoders on all machines are to decide alike; errno and traps, which nobody reads, would
 # keep loops with square roots and comparisons from being vectorised
 _NUMBERS = ("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math")
-OPTIONS = ("-O3", "-std=c99", *_NUMBERS, "-shared", "-fPIC", "-fvisibility=hidden")
+# zig adds debug information, five sixths of a wheel's module, where it is not told otherwise
+OPTIONS = ("-O3", "-g0", "-std=c99", *_NUMBERS, "-shared", "-fPIC", "-fvisibility=hidden")
 
 _PROBE = "#include <math.h>\n#include <stdlib.h>\n#include <string.h>\nint probe(void) { return 0; }\n"
 

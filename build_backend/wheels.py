@@ -1,6 +1,8 @@
 """Builds the wheels of all platforms and checks each: python build_backend/wheels.py FOLDER
 
-The stable ABI is checked by abi3audit, and the glibc version of Linux wheels by auditwheel.
+As many are built at a time as there are cores. The stable ABI is checked by abi3audit, and the glibc version
+of Linux wheels by auditwheel. A wheel appears in the folder once its checks have passed; those that are there
+are not built again.
 """
 
 from __future__ import annotations
@@ -8,25 +10,97 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tempfile
+from collections.abc import Callable, Iterable
+from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
+from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 
 from compiler import ROOT
 from targets import WHEEL_PLATFORMS
 
+TOOLS = ("abi3audit", "auditwheel", "hatchling", "ziglang")
+"""Modules that build and check the wheels."""
+
+Task = Callable[[], object]
+
+
+def missing_tools(modules: Iterable[str], target: str) -> list[str]:
+    """Return a line if modules are not installed in this Python; ``make target`` installs them."""
+    missing = [module for module in modules if find_spec(module) is None]
+    if not missing:
+        return []
+    return [
+        f"{sys.executable}: found no {', '.join(missing)}; expected tools of the release. "
+        f"Run `make {target}`, which installs them"
+    ]
+
+
+def run(command: Iterable[str | Path], cwd: str | Path = ROOT, **variables: str) -> None:
+    """Run a command; print it, and its output once it has ended: other commands run at the same time.
+
+    `variables` are added to the environment. Raises `subprocess.CalledProcessError` if the command fails.
+    """
+    parts = [str(part) for part in command]
+    environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"} | variables
+    shown = " ".join(part for part in parts if "\n" not in part)
+    print(f"+ {shown}", flush=True)
+    done = subprocess.run(
+        parts,
+        cwd=cwd,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+    )
+    if done.stdout:
+        print(f"= {shown}\n{done.stdout}", end="", flush=True)
+    if done.returncode:
+        raise subprocess.CalledProcessError(done.returncode, parts)
+
+
+def run_all(tasks: Iterable[Task]) -> None:
+    """Run tasks, as many at a time as there are cores; the first error ends the run."""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        futures: list[Future[object]] = [pool.submit(task) for task in tasks]
+        done, _ = wait(futures, return_when=FIRST_EXCEPTION)
+        pool.shutdown(wait=False, cancel_futures=True)
+    for future in done:
+        future.result()
+
+
+def build_wheel(folder: Path, target: str, tag: str) -> None:
+    """Build and check the wheel of one platform, unless `folder` has it."""
+    if any(folder.glob(f"*-cp311-abi3-{tag}.whl")):
+        print(f"{target}: the wheel is there", flush=True)
+        return
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".wheel-") as unchecked:
+        command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation"]
+        run([*command, "--wheel-dir", unchecked, ROOT], TOUCHFIELD_TARGET=target)
+        (wheel,) = Path(unchecked).glob(f"*-cp311-abi3-{tag}.whl")
+        run([sys.executable, "-m", "abi3audit", "--strict", "--summary", wheel])
+        if "linux-gnu" in target:  # a musl wheel can only be resolved on a system with musl
+            run([sys.executable, "-m", "auditwheel", "show", wheel])
+        wheel.rename(folder / wheel.name)
+
+
+def wheel_tasks(folder: Path) -> list[Task]:
+    """Return a task for the wheel of each platform."""
+    return [partial(build_wheel, folder, target, tag) for target, tag in WHEEL_PLATFORMS.items()]
+
 
 def main(folder: Path) -> None:
     """Build and check the wheels into `folder`; stop at the first failure."""
+    if faults := missing_tools(TOOLS, "wheels"):
+        sys.exit("\n".join(faults))
     folder.mkdir(parents=True, exist_ok=True)
-    for target, tag in WHEEL_PLATFORMS.items():
-        print(f"== {target}", flush=True)
-        command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation"]
-        environment = os.environ | {"TOUCHFIELD_TARGET": target}
-        subprocess.run([*command, "--wheel-dir", str(folder), str(ROOT)], env=environment, check=True)
-        (wheel,) = folder.glob(f"*-cp311-abi3-{tag}.whl")
-        subprocess.run([sys.executable, "-m", "abi3audit", "--strict", "--summary", str(wheel)], check=True)
-        if "linux-gnu" in target:  # a musl wheel can only be resolved on a system with musl
-            subprocess.run([sys.executable, "-m", "auditwheel", "show", str(wheel)], check=True)
+    run_all(wheel_tasks(folder))
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    try:
+        main(Path(sys.argv[1]).resolve())
+    except subprocess.CalledProcessError as error:
+        sys.exit(f"{error.cmd[0]}: failed with status {error.returncode}; its output is above")

@@ -112,6 +112,12 @@ def test_commands_of_a_receiver(name: str, tmp_path: Path) -> None:
     assert len((tmp_path / "ticks.csv").read_text().splitlines()) > 20
 
 
+def test_the_help_and_the_version_need_no_extra() -> None:
+    done = run_without_extras(COMMANDS, "--help", "--version")  # both import all commands
+    assert done.returncode == 0, done.stderr
+    assert f"touchfield {tf.__version__}" in done.stdout
+
+
 def test_functions_of_a_receiver() -> None:
     done = run_without_extras(LIBRARY, *(GOLDEN / f"{name}.touch" for name in FILES))
     assert done.returncode == 0, done.stderr

@@ -12,7 +12,7 @@ from touchfield.cli.options import fields_of, rows, rows_of, with_options
 from touchfield.cli.output import Answer, check_results, echo
 from touchfield.guidance.spec import GuideSpec
 from touchfield.sources.options import SourceOptions
-from touchfield.tasks.guide import GuideRun
+from touchfield.tasks.guide_options import GuideRun
 
 _SOURCE: Final = (
     "Folder or file of depth pictures (docs/depth-sequences.md); or camera:N (a depth camera, by OpenCV), "

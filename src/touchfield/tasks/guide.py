@@ -14,31 +14,24 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from touchfield.devices import device
 from touchfield.devices.drivers.registry import array_device, array_kinds, is_array_device
-from touchfield.errors import (
-    InvalidArgument,
-    SourceError,
-    require_between,
-    require_ending,
-    require_kinds,
-    require_up_to,
-)
+from touchfield.errors import InvalidArgument, SourceError, require_ending
 from touchfield.guidance.feed import CameraFeed, Feed, ReplayFeed
 from touchfield.guidance.guide import Guide
 from touchfield.guidance.pattern import Patterns
 from touchfield.guidance.spec import GuideSpec
-from touchfield.options import duration_s, option
-from touchfield.render.readiness import MAX_WAIT_S, open_when_ready
+from touchfield.options import duration_s
+from touchfield.render.readiness import open_when_ready
 from touchfield.sources.depth.capture import CapturedSequence, CaptureEnd, open_capture
 from touchfield.sources.depth.depth_scene import DepthScene
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.registry import open_source
 from touchfield.tasks.guide_log import open_log
+from touchfield.tasks.guide_options import GuideRun as GuideRun
 from touchfield.tasks.guide_output import MAX_PERIOD_S, Counts, Output, Shown
 
 if TYPE_CHECKING:
@@ -50,32 +43,9 @@ OnNote = Callable[[str], None]
 
 FAREWELL_S: Final = 1.0
 """How long the warning is shown when a camera ends."""
-_MAX_SECONDS: Final = 24 * 3600.0
 NOTICE: Final = (
     "This is no mobility aid and replaces no cane: see docs/how-to/guide.md for what it does not see."
 )
-
-
-@dataclass(frozen=True)
-class GuideRun:
-    """Options of a run; raises `InvalidArgument` if a number is out of range.
-
-    `device` is a driver of an array, or the name of a profile, which takes the driver of that profile. With
-    `offline`, each frame of a recorded sequence is evaluated without a clock, and no device is opened.
-    """
-
-    device: str = option("tactsuit-x40", "tactsuit-x40, bhaptics[:HOST:PORT], osc:HOST:PORT.")
-    profile: str | None = option(None, "Profile with the actuators; default: the device's own.")
-    wait: str = option("30s", "How long to wait until the device is ready, such as 30s or 2min.")
-    seconds: float | None = option(None, "How long; default: to the end of the source.")
-    offline: bool = option(False, "Folders: each frame as fast as the machine runs, without a device.")
-    guide: GuideSpec = field(default_factory=GuideSpec)
-
-    def __post_init__(self) -> None:
-        require_kinds(self)
-        require_between(0, MAX_WAIT_S, wait=duration_s(self.wait, "wait"))
-        if self.seconds is not None:
-            require_up_to(_MAX_SECONDS, seconds=self.seconds)
 
 
 def guide(
