@@ -101,7 +101,7 @@ def write_corridor(folder: Path, step_m: float, unit_m: float = 1.0) -> Path:
 def test_right_poses_of_pictures_that_look_alike_agree(tmp_path: Path) -> None:
     """The pictures that are chosen by depth are up to 9.6 m apart, and see nothing in common."""
     note, scene = note_of(write_corridor(tmp_path / "m", 0.8))
-    assert note.startswith("Poses and depth agree: ") and not scene.sequence.has_wrong_poses
+    assert note.startswith("Poses and depth of near frames agree: ") and not scene.sequence.has_wrong_poses
     note, scene = note_of(write_corridor(tmp_path / "mm", 0.8, unit_m=1e-3))
     assert "disagree" in note and scene.sequence.has_wrong_poses
 
