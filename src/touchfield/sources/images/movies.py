@@ -36,6 +36,7 @@ from touchfield.sources.images.pictures import (
     opened,
     require_size,
 )
+from touchfield.sources.images.plane_means import has_planes, plane_means
 from touchfield.sources.images.png_rows import require_all_rows
 
 Colours = NDArray[np.uint8]
@@ -307,6 +308,9 @@ class ColourVideo(GreyVideo):
     """The frames of a colour video: sRGB, uint8 [map height, map width, 3], of `map_size`."""
 
     def _values(self, picture: Any) -> Colours:
+        size = map_size(picture.width, picture.height)
+        if size != (picture.width, picture.height) and has_planes(picture):
+            return plane_means(picture, size)
         return reduced(picture.to_ndarray(format="rgb24"))
 
 
