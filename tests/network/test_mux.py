@@ -294,3 +294,12 @@ def test_a_stream_without_an_error_bound_is_muxed_with_a_warning(folder: Path, t
     with warnings.catch_warnings():
         warnings.simplefilter("error", UnboundedError)
         mux(folder / "movie.mp4", folder / "noise.touch", tmp_path / "both.mp4")
+
+
+def test_tracks_that_are_not_copied_are_named(folder: Path, tmp_path: Path) -> None:
+    """The touch of an earlier run is a track of data, which no form copies."""
+    first = tmp_path / "first.mp4"
+    assert mux(folder / "movie.mp4", folder / "noise.touch", first).notes == ()
+    for form in (".mp4", ".mkv", ".mpd"):
+        done = mux(first, folder / "noise.touch", tmp_path / f"second{form}")
+        assert done.notes == ("Not all tracks of the movie are copied: 1 of type data left out.",)

@@ -198,7 +198,7 @@ def mux(
 
     with progress("mux") as report:
         done = run(movie, stream, out, at_s, report, sidecar)
-    return Answer(done.summary(), str(out))
+    return Answer(done.summary(), str(out), done.notes)
 
 
 @command("Broadcast", "demux with-touch.mp4 room.touch", "demux watched.mp4 sound.touch --track sound")

@@ -18,6 +18,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -53,7 +54,11 @@ many samples at the end, at this distance, hold only the record of the start, an
 
 _FILES: Final = (".mp4", ".m4v", ".mov", ".ts", ".mkv")
 _FORMS: Final = (*_FILES, ".mpd")
+_WITHOUT_TOUCH: Final = (".webm", ".avi")
+_NO_TOUCH: Final = "It has neither tracks of data nor attachments; .mkv holds the same picture and sound."
 _LABEL: Final = "touch: {}"
+_DASH_TYPES: Final = ("video", "audio")
+_COPIED_TYPES: Final = (*_DASH_TYPES, "subtitle")
 
 
 @dataclass(frozen=True)
@@ -133,7 +138,9 @@ def mux(
         seconds = reader.head.frame_count / reader.head.rate_hz
         if kind == ".mpd":
             names = _write_dash(source, Path(stream), out, at_s, 8 * reader.size / seconds)
-            return Muxed(str(out), len(reader.segments), reader.size, seconds, at_s, names)
+            notes = _left_out_notes(source, _DASH_TYPES)
+            return Muxed(str(out), len(reader.segments), reader.size, seconds, at_s, names, notes=notes)
+        notes = _left_out_notes(source, _COPIED_TYPES)
         zero_s, picture_s = _starts_s(source)
         start_s = zero_s + at_s - picture_s
         touch = _Touch(reader, zero_s + at_s, start_s)
@@ -142,7 +149,7 @@ def mux(
             with atomic_path(sidecar) as temporary:
                 temporary.write_bytes(_with_sync(reader, start_s))
     files = () if sidecar is None else (str(sidecar),)
-    return Muxed(str(out), len(reader.segments), sizes[0], seconds, at_s, names, files)
+    return Muxed(str(out), len(reader.segments), sizes[0], seconds, at_s, names, files, notes)
 
 
 def mux_streams(
@@ -177,18 +184,29 @@ def after_picture_s(movie: str | Path, at_s: float) -> float:
 def require_movie(out: Path) -> None:
     """Raise InvalidArgument unless `out` ends as a movie that holds several tracks of touch does."""
     if out.suffix.lower() not in _FILES:
-        raise InvalidArgument(str(out), f"the ending {out.suffix!r}", f"one of {', '.join(_FILES)}")
+        hint = _NO_TOUCH if out.suffix.lower() in _WITHOUT_TOUCH else None
+        raise InvalidArgument(str(out), f"the ending {out.suffix!r}", f"one of {', '.join(_FILES)}", hint)
 
 
 def _check(out: Path, at_s: float, sidecar: Path | None) -> None:
     kind = out.suffix.lower()
     if kind not in _FORMS:
-        raise InvalidArgument(str(out), f"the ending {out.suffix!r}", f"one of {', '.join(_FORMS)}")
+        hint = _NO_TOUCH if kind in _WITHOUT_TOUCH else None
+        raise InvalidArgument(str(out), f"the ending {out.suffix!r}", f"one of {', '.join(_FORMS)}", hint)
     if not 0 <= at_s < 1e6:
         raise InvalidArgument("--at-s", f"{at_s:g}", "0 or more seconds of the movie")
     if sidecar is not None and kind == ".mpd":
         hint = "The manifest has the touch in a file of its own already."
         raise InvalidArgument("--sidecar", "a DASH manifest", "a movie in one file", hint)
+
+
+def _left_out_notes(source: Any, types: Sequence[str]) -> tuple[str, ...]:
+    """A note on the tracks of a movie that are of none of these types, and so are not copied."""
+    counts = Counter(track.type or "unknown" for track in source.streams if track.type not in types)
+    if not counts:
+        return ()
+    kinds = ", ".join(f"{count} of type {kind}" for kind, count in counts.items())
+    return (f"Not all tracks of the movie are copied: {kinds} left out.",)
 
 
 def _starts_s(source: Any) -> tuple[float, float]:
@@ -218,7 +236,7 @@ def _write_movie(
     kind = out.suffix.lower()
     form = {".ts": "mpegts", ".mkv": "matroska"}.get(kind, "mp4")
     options = {"movflags": "frag_keyframe+delay_moov+default_base_moof"} if form == "mp4" else {}
-    tracks = [track for track in source.streams if track.type in ("video", "audio", "subtitle")]
+    tracks = [track for track in source.streams if track.type in _COPIED_TYPES]
     timed, attached = list[_TimedTrack](), list[tuple[str, bytes]]()
     for touch in touches:
         if form == "matroska":
@@ -350,7 +368,7 @@ def _opened(movie: str | Path) -> Iterator[Any]:
 
 def _write_dash(source: Any, stream: Path, out: Path, at_s: float, rate_bits: float) -> tuple[str, ...]:
     """Write NAME.mpd, tracks as NAME-N.mp4 and the stream as NAME.touch; return the types of the tracks."""
-    tracks = [track for track in source.streams if track.type in ("video", "audio")]
+    tracks = [track for track in source.streams if track.type in _DASH_TYPES]
     names = {
         "single_file": "1",
         "single_file_name": f"{out.stem}-$RepresentationID$.mp4",
