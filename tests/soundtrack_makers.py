@@ -59,19 +59,18 @@ def write_movie(
 ) -> Path:
     """Write a movie; `gap` (at, of) seconds is added to the time stamps of the sound from a time on."""
     av = pytest.importorskip("av")
-    clock_hz = rate_hz if path.suffix == ".avi" else CLOCK_HZ  # AVI has one picture a tick
     with av.open(str(path), "w") as container:
         picture = container.add_stream(codecs[0], rate=rate_hz) if frames else None
         track = container.add_stream(codecs[1], rate=sound_hz, layout=layout) if sound is not None else None
         if picture is not None:
             picture.height, picture.width = frames[0].shape[:2]
-            picture.pix_fmt, picture.time_base = "yuv420p", Fraction(1, clock_hz)
-            picture.codec_context.time_base = Fraction(1, clock_hz)
+            picture.pix_fmt, picture.time_base = "yuv420p", Fraction(1, CLOCK_HZ)
+            picture.codec_context.time_base = Fraction(1, CLOCK_HZ)
             picture.codec_context.max_b_frames = 2 if has_b_frames else 0
         for n, values in enumerate(frames):
             time_s = n / rate_hz if picture_times_s is None else picture_times_s[n]
             frame = av.VideoFrame.from_ndarray(values, format="rgb24")
-            frame.pts, frame.time_base = round((picture_s + time_s) * clock_hz), Fraction(1, clock_hz)
+            frame.pts, frame.time_base = round((picture_s + time_s) * CLOCK_HZ), Fraction(1, CLOCK_HZ)
             container.mux(picture.encode(frame))
         if picture is not None:
             container.mux(picture.encode(None))

@@ -83,7 +83,6 @@ def test_each_source_has_a_symbolic_track_in_time(movie: Path, suffix: str, tmp_
         (".m4v", ("mpeg4", "aac"), ".m4v"),
         (".ts", ("mpeg4", "mp2"), ".ts"),
         (".webm", ("libvpx", "libopus"), ".mkv"),
-        (".avi", ("mpeg4", "mp3"), ".mkv"),
     ],
 )
 def test_movies_of_other_forms_are_read(

@@ -184,14 +184,14 @@ def after_picture_s(movie: str | Path, at_s: float) -> float:
 def require_movie(out: Path) -> None:
     """Raise InvalidArgument unless `out` ends as a movie that holds several tracks of touch does."""
     if out.suffix.lower() not in _FILES:
-        hint = _NO_TOUCH if out.suffix.lower() in _WITHOUT_TOUCH else None
+        hint = _NO_TOUCH if out.suffix.lower() in _WITHOUT_TOUCH else ""
         raise InvalidArgument(str(out), f"the ending {out.suffix!r}", f"one of {', '.join(_FILES)}", hint)
 
 
 def _check(out: Path, at_s: float, sidecar: Path | None) -> None:
     kind = out.suffix.lower()
     if kind not in _FORMS:
-        hint = _NO_TOUCH if kind in _WITHOUT_TOUCH else None
+        hint = _NO_TOUCH if kind in _WITHOUT_TOUCH else ""
         raise InvalidArgument(str(out), f"the ending {out.suffix!r}", f"one of {', '.join(_FORMS)}", hint)
     if not 0 <= at_s < 1e6:
         raise InvalidArgument("--at-s", f"{at_s:g}", "0 or more seconds of the movie")

@@ -37,8 +37,7 @@ def plane_means(picture: Any, size: tuple[int, int]) -> NDArray[np.uint8]:
         rows = np.zeros((size[1], small_plane.line_size), np.uint8)
         rows[:, : size[0]] = _means(plane, size)
         small_plane.update(rows)
-    colours: NDArray[np.uint8] = small.to_ndarray(format="rgb24")
-    return colours
+    return np.asarray(small.to_ndarray(format="rgb24"), np.uint8)
 
 
 def _means(plane: Any, size: tuple[int, int]) -> NDArray[np.uint8]:
