@@ -36,7 +36,7 @@ def plane_means(picture: Any, size: tuple[int, int]) -> NDArray[np.uint8]:
     for plane, small_plane in zip(picture.planes, small.planes, strict=True):
         rows = np.zeros((size[1], small_plane.line_size), np.uint8)
         rows[:, : size[0]] = _means(plane, size)
-        small_plane.update(rows)
+        small_plane.update(rows.tobytes())
     return np.asarray(small.to_ndarray(format="rgb24"), np.uint8)
 
 
