@@ -313,3 +313,12 @@ def test_the_track_of_a_map_is_reported_to_be_its_frame_alone(folder: Path, tmp_
     with TouchReader(tmp_path / "both.touch") as reader:
         assert reader.has_map
     assert mux(folder / "movie.mp4", folder / "noise.touch", tmp_path / "noise.mp4").notes == ()
+
+
+def test_tracks_that_are_not_copied_are_named(folder: Path, tmp_path: Path) -> None:
+    """The touch of an earlier run is a track of data, which no form copies."""
+    first = tmp_path / "first.mp4"
+    assert mux(folder / "movie.mp4", folder / "noise.touch", first).notes == ()
+    for form in (".mp4", ".mkv", ".mpd"):
+        done = mux(first, folder / "noise.touch", tmp_path / f"second{form}")
+        assert done.notes == ("Not all tracks of the movie are copied: 1 of type data left out.",)

@@ -77,6 +77,55 @@ def test_each_source_has_a_symbolic_track_in_time(movie: Path, suffix: str, tmp_
     assert done.notes == ()
 
 
+@pytest.mark.parametrize(
+    ("suffix", "codecs", "out"),
+    [
+        (".m4v", ("mpeg4", "aac"), ".m4v"),
+        (".ts", ("mpeg4", "mp2"), ".ts"),
+        (".webm", ("libvpx", "libopus"), ".mkv"),
+    ],
+)
+def test_movies_of_other_forms_are_read(
+    suffix: str, codecs: tuple[str, str], out: str, tmp_path: Path
+) -> None:
+    path = write_movie(tmp_path / f"movie{suffix}", pictures(25), strokes((0.4,), 1.0), codecs=codecs)
+    both = tmp_path / f"both{out}"
+    done = watch(path, both)
+    sound, file = extracted(both, tmp_path, "sound")
+    picture, _ = extracted(both, tmp_path, "picture")
+    with open_stream(file) as stream:
+        found = sound.at_s - picture.at_s + onsets_s(stream.medium)
+    assert found == pytest.approx([0.4], abs=0.05)  # an encoder of sound may start before 0
+    assert done.figures["picture_seconds"] == pytest.approx(1, abs=0.05)
+
+
+@pytest.mark.parametrize("suffix", [".webm", ".avi"])
+def test_form_without_touch_names_one_with_it(movie: Path, suffix: str, tmp_path: Path) -> None:
+    with pytest.raises(InvalidArgument, match=r"\.mkv holds the same picture and sound"):
+        watch(movie, tmp_path / f"both{suffix}")
+    assert not list(tmp_path.iterdir())
+
+
+def test_cover_is_no_picture_of_the_movie(tmp_path: Path) -> None:
+    av = pytest.importorskip("av")
+    path = tmp_path / "cover.mp4"
+    plain = write_movie(tmp_path / "plain.mp4", pictures(25), strokes((0.4,), 1.0))
+    with av.open(str(plain)) as source, av.open(str(path), "w") as sink:
+        cover = sink.add_stream("mjpeg", rate=1)
+        cover.width, cover.height, cover.pix_fmt = 32, 32, "yuvj420p"
+        cover.disposition = av.stream.Disposition.attached_pic
+        tracks = {track.index: sink.add_stream_from_template(track) for track in source.streams}
+        frame = av.VideoFrame.from_ndarray(np.zeros((32, 32, 3), np.uint8), format="rgb24")
+        sink.mux([*cover.encode(frame), *cover.encode(None)])
+        for packet in source.demux():
+            if packet.dts is not None:
+                packet.stream = tracks[packet.stream.index]
+                sink.mux(packet)
+    done = watch(path, tmp_path / "both.mkv")
+    assert any(note.startswith("1 still pictures (covers) are copied") for note in done.notes)
+    assert done.figures["picture_seconds"] == pytest.approx(1)
+
+
 def test_sound_and_picture_of_the_movie_stay_as_they_are(movie: Path, tmp_path: Path) -> None:
     av = pytest.importorskip("av")
     watch(movie, tmp_path / "both.mp4")

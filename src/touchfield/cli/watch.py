@@ -17,7 +17,7 @@ from touchfield.cli.output import Answer, check_results, progress
     "watch movie.mp4 -o both.mkv --only sound --device tactile-vest-8x8",
 )
 def watch(
-    movie: Annotated[Path, "A movie: .mp4, .mov, .mkv or .avi."],
+    movie: Annotated[Path, "A movie: .mp4, .m4v, .mov, .mkv, .webm, .ts or .avi."],
     out: Annotated[
         Path, typer.Option("-o", "--out", help="The movie with touch: .mp4, .m4v, .mov, .ts or .mkv.")
     ],

@@ -11,6 +11,7 @@ touch is an attachment. `touchfield.network.dash` writes a movie as a DASH manif
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -40,6 +41,10 @@ from touchfield.pipeline.decoding import stream_of
 
 _FILES: Final = (".mp4", ".m4v", ".mov", ".ts", ".mkv")
 _FORMS: Final = (*_FILES, ".mpd")
+_WITHOUT_TOUCH: Final = (".webm", ".avi")
+_NO_TOUCH: Final = "It has neither tracks of data nor attachments; .mkv holds the same picture and sound."
+_DASH_TYPES: Final = ("video", "audio")
+_COPIED_TYPES: Final = (*_DASH_TYPES, "subtitle")
 
 
 @dataclass(frozen=True)
@@ -123,7 +128,9 @@ def mux(
         seconds = reader.head.frame_count / reader.head.rate_hz
         if kind == ".mpd":
             names = write_dash(source, Path(stream), out, at_s, 8 * reader.size / seconds)
-            return Muxed(str(out), len(reader.segments), reader.size, seconds, at_s, names)  # the whole file
+            notes = _left_out_notes(source, _DASH_TYPES)  # the whole file is beside it, with its map
+            return Muxed(str(out), len(reader.segments), reader.size, seconds, at_s, names, notes=notes)
+        notes = _left_out_notes(source, _COPIED_TYPES)
         zero_s, picture_s = _starts_s(source)
         start_s = zero_s + at_s - picture_s
         touch = _Touch(reader, zero_s + at_s, start_s)
@@ -132,7 +139,8 @@ def mux(
             with atomic_path(sidecar) as temporary:
                 temporary.write_bytes(_with_sync(reader, start_s))
     files = () if sidecar is None else (str(sidecar),)
-    notes = (f"{Path(stream).name}: {MAP_LEFT_OUT}",) if reader.has_map else ()
+    if reader.has_map:
+        notes = (*notes, f"{Path(stream).name}: {MAP_LEFT_OUT}")
     return Muxed(str(out), len(reader.segments), sizes[0], seconds, at_s, names, files, notes)
 
 
@@ -168,18 +176,29 @@ def after_picture_s(movie: str | Path, at_s: float) -> float:
 def require_movie(out: Path) -> None:
     """Raise InvalidArgument unless `out` ends as a movie that holds several tracks of touch does."""
     if out.suffix.lower() not in _FILES:
-        raise InvalidArgument(str(out), f"the ending {out.suffix!r}", f"one of {', '.join(_FILES)}")
+        hint = _NO_TOUCH if out.suffix.lower() in _WITHOUT_TOUCH else ""
+        raise InvalidArgument(str(out), f"the ending {out.suffix!r}", f"one of {', '.join(_FILES)}", hint)
 
 
 def _check(out: Path, at_s: float, sidecar: Path | None) -> None:
     kind = out.suffix.lower()
     if kind not in _FORMS:
-        raise InvalidArgument(str(out), f"the ending {out.suffix!r}", f"one of {', '.join(_FORMS)}")
+        hint = _NO_TOUCH if kind in _WITHOUT_TOUCH else ""
+        raise InvalidArgument(str(out), f"the ending {out.suffix!r}", f"one of {', '.join(_FORMS)}", hint)
     if not 0 <= at_s < 1e6:
         raise InvalidArgument("--at-s", f"{at_s:g}", "0 or more seconds of the movie")
     if sidecar is not None and kind == ".mpd":
         hint = "The manifest has the touch in a file of its own already."
         raise InvalidArgument("--sidecar", "a DASH manifest", "a movie in one file", hint)
+
+
+def _left_out_notes(source: Any, types: Sequence[str]) -> tuple[str, ...]:
+    """A note on the tracks of a movie that are of none of these types, and so are not copied."""
+    counts = Counter(track.type or "unknown" for track in source.streams if track.type not in types)
+    if not counts:
+        return ()
+    kinds = ", ".join(f"{count} of type {kind}" for kind, count in counts.items())
+    return (f"Not all tracks of the movie are copied: {kinds} left out.",)
 
 
 def _starts_s(source: Any) -> tuple[float, float]:
@@ -208,7 +227,7 @@ def _write_movie(
     """Write a movie with touch; return the bytes of each touch, and the types of the other tracks."""
     form = {".ts": "mpegts", ".mkv": "matroska"}.get(out.suffix.lower(), "mp4")
     options = {"movflags": "frag_keyframe+delay_moov+default_base_moof"} if form == "mp4" else {}
-    tracks = tracks_of(source, "video", "audio", "subtitle")
+    tracks = tracks_of(source, *_COPIED_TYPES)
     movie_touch = _movie_touch(touches, form)
     with atomic_path(out) as temporary:
         copy_movie(source, tracks, MovieFile(temporary, str(out), form, options), movie_touch, report)

@@ -91,7 +91,7 @@ def watch(
 ) -> Result:
     """Make touch from a movie, and write the movie with it.
 
-    `movie` has the ending of a video (`touchfield.sources.images.movies.VIDEO_SUFFIXES`); `out` is .mp4,
+    `movie` has the ending of a video (`touchfield.sources.images.movies.MOVIE_SUFFIXES`); `out` is .mp4,
     .m4v, .mov, .ts or .mkv. `plot` is a PNG of the timeline. ``report(done, total)`` counts the pictures, or
     without a picture the hops of the sound. Raises TouchfieldError if the movie has neither picture nor sound
     or cannot be read, or the device is no array of motors; no file `out` is then left.
@@ -211,6 +211,8 @@ def _notes(movie: Path, tracks: MovieTracks, made: dict[str, _Made], spec: Watch
         notes.append(f"Of {tracks.sounds} sounds the first is used ({tracks.sound}); all are copied.")
     if tracks.subtitles:
         notes.append(f"{tracks.subtitles} tracks of subtitles are copied, and not used.")
+    if tracks.covers:
+        notes.append(f"{tracks.covers} still pictures (covers) are copied, and not used.")
     if tracks.others:
         notes.append(f"{tracks.others} tracks of data or attachments are not copied.")
     if len(made) == len(SOURCES):

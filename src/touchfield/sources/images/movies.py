@@ -36,6 +36,7 @@ from touchfield.sources.images.pictures import (
     opened,
     require_size,
 )
+from touchfield.sources.images.plane_means import has_planes, plane_means
 from touchfield.sources.images.png_rows import require_all_rows
 
 Colours = NDArray[np.uint8]
@@ -46,6 +47,12 @@ DEEP_GREY: Final = re.compile(r"gray(9|10|12|14|16)(le|be)")
 
 _FORMATS: Final = {".mkv": "matroska", ".avi": "avi", ".mov": "mov", ".mp4": "mov", ".gif": "gif"}
 VIDEO_SUFFIXES: Final = tuple(_FORMATS)
+"""Endings of the videos that are sources of `encode`."""
+
+_MOVIE_FORMATS: Final = {**_FORMATS, ".m4v": "mov", ".webm": "matroska", ".ts": "mpegts"}
+MOVIE_SUFFIXES: Final = tuple(_MOVIE_FORMATS)
+"""Endings of movies, which have sound too: none of the others is a form in which depth is recorded."""
+
 _OPTIONS: Final = {"err_detect": "crccheck+explode", "trans_color": "0"}
 """Decoder options: damaged data are an error, and transparent pixels of a GIF are black."""
 _READ: Final = "a video that can be read"
@@ -217,6 +224,13 @@ def _scan(path: Path, container: Any, stream: Any, rate_hz: float | None) -> tup
     return stamps, sorted({0, *keys}) if ascends else [0]
 
 
+def is_cover(stream: Any) -> bool:
+    """True for a still picture that a player shows in place of a video, such as the cover of an album."""
+    from av.stream import Disposition
+
+    return stream.type == "video" and bool(stream.disposition & Disposition.attached_pic)
+
+
 def _depth_track(streams: Any) -> tuple[Any, str]:
     """Return the track of depth of an Azure Kinect or Femto, else the first, and a note on the others.
 
@@ -237,9 +251,9 @@ def opened_container(path: Path) -> Iterator[Any]:
     FFmpeg's errors within the block become `SourceError`. Raises `MissingExtra` if PyAV is not installed.
     """
     av = import_extra("av", "a video", "PyAV", "video")
-    form = _FORMATS.get(path.suffix.lower())
+    form = _MOVIE_FORMATS.get(path.suffix.lower())
     if form is None:
-        raise SourceError(str(path), f"the suffix {path.suffix!r}", " ".join(VIDEO_SUFFIXES))
+        raise SourceError(str(path), f"the suffix {path.suffix!r}", " ".join(MOVIE_SUFFIXES))
     require_plain(path, _READ)
     with readable(path, _READ):
         path.stat()
@@ -270,7 +284,8 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any, VideoHeader]]:
     with opened_container(path) as container:
         if not container.streams.video:
             raise SourceError(str(path), "no video in the file", "a video stream")
-        stream, track_note = _depth_track(container.streams.video)
+        streams = container.streams.video
+        stream, track_note = _depth_track([track for track in streams if not is_cover(track)] or streams)
         context, rate = stream.codec_context, stream.average_rate
         if context is None:  # the codec's name is damaged
             raise SourceError(
@@ -307,6 +322,9 @@ class ColourVideo(GreyVideo):
     """The frames of a colour video: sRGB, uint8 [map height, map width, 3], of `map_size`."""
 
     def _values(self, picture: Any) -> Colours:
+        size = map_size(picture.width, picture.height)
+        if size != (picture.width, picture.height) and has_planes(picture):
+            return plane_means(picture, size)
         return reduced(picture.to_ndarray(format="rgb24"))
 
 

@@ -49,7 +49,7 @@ _MIN_RISE: Final = math.log(10)  # 10 dB
 _SLICE: Final = 24  # samples: 1 ms
 _SLICES: Final = _HOP // _SLICE
 _AFTER, _BEFORE = 3, 10  # slices whose energies are compared
-_SEARCHED: Final = (6, 1)  # hops before and after a peak
+_SEARCHED: Final = (4, 1)  # hops before, as many as a window of the spectrum has, and after a peak
 _RELEASE_S: Final = 0.05
 _CROSSING_HOPS: Final = 20
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from touchfield.arrays import Float32s
 from touchfield.errors import SourceError
-from touchfield.sources.images.movies import opened_container
+from touchfield.sources.images.movies import is_cover, opened_container
 from touchfield.sources.sound.analysis import RATE_HZ
 
 _TOLERANCE_S: Final = 0.02
@@ -31,12 +31,16 @@ _MAX_CHANNELS: Final = 64
 
 @dataclass(frozen=True)
 class MovieTracks:
-    """The numbers of a movie's tracks by kind, and a description of its first sound, empty without any."""
+    """The numbers of a movie's tracks by kind, and a description of its first sound, empty without any.
+
+    `covers` are still pictures that are no video, and not counted in `pictures`.
+    """
 
     pictures: int
     sounds: int
     subtitles: int
     others: int
+    covers: int
     sound: str
 
 
@@ -44,10 +48,11 @@ def movie_tracks(path: Path) -> MovieTracks:
     """Count the tracks of a movie; SourceError if it cannot be read, MissingExtra without PyAV."""
     with opened_container(path) as container:
         streams = container.streams
-        pictures, sounds, subtitles = len(streams.video), len(streams.audio), len(streams.subtitles)
-        others = len(streams) - pictures - sounds - subtitles
+        covers = sum(map(is_cover, streams.video))
+        pictures, sounds, subtitles = len(streams.video) - covers, len(streams.audio), len(streams.subtitles)
+        others = len(streams) - pictures - covers - sounds - subtitles
         sound = _description(streams.audio[0]) if streams.audio else ""
-        return MovieTracks(pictures, sounds, subtitles, others, sound)
+        return MovieTracks(pictures, sounds, subtitles, others, covers, sound)
 
 
 def _description(stream: Any) -> str:
