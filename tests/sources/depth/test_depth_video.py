@@ -183,7 +183,7 @@ def test_strange_files_are_source_errors(movie: Path, tmp_path: Path) -> None:
     with pytest.raises(SourceError, match="cannot be read"):  # a play list, which could name other files
         movies.GreyVideo(tmp_path / "text.mkv")
     with pytest.raises(SourceError, match=r"\.mkv \.avi"):
-        movies.GreyVideo(movie.with_suffix(".webm"))
+        movies.GreyVideo(movie.with_suffix(".wmv"))
     with av.open(str(tmp_path / "sound.mkv"), "w") as container:
         stream = container.add_stream("pcm_s16le", rate=8000)
         sound = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), format="s16", layout="mono")
