@@ -1,7 +1,7 @@
 // Finds the highest point of a surface as a person does who cannot see it: by keys, and by what the page speaks.
 const STEPS = 50; // coarse steps across the box
 const EVERY = 10; // steps between the places that are tried first
-const STARTS = 6;
+const STARTS = 12;
 const KEYS = { left: "ArrowLeft", right: "ArrowRight", "away from you": "ArrowUp", "towards you": "ArrowDown" };
 
 const numbers = (text) => (text.match(/-?\d+(\.\d+)?/g) ?? []).map(Number);
