@@ -10,7 +10,6 @@ import pytest
 
 from touchfield.render.block import PREFIX, shared_folder
 
-
 OTHERS_S = 20.0
 """Longest life of a block that a test of another process has."""
 
