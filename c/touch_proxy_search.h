@@ -254,26 +254,28 @@ static inline double touch_pull_cosine(touch_vector proxy_m, touch_vector hand_m
 }
 
 /* True if a proxy cannot follow its hand along the surface, as at the rim of a shell, although the field at the hand pushes it
-   out on the proxy's side: one that starts anew at the hand comes out there. It `hangs` where the search finds no surface to go
-   on. */
-static inline int touch_is_lost(const touch_isosurface *s, touch_field_point at, touch_field_point hand,
-                                const touch_constraint_planes *planes, int count, int hangs) {
-    double cosine = touch_pull_cosine(at.position_m, hand.position_m, planes, count);
-    double behind_m = touch_distance(at.position_m, hand.position_m) * sqrt(touch_fmax(0.0, 1.0 - cosine * cosine));
+   out on the proxy's side: one that starts anew at the hand comes out there. `pull_cosine` is that of touch_pull_cosine; the
+   proxy `hangs` where the search finds no surface to go on. */
+static inline int touch_is_lost(const touch_isosurface *s, touch_field_point at, touch_vector hand_m, double pull_cosine,
+                                int hangs) {
+    double along = sqrt(touch_fmax(0.0, 1.0 - pull_cosine * pull_cosine)); /* of the pull, along the surface */
     double far_m = TOUCH_PROXY_LOST_STEPS * s->max_step_m;
     if (!hangs) far_m += TOUCH_PROXY_LOST_FORCES * s->large_n / s->stiffness_n_per_m;
-    return behind_m > far_m && hand.force_n > s->level_n && touch_dot(hand.normal, at.normal) > TOUCH_PROXY_LOST_COSINE;
+    if (!(touch_distance(at.position_m, hand_m) * along > far_m)) return 0;
+    touch_field_point hand = touch_probe(s, hand_m);
+    return hand.force_n > s->level_n && touch_dot(hand.normal, at.normal) > TOUCH_PROXY_LOST_COSINE;
 }
 
 /* True if the hand is in free space and no surface on the straight way to it pushes back. A surface of a shell (a terrain, a
    depth picture) has a front only: from behind its force points along the way, and nothing holds a hand that left by the
    front. The search itself stops there, as one step of it cannot tell a back from the far side of a thin wall. */
-static inline int touch_is_way_free(const touch_isosurface *s, touch_field_point at, touch_field_point hand) {
-    touch_vector way = touch_subtract(hand.position_m, at.position_m);
+static inline int touch_is_way_free(const touch_isosurface *s, touch_field_point at, touch_vector hand_m) {
+    touch_vector way = touch_subtract(hand_m, at.position_m);
     double length_m = touch_magnitude(way), free_n = TOUCH_PROXY_FREE_LEVELS * s->level_n;
-    if (hand.force_n >= free_n || length_m > TOUCH_PROXY_WAY_STEPS * s->max_step_m) return 0;
+    if (length_m > TOUCH_PROXY_WAY_STEPS * s->max_step_m) return 0;
     int steps = (int)ceil(length_m / s->max_step_m);
-    if (steps < TOUCH_PROXY_WAY_LEAST_STEPS || touch_dot(at.normal, way) < 0.0) return 0;
+    if (steps < TOUCH_PROXY_WAY_LEAST_STEPS || touch_dot(at.normal, way) < 0.0) return 0; /* as in most contacts */
+    if (touch_probe(s, hand_m).force_n >= free_n) return 0;
     for (int n = 1; n < steps; n++) {
         touch_field_point between = touch_probe(s, touch_add_scaled(at.position_m, (double)n / steps, way));
         if (between.force_n >= free_n && touch_dot(between.normal, way) < 0.0) return 0;
@@ -331,15 +333,15 @@ static inline int touch_move_proxy(const touch_isosurface *s, touch_vector hand_
         at = accepted;
         step_m *= TOUCH_PROXY_SHORTER;
     }
-    touch_field_point hand = touch_probe(s, hand_m);
-    if (count > 0 && (touch_is_lost(s, at, hand, &planes, count, hangs) || touch_is_way_free(s, at, hand))) {
-        *proxy_at = touch_push_out(s, hand); /* it starts anew */
+    double pull_cosine = touch_pull_cosine(at.position_m, hand_m, &planes, count);
+    if (count > 0 && (touch_is_lost(s, at, hand_m, pull_cosine, hangs) || touch_is_way_free(s, at, hand_m))) {
+        *proxy_at = touch_push_out(s, touch_probe(s, hand_m)); /* it starts anew */
         return 0;
     }
     proxy->step_m = step_m;
     *proxy_at = at;
     return count > 0 && touch_dot(touch_subtract(hand_m, at.position_m), planes.normal[count - 1]) < 0.0 &&
-           touch_pull_cosine(at.position_m, hand_m, &planes, count) > TOUCH_PROXY_PULL_COSINE;
+           pull_cosine > TOUCH_PROXY_PULL_COSINE;
 }
 
 #endif
