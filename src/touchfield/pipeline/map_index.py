@@ -25,7 +25,7 @@ from touchfield.container.map_record import (
 )
 from touchfield.maps.board import AROUND, FREE
 from touchfield.maps.features import Feature, MapSource
-from touchfield.maps.labels import Translator
+from touchfield.maps.labels import Label, Translator
 from touchfield.maps.layout import Drawn
 from touchfield.maps.pins import Window
 from touchfield.maps.symbols import symbols
@@ -133,8 +133,7 @@ def _view(drawn: Drawn, tables: _Tables) -> bytes:
     codes = (layout.owner.astype(np.int64) + 1) * (len(drawn.named) + 1) + names + 1
     found, index = np.unique(codes, return_inverse=True)
     owners, named = np.divmod(found, len(drawn.named) + 1)
-    labels = iter(drawn.labels)
-    label_of = {n: next(labels) for n, placed in enumerate(layout.symbols) if placed.role == "label"}
+    label_of = _labels_by_symbol(drawn)
     listed = []
     indices: tuple[int, ...]
     for owner, name in zip(owners.tolist(), named.tolist()):
@@ -161,6 +160,12 @@ def _view(drawn: Drawn, tables: _Tables) -> bytes:
     has_empty = bool(len(found)) and found[0] == 0
     owner_of = index.reshape(layout.owner.shape).astype(np.int32) - int(has_empty)
     return encode_view(tuple(listed), layout.raised, owner_of)
+
+
+def _labels_by_symbol(drawn: Drawn) -> dict[int, Label]:
+    """Return the labels by the number of their symbol; both are in the same order."""
+    numbers = (n for n, placed in enumerate(drawn.layout.symbols) if placed.role == "label")
+    return dict(zip(numbers, drawn.labels, strict=True))
 
 
 def _own_names(drawn: Drawn) -> Int64s:
@@ -275,11 +280,8 @@ def _shown_names(drawn: Drawn) -> Int32s:
     """Return the names of pins, those of the texts of a drawing where their labels stand."""
     names = _own_names(drawn).astype(np.int32)
     index = {key: n for n, key in enumerate(drawn.named)}
-    labels = iter(drawn.labels)
-    for n, placed in enumerate(drawn.layout.symbols):
-        if placed.role == "label":
-            label = next(labels)
-            names[drawn.layout.owner == n] = index.get((label.kind, label.name), FREE)
+    for n, label in _labels_by_symbol(drawn).items():
+        names[drawn.layout.owner == n] = index.get((label.kind, label.name), FREE)
     return names
 
 

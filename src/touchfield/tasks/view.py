@@ -143,14 +143,9 @@ def _timeline(
     medium: str | Path | HapticMedium, against: Source | None, devices: tuple[str, ...], report: Progress
 ) -> Page:
     """The page that edits the touch of a movie, or of a ``.touch`` file without picture."""
-    if isinstance(medium, HapticMedium):
-        raise InvalidArgument("--page timeline", "a medium in memory", "a movie with touch, or a .touch file")
-    if is_remote(medium):
+    if not isinstance(medium, HapticMedium) and is_remote(medium):
         raise InvalidArgument("--page timeline", "an address", "a file", "Download it first.")
-    if against is not None or devices:
-        hint = "Take them out, or show the page of the field: --page field."
-        raise InvalidArgument("--page timeline", "--source or --device", "neither", hint)
-    movie = Path(str(medium))
+    movie = Path(_required_file("timeline", medium, against, devices, "a movie with touch, or a .touch file"))
     shown = view_timeline(movie, PLAYED_MOVIES.get(movie.suffix.lower()), report)
     return Page(shown.html, shown.figures)
 
@@ -181,16 +176,29 @@ def _required_map_page(
     medium: str | Path | HapticMedium, against: Source | None, devices: tuple[str, ...]
 ) -> Page:
     """Return the page of the tactile map in a file; raises InvalidArgument if it has none."""
-    if isinstance(medium, HapticMedium):
-        raise InvalidArgument("--page map", "a medium in memory", "a .touch file of touchfield map")
-    if against is not None or devices:
-        hint = "Take them out, or show the page of the field: --page field."
-        raise InvalidArgument("--page map", "--source or --device", "neither", hint)
-    shown, notes = _map_page(medium)
+    expected = "a .touch file of touchfield map"
+    path = _required_file("map", medium, against, devices, expected)
+    shown, notes = _map_page(path)
     if shown is None:
         found = notes[0] if notes else "a file without a map"
-        raise InvalidArgument(f"--page map: {medium}", found, "a .touch file of touchfield map")
+        raise InvalidArgument(f"--page map: {medium}", found, expected)
     return shown
+
+
+def _required_file(
+    page: str,
+    medium: str | Path | HapticMedium,
+    against: Source | None,
+    devices: tuple[str, ...],
+    expected: str,
+) -> str | Path:
+    """Return the file that a page other than the field's shows; InvalidArgument if it cannot be shown so."""
+    if isinstance(medium, HapticMedium):
+        raise InvalidArgument(f"--page {page}", "a medium in memory", expected)
+    if against is not None or devices:
+        hint = "Take them out, or show the page of the field: --page field."
+        raise InvalidArgument(f"--page {page}", "--source or --device", "neither", hint)
+    return medium
 
 
 def _without_pictures(movie: Path, at_s: float) -> str:

@@ -185,7 +185,7 @@ def _figures(
             f"{name}_touch_bytes": sizes[name],
             f"{name}_bytes_per_s": sizes[name] / touch.seconds,
         }
-    if "sound" in made and (features := made["sound"].features) is not None:
+    if (features := _sound_features(made)) is not None:
         figures |= {
             "onsets": len(features.onsets),
             "onsets_per_minute": 60 * len(features.onsets) / features.duration_s,
@@ -193,6 +193,10 @@ def _figures(
             "silent_fraction": features.silent_fraction,
         }
     return {**figures, "tags": {name: list(_tags(touch)) for name, touch in made.items()}, "copied": copied}
+
+
+def _sound_features(made: dict[str, _Made]) -> SoundFeatures | None:
+    return made["sound"].features if "sound" in made else None
 
 
 def _tags(touch: _Made) -> tuple[str, ...]:
@@ -205,7 +209,7 @@ def _notes(movie: Path, tracks: MovieTracks, made: dict[str, _Made], spec: Watch
         notes.append("The movie has no picture: the touch is that of the sound.")
     if tracks.pictures and not tracks.sounds and spec.only is None:
         notes.append("The movie has no sound: the touch is that of the picture.")
-    if "sound" in made and (features := made["sound"].features) is not None and features.silent_fraction == 1:
+    if (features := _sound_features(made)) is not None and features.silent_fraction == 1:
         notes.append("The sound is silent throughout: its touch does nothing.")
     if tracks.sounds > 1 and "sound" in made:
         notes.append(f"Of {tracks.sounds} sounds the first is used ({tracks.sound}); all are copied.")
@@ -242,7 +246,7 @@ def _timelines(made: dict[str, _Made], target: Device) -> dict[str, Timeline]:
             bins = _binned(drives, min(_TIMELINE_BINS, len(drives)))
         first_s = touch.start_s - start_s
         timelines[name] = Timeline(first_s, touch.seconds, bins)
-    if "sound" in made and (features := made["sound"].features) is not None:
+    if (features := _sound_features(made)) is not None:
         onsets_s = np.array([onset.time_s for onset in features.onsets])
         first_s = made["sound"].start_s - start_s
         timelines["sound"] = replace(timelines["sound"], onsets_s=first_s + onsets_s, levels=features.levels)
