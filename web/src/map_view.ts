@@ -96,30 +96,26 @@ export class MapView {
   }
 
   private drawSheet(box: Box, fill: string, line: string): void {
-    const { context } = this;
-    const [left, top] = this.viewport.toPixel([box[0], box[3]]);
-    const [right, bottom] = this.viewport.toPixel([box[2], box[1]]);
-    context.fillStyle = fill;
-    context.strokeStyle = line;
-    context.lineWidth = 1;
-    context.beginPath();
-    context.roundRect(left - 6, top - 6, right - left + 12, bottom - top + 12, 6);
-    context.fill();
-    context.stroke();
+    const { viewport } = this;
+    this.drawPlate(viewport.toPixel([box[0], box[3]]), viewport.toPixel([box[2], box[1]]), fill, line, { margin: 6, radius: 6, width: 1 });
   }
 
   /** The edge of a display that shows a view. */
   private drawFrame([a, b]: Pin, fill: string, line: string): void {
-    const { context } = this;
     const { map, level } = this.viewport;
     const top: Pin = [a * level.panRows - 0.5, b * level.panColumns - 0.5];
-    const [left, up] = this.viewport.toPixel(pointOf(level, top));
-    const [right, down] = this.viewport.toPixel(pointOf(level, [top[0] + map.rows, top[1] + map.columns]));
+    const corner = (pin: Pin) => this.viewport.toPixel(pointOf(level, pin));
+    this.drawPlate(corner(top), corner([top[0] + map.rows, top[1] + map.columns]), fill, line, { margin: 5, radius: 8, width: 2 });
+  }
+
+  /** A rounded rectangle around two corners, the upper left and the lower right one, in pixels. */
+  private drawPlate([left, top]: Point, [right, bottom]: Point, fill: string, line: string, edge: { margin: number; radius: number; width: number }): void {
+    const { context } = this;
     context.fillStyle = fill;
     context.strokeStyle = line;
-    context.lineWidth = 2;
+    context.lineWidth = edge.width;
     context.beginPath();
-    context.roundRect(left - 5, up - 5, right - left + 10, down - up + 10, 8);
+    context.roundRect(left - edge.margin, top - edge.margin, right - left + 2 * edge.margin, bottom - top + 2 * edge.margin, edge.radius);
     context.fill();
     context.stroke();
   }
