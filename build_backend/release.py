@@ -1,14 +1,17 @@
 """Builds what a release publishes, and checks it: python build_backend/release.py FOLDER [--rehearsal]
 
-FOLDER gets the wheels of all platforms and the source distribution, the site, the conformance files and the
-headers in C as archives, and SHA256SUMS. Nothing is uploaded. The checks, in this order:
+FOLDER gets the wheels of all platforms and the source distribution, archives of the site, of the conformance
+files and of what is in C (`archives`), and SHA256SUMS. Nothing is uploaded. The checks, in this order:
 
 - the tools are installed, the places that state the version agree, and what is built is a commit whose
   changelog has no section of unreleased changes (a rehearsal reports this, and goes on);
 - abi3audit and auditwheel accept the wheels (`wheels`), and twine the descriptions;
 - packages contain what the repository has, and nothing else (`packages`);
 - the wheel of this platform and the source distribution are each installed in an empty environment, where
-  the program decodes a golden file to the stored field, plays it and writes its page.
+  the program decodes a golden file to the stored field, plays it and writes its page; the wheels of other
+  platforms are not run;
+- the unpacked archives decode the golden file, too;
+- files and commit are still those at the start.
 
 What was built stays if a run is interrupted: the next run of the same commit goes on from there.
 """
@@ -23,16 +26,15 @@ import subprocess
 import sys
 import tempfile
 import venv
-import zipfile
-from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 
+from archives import CONTENTS, check_archives, write_archive, write_contents
 from compiler import ROOT
-from packages import sdist_faults, tracked_files, wheel_faults
+from packages import sdist_faults, wheel_faults
 from packaging.tags import sys_tags
 from packaging.utils import parse_wheel_filename
-from wheels import TOOLS, Task, missing_tools, run, run_all, wheel_tasks
+from wheels import TOOLS, Task, main_of_command, missing_tools, run, run_all, wheel_tasks
 
 GOLDEN = ROOT / "conformance" / "v1" / "touch-block.touch"
 """The golden file that an installed package decodes."""
@@ -66,6 +68,12 @@ USES = (
 """What a receiver does, as arguments of the program."""
 
 
+def git_output(root: Path, *arguments: str) -> str:
+    """Return what git prints; nothing if it fails."""
+    done = subprocess.run(["git", *arguments], cwd=root, capture_output=True, text=True, check=False)
+    return done.stdout.rstrip()
+
+
 def version() -> str:
     """Return the version of the package."""
     text = (ROOT / "src" / "touchfield" / "_version.py").read_text()
@@ -75,18 +83,24 @@ def version() -> str:
 
 
 def version_faults(root: Path, released: str) -> list[str]:
-    """Return a line for each place below `root` that states another version than `released`."""
-    number = re.escape(released)
-    places = {
-        "CITATION.cff": rf"^version: {number}$",
-        "docs/stability.md": rf"^touchfield is at version {number}\.",
-        "CHANGELOG.md": rf"^## {number} - \d{{4}}-\d\d-\d\d$",
-    }
+    """Return a line for each place below `root` that does not state the version `released`, or its date."""
+    date = "YYYY-MM-DD"
+    changelog = (root / "CHANGELOG.md").read_text(encoding="utf-8")
+    if dated := re.search(rf"^## {re.escape(released)} - (\d{{4}}-\d\d-\d\d)$", changelog, re.MULTILINE):
+        date = dated[1]
+    places = [
+        ("CITATION.cff", f"version: {released}"),
+        ("CITATION.cff", f"date-released: {date}"),
+        ("docs/stability.md", f"touchfield is at version {released}."),
+        ("CHANGELOG.md", f"## {released} - {date}"),
+    ]
     return [
-        f"{name}: found no line for version {released}; expected one that matches {pattern}. "
-        "Run `make version VERSION=X.Y.Z`"
-        for name, pattern in places.items()
-        if not re.search(pattern, (root / name).read_text(encoding="utf-8"), re.MULTILINE)
+        f'{name}: found no line "{line}"; expected it for the version in src/touchfield/_version.py. '
+        "`make version` writes the version in all files; correct the one that is wrong"
+        for name, line in places
+        if not re.search(
+            rf"^{re.escape(line)}(?!\S)", (root / name).read_text(encoding="utf-8"), re.MULTILINE
+        )
     ]
 
 
@@ -98,10 +112,10 @@ def publication_faults(root: Path, released: str) -> list[str]:
             f"CHANGELOG.md: found the section Unreleased; expected {released} to have all changes. "
             "Run `make version VERSION=X.Y.Z`"
         )
-    if changed := _git(root, "status", "--porcelain"):
+    if changed := git_output(root, "status", "--porcelain"):
         faults.append(f"found files that differ from the commit; expected none. Commit or remove:\n{changed}")
-    tagged = _git(root, "rev-parse", "--quiet", "--verify", f"refs/tags/v{released}^{{commit}}")
-    if tagged and tagged != _git(root, "rev-parse", "HEAD"):
+    tagged = git_output(root, "rev-parse", "--quiet", "--verify", f"refs/tags/v{released}^{{commit}}")
+    if tagged and tagged != git_output(root, "rev-parse", "HEAD"):
         faults.append(
             f"the tag v{released} is at commit {tagged}; expected it here, or a version without a tag"
         )
@@ -169,19 +183,6 @@ def check_install(package: Path, released: str) -> None:
             run([python.with_stem("touchfield"), *arguments], cwd=folder)
 
 
-def write_archive(path: Path, files: Iterable[Path], root: Path) -> None:
-    """Write files, by their paths below `root`, in a zip archive with one folder of the archive's name.
-
-    Times are constant, so that equal files make equal archives. The archive appears once it is complete.
-    """
-    part = path.with_name(f".{path.name}.part")
-    with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
-        for file in sorted(files):
-            name = f"{path.stem}/{file.relative_to(root).as_posix()}"
-            archive.writestr(zipfile.ZipInfo(name), file.read_bytes(), zipfile.ZIP_DEFLATED)
-    part.replace(path)
-
-
 def write_site(path: Path, released: str) -> None:
     """Write the archive of the site, unless it is there: pages that a browser opens without a server."""
     if path.exists():
@@ -203,47 +204,55 @@ def write_sums(folder: Path) -> None:
 def build(folder: Path, released: str) -> None:
     """Build all files into `folder`, as many at a time as there are cores."""
     remove_parts(folder)
-    conformance = folder / f"touchfield-conformance-{released}.zip"
-    headers = folder / f"touchfield-c-{released}.zip"
     tasks: list[Task] = [
         *wheel_tasks(folder),
         partial(write_site, folder / f"touchfield-site-{released}.zip", released),
         partial(build_sdist, folder),
-        partial(write_archive, conformance, tracked_files("conformance"), ROOT),
-        partial(write_archive, headers, tracked_files("c", "docs/format"), ROOT),
+        *(partial(write_contents, folder, name, released) for name in CONTENTS),
     ]
     run_all(tasks)
+
+
+def repository_state(root: Path) -> tuple[str, str]:
+    """Return the commit of `root`, and git's list of the files that differ from it.
+
+    Ends the program if `root` is no repository with a commit: packages are compared with what git tracks.
+    """
+    commit = git_output(root, "rev-parse", "--verify", "HEAD")
+    if not commit:
+        sys.exit(f"{root}: found no commit that git can read; expected a clone of the repository")
+    return commit, git_output(root, "status", "--porcelain")
+
+
+def check_unchanged(root: Path, state: tuple[str, str]) -> None:
+    """End the program if `root` is no longer in `state`: packages may be of two states."""
+    if repository_state(root) != state:
+        sys.exit(
+            f"{root}: found changes that were made during the build; expected none. Empty the folder of the "
+            "release, and start again"
+        )
 
 
 def main(folder: Path, is_rehearsal: bool = False) -> None:
     """Build and check a release into `folder`, which must be empty, missing, or incomplete."""
     released = version()
+    state = commit, changed = repository_state(ROOT)
     unfit = publication_faults(ROOT, released)
     tools = missing_tools((*TOOLS, "build", "mkdocs", "mkdocstrings", "twine"), "release")
     if faults := [*tools, *version_faults(ROOT, released), *([] if is_rehearsal else unfit)]:
         sys.exit("\n".join(faults))
-    is_commit = not _git(ROOT, "status", "--porcelain")
-    prepare_folder(folder, _git(ROOT, "rev-parse", "HEAD") if is_commit else "")
+    prepare_folder(folder, "" if changed else commit)
     build(folder, released)
     check_packages(folder)
     packages = wheel_for_this_platform(folder), next(folder.glob("*.tar.gz"))
-    run_all(partial(check_install, package, released) for package in packages)
+    installs = [partial(check_install, package, released) for package in packages]
+    run_all([*installs, partial(check_archives, folder, released)])
+    check_unchanged(ROOT, state)
     write_sums(folder)
     (folder / COMMIT).unlink()
     print(f"touchfield {released}: {len(list(folder.iterdir()))} files in {folder}")
     print("\n".join(["a rehearsal, not to be published:", *unfit]) if unfit else "ready to be published")
 
 
-def _git(root: Path, *arguments: str) -> str:
-    """Return what git prints; nothing if it fails."""
-    done = subprocess.run(["git", *arguments], cwd=root, capture_output=True, text=True, check=False)
-    return done.stdout.strip()
-
-
 if __name__ == "__main__":
-    try:
-        main(Path(sys.argv[1]).resolve(), "--rehearsal" in sys.argv[2:])
-    except subprocess.CalledProcessError as error:
-        sys.exit(
-            f"{error.cmd[0]}: failed with status {error.returncode}; nothing is released, its output is above"
-        )
+    main_of_command(lambda: main(Path(sys.argv[1]).resolve(), "--rehearsal" in sys.argv[2:]))

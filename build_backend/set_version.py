@@ -13,13 +13,14 @@ from pathlib import Path
 from compiler import ROOT
 from packaging.version import InvalidVersion, Version
 
-PLACES = {
-    "src/touchfield/_version.py": (r'^__version__ = "(.+)"$', '__version__ = "{version}"'),
-    "CITATION.cff": (r"^version: (.+)$", "version: {version}"),
-    "docs/stability.md": (r"^touchfield is at version (\S+)\.(?= )", "touchfield is at version {version}."),
-    "CHANGELOG.md": (r"^## Unreleased$", "## {version} - {date}"),
-}
-"""Of each file, a pattern of the line that states the version, and the new line."""
+PLACES = (
+    ("src/touchfield/_version.py", r'^__version__ = "(.+)"$', '__version__ = "{version}"'),
+    ("CITATION.cff", r"^version: (.+)$", "version: {version}"),
+    ("CITATION.cff", r"^date-released: (.+)$", "date-released: {date}"),
+    ("docs/stability.md", r"^touchfield is at version (\S+)\.(?= )", "touchfield is at version {version}."),
+    ("CHANGELOG.md", r"^## Unreleased$", "## {version} - {date}"),
+)
+"""Files, the pattern of a line that states the version or its date, and the new line."""
 
 
 def edited(root: Path, version: str, date: str) -> dict[Path, str]:
@@ -27,16 +28,18 @@ def edited(root: Path, version: str, date: str) -> dict[Path, str]:
 
     Raises `ValueError` if a file has another number of such lines than one, or `version` is not newer.
     """
-    texts = {}
-    for name, (pattern, line) in PLACES.items():
-        text = (root / name).read_text(encoding="utf-8")
+    texts: dict[Path, str] = {}
+    for name, pattern, line in PLACES:
+        path = root / name
+        text = texts.get(path) or path.read_text(encoding="utf-8")
         found = list(re.finditer(pattern, text, re.MULTILINE))
         if len(found) != 1:
-            raise ValueError(f"{name}: found {len(found)} lines that match {pattern}; expected one")
+            old = line.format(version="X.Y.Z", date="YYYY-MM-DD") if "(" in pattern else "## Unreleased"
+            raise ValueError(f'{name}: found {len(found)} lines such as "{old}"; expected one, to edit it')
         if name.endswith("_version.py") and Version(found[0][1]) >= _parsed(version):
             raise ValueError(f"{name}: found version {found[0][1]}; expected one before {version}")
         new = line.format(version=version, date=date)
-        texts[root / name] = text[: found[0].start()] + new + text[found[0].end() :]
+        texts[path] = text[: found[0].start()] + new + text[found[0].end() :]
     return texts
 
 
@@ -59,6 +62,6 @@ def main(version: str) -> None:
 
 if __name__ == "__main__":
     try:
-        main(sys.argv[1])
+        main(*sys.argv[1:2] or [""])
     except ValueError as error:
         sys.exit(str(error))

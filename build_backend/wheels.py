@@ -44,7 +44,7 @@ def run(command: Iterable[str | Path], cwd: str | Path = ROOT, **variables: str)
     """
     parts = [str(part) for part in command]
     environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"} | variables
-    shown = " ".join(part for part in parts if "\n" not in part)
+    shown = _shown(parts)
     print(f"+ {shown}", flush=True)
     done = subprocess.run(
         parts,
@@ -64,9 +64,11 @@ def run(command: Iterable[str | Path], cwd: str | Path = ROOT, **variables: str)
 def run_all(tasks: Iterable[Task]) -> None:
     """Run tasks, as many at a time as there are cores; the first error ends the run."""
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        futures: list[Future[object]] = [pool.submit(task) for task in tasks]
-        done, _ = wait(futures, return_when=FIRST_EXCEPTION)
-        pool.shutdown(wait=False, cancel_futures=True)
+        try:
+            futures: list[Future[object]] = [pool.submit(task) for task in tasks]
+            done, _ = wait(futures, return_when=FIRST_EXCEPTION)
+        finally:  # also if the user interrupts
+            pool.shutdown(wait=False, cancel_futures=True)
     for future in done:
         future.result()
 
@@ -99,8 +101,23 @@ def main(folder: Path) -> None:
     run_all(wheel_tasks(folder))
 
 
-if __name__ == "__main__":
+def main_of_command(command: Task) -> None:
+    """Run a command of the Makefile; end the program with one line if a tool fails or the user interrupts."""
     try:
-        main(Path(sys.argv[1]).resolve())
+        command()
     except subprocess.CalledProcessError as error:
-        sys.exit(f"{error.cmd[0]}: failed with status {error.returncode}; its output is above")
+        sys.exit(
+            f"failed with status {error.returncode}: {_shown(error.cmd)}\n"
+            "Its output is above, behind the same command with = before it. The folder is incomplete"
+        )
+    except KeyboardInterrupt:
+        sys.exit("interrupted; the folder is incomplete, and the same command goes on from there")
+
+
+def _shown(command: Iterable[str]) -> str:
+    """Return a command as it is printed: without programs of several lines."""
+    return " ".join(part for part in command if "\n" not in part)
+
+
+if __name__ == "__main__":
+    main_of_command(lambda: main(Path(sys.argv[1]).resolve()))

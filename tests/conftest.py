@@ -38,6 +38,7 @@ EXTERNAL = (
     "viewer/test_timeline_page.py",
     "network/test_repackaging.py::test_a_copied_movie",
     "test_docs.py::test_the_site_builds",
+    "test_release.py::test_the_decoders_of_the_archives",
 )
 """Tests that need other tools, by the start of their paths below this folder."""
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
+import signal
 import subprocess
 import sys
+import time
 import zipfile
 from collections.abc import Iterable
 from functools import partial
@@ -16,6 +19,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "build_backend"))
 
+import archives  # noqa: E402
 import description  # noqa: E402
 import packages  # noqa: E402
 import release  # noqa: E402
@@ -26,7 +30,8 @@ import wheels  # noqa: E402
 def write_version_places(root: Path, version: str, dated: str = "2026-11-28") -> None:
     """Write the files that state a version."""
     (root / "docs").mkdir(exist_ok=True)
-    (root / "CITATION.cff").write_text(f"cff-version: 1.2.0\nversion: {version}\n")
+    released = "" if dated == "unreleased" else f"date-released: {dated}\n"
+    (root / "CITATION.cff").write_text(f"cff-version: 1.2.0\nversion: {version}\n{released}")
     (root / "docs" / "stability.md").write_text(f"# What is stable\ntouchfield is at version {version}. It\n")
     (root / "CHANGELOG.md").write_text(f"# Changelog\n\n## {version} - {dated}\n- All.\n")
 
@@ -38,19 +43,29 @@ def test_the_places_of_this_repository_state_its_version() -> None:
 def test_each_place_with_another_version_is_named(tmp_path: Path) -> None:
     write_version_places(tmp_path, "0.2.0")
     assert release.version_faults(tmp_path, "0.2.0") == []
-    faults = release.version_faults(tmp_path, "0.3.0")
-    assert [fault.partition(":")[0] for fault in faults] == [
-        "CITATION.cff",
-        "docs/stability.md",
-        "CHANGELOG.md",
-    ]
-    assert all("found no line for version 0.3.0" in fault for fault in faults)
+    for other in ("0.3.0", "0.2.0.1", "0.2"):
+        faults = release.version_faults(tmp_path, other)
+        assert [fault.partition(";")[0] for fault in faults] == [
+            f'CITATION.cff: found no line "version: {other}"',
+            'CITATION.cff: found no line "date-released: YYYY-MM-DD"',
+            f'docs/stability.md: found no line "touchfield is at version {other}."',
+            f'CHANGELOG.md: found no line "## {other} - YYYY-MM-DD"',
+        ]
 
 
 def test_a_section_without_a_date_is_not_released(tmp_path: Path) -> None:
     write_version_places(tmp_path, "0.2.0", "unreleased")
+    citation, changelog = release.version_faults(tmp_path, "0.2.0")
+    assert 'found no line "date-released: YYYY-MM-DD"' in citation
+    assert 'found no line "## 0.2.0 - YYYY-MM-DD"' in changelog
+
+
+def test_the_citation_has_the_date_of_the_changelog(tmp_path: Path) -> None:
+    write_version_places(tmp_path, "0.2.0")
+    changelog = tmp_path / "CHANGELOG.md"
+    changelog.write_text(changelog.read_text().replace("2026-11-28", "2026-11-30"))
     (fault,) = release.version_faults(tmp_path, "0.2.0")
-    assert fault.startswith("CHANGELOG.md")
+    assert fault.startswith('CITATION.cff: found no line "date-released: 2026-11-30"')
 
 
 def test_equal_files_make_equal_archives_in_one_folder(tmp_path: Path) -> None:
@@ -60,18 +75,53 @@ def test_equal_files_make_equal_archives_in_one_folder(tmp_path: Path) -> None:
         file.write_text(file.name)
     first, second = tmp_path / "touchfield-c-0.2.0.zip", tmp_path / "again" / "touchfield-c-0.2.0.zip"
     second.parent.mkdir()
-    release.write_archive(first, files, tmp_path)
-    release.write_archive(second, reversed(files), tmp_path)
+    archives.write_archive(first, files, tmp_path)
+    archives.write_archive(second, reversed(files), tmp_path)
     assert first.read_bytes() == second.read_bytes()
     with zipfile.ZipFile(first) as archive:
         assert archive.namelist() == ["touchfield-c-0.2.0/c/touch.h", "touchfield-c-0.2.0/c/touch_query.h"]
         assert archive.read("touchfield-c-0.2.0/c/touch.h") == b"touch.h"
 
 
-def test_the_archives_have_the_licence_and_what_is_tracked() -> None:
-    names = {path.relative_to(ROOT).as_posix() for path in release.tracked_files("c", "docs/format")}
-    assert {"LICENSE", "c/touch.h", "docs/format/README.md"} <= names
-    assert all(name == "LICENSE" or name.startswith(("c/", "docs/format/")) for name in names)
+def test_pages_of_an_archive_link_to_what_it_has() -> None:
+    names = ["c/README.md", "c/touch.h", "docs/format/README.md", "docs/format/live.md"]
+    text = "[header](touch.h#top), [format](../docs/format/), [pages](../docs/map.md#two), [there](https://e.org)"
+    kept = "[header](touch.h#top), [format](../docs/format/), pages, [there](https://e.org)"
+    assert archives.page_in_archive(text, "c/README.md", names) == kept
+    own = "[records](#records), ![a field](live.md)"
+    assert archives.page_in_archive(own, "docs/format/README.md", names) == own
+
+
+@pytest.mark.parametrize("name", archives.CONTENTS)
+def test_an_archive_has_the_licence_and_no_link_to_other_files(name: str, tmp_path: Path) -> None:
+    archives.write_contents(tmp_path, name, "0.2.0")
+    with zipfile.ZipFile(archives.archive_path(tmp_path, name, "0.2.0")) as archive:
+        archive.extractall(tmp_path)
+    root = tmp_path / f"touchfield-{name}-0.2.0"
+    assert {"LICENSE", "docs", name} <= {path.name for path in root.iterdir()}
+    pages = [*root.rglob("*.md")]
+    links = [(page, link) for page in pages for link in re.findall(r"\]\(([^)#\s]+)", page.read_text())]
+    assert len(links) > 10
+    assert [
+        (page, link) for page, link in links if "://" not in link and not (page.parent / link).exists()
+    ] == []
+
+
+def test_code_in_pages_of_an_archive_stays() -> None:
+    code = re.compile(r"^```.*?^```", re.DOTALL | re.MULTILINE)
+    files = archives.tracked_files("c", "conformance", "integrations", "docs/format")
+    for page in (path for path in files if path.suffix == ".md"):
+        text = page.read_text(encoding="utf-8")
+        assert code.findall(archives.page_in_archive(text, "README.md", ())) == code.findall(text)
+
+
+def test_the_decoders_of_the_archives_work_without_the_repository(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in archives.CONTENTS:
+        archives.write_contents(tmp_path, name, "0.2.0")
+    archives.check_archives(tmp_path, "0.2.0")
+    assert str(ROOT / "c") not in (shown := capsys.readouterr().out) and "touch_decode.c" in shown
 
 
 def test_sums_are_those_of_the_files(tmp_path: Path) -> None:
@@ -139,6 +189,30 @@ def test_only_a_commit_without_unreleased_changes_is_published(tmp_path: Path) -
     assert tagged.startswith("the tag v0.2.0 is at commit")
 
 
+def test_a_folder_without_a_repository_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
+    with pytest.raises(SystemExit, match="found no commit that git can read; expected a clone"):
+        release.repository_state(tmp_path)
+    git(tmp_path, "init")
+    with pytest.raises(SystemExit, match="found no commit"):
+        release.repository_state(tmp_path)
+
+
+def test_changes_during_the_build_are_refused(tmp_path: Path) -> None:
+    write_version_places(tmp_path, "0.2.0")
+    git(tmp_path, "init")
+    git(tmp_path, "add", ".")
+    git(tmp_path, "commit", "-m", "all")
+    state = release.repository_state(tmp_path)
+    release.check_unchanged(tmp_path, state)
+    (tmp_path / "CITATION.cff").write_text("")
+    with pytest.raises(SystemExit, match="changes that were made during the build"):
+        release.check_unchanged(tmp_path, state)
+    git(tmp_path, "commit", "-am", "more")
+    with pytest.raises(SystemExit, match="changes that were made during the build"):
+        release.check_unchanged(tmp_path, state)
+
+
 def test_missing_tools_are_named_in_one_line() -> None:
     assert wheels.missing_tools(["hashlib"], "release") == []
     (fault,) = wheels.missing_tools(["hashlib", "no_such_tool", "nor_this"], "release")
@@ -157,6 +231,30 @@ def test_the_first_failing_task_ends_the_run_and_is_named() -> None:
         wheels.run_all(tasks)
     assert wheels.run_all([partial(started.append, 100)]) is None
     assert started[-1] == 100
+
+
+def test_the_failing_command_is_reported_without_its_program() -> None:
+    with pytest.raises(SystemExit, match="status 3") as ended:
+        wheels.main_of_command(
+            lambda: wheels.run([sys.executable, "-c", "import sys\nsys.exit(3)", "one.touch"])
+        )
+    assert str(ended.value).startswith(f"failed with status 3: {sys.executable} -c one.touch\n")
+
+
+def test_an_interrupted_run_starts_no_further_task() -> None:
+    started = []
+
+    def interrupt() -> None:
+        time.sleep(0.1)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    tasks = [
+        interrupt,
+        *[lambda number=number: started.append(number) or time.sleep(0.05) for number in range(400)],
+    ]
+    with pytest.raises(SystemExit, match="interrupted"):
+        wheels.main_of_command(lambda: wheels.run_all(tasks))
+    assert len(started) < 400
 
 
 def test_the_description_has_no_link_or_picture_of_the_repository() -> None:
@@ -202,7 +300,9 @@ def test_a_new_version_is_stated_in_all_places_or_in_none(tmp_path: Path) -> Non
     module = tmp_path / "src" / "touchfield" / "_version.py"
     module.parent.mkdir(parents=True)
     module.write_text('__version__ = "0.2.0"\n')
-    with pytest.raises(ValueError, match=r"CHANGELOG.md: found 0 lines"):
+    with pytest.raises(
+        ValueError, match=r'CHANGELOG.md: found 0 lines such as "## Unreleased"; expected one'
+    ):
         set_version.edited(tmp_path, "0.3.0", "2027-01-02")
     changelog = tmp_path / "CHANGELOG.md"
     changelog.write_text(changelog.read_text().replace("## 0.2.0", "## Unreleased\n- More.\n\n## 0.2.0"))
@@ -219,9 +319,15 @@ def test_what_is_no_newer_version_is_refused(version: str) -> None:
         set_version.edited(ROOT, version, "2027-01-02")
 
 
-def test_this_repository_takes_a_new_version_once_it_has_unreleased_changes() -> None:
-    changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    if "\n## Unreleased\n" not in changelog:
-        pytest.skip("the changelog has no unreleased changes")
-    names = {path.relative_to(ROOT).as_posix() for path in set_version.edited(ROOT, "99.0.0", "2027-01-02")}
-    assert names == set(set_version.PLACES)
+def test_this_repository_takes_a_new_version(tmp_path: Path) -> None:
+    for name in {name for name, _, _ in set_version.PLACES}:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text((ROOT / name).read_text(encoding="utf-8"), encoding="utf-8")
+    changelog = tmp_path / "CHANGELOG.md"
+    text = changelog.read_text(encoding="utf-8")
+    if "\n## Unreleased\n" not in text:  # just after a release
+        changelog.write_text(text.replace("\n## ", "\n## Unreleased\n- More.\n\n## ", 1), encoding="utf-8")
+    for path, new in set_version.edited(tmp_path, "99.0.0", "2027-01-02").items():
+        path.write_text(new, encoding="utf-8")
+    assert release.version_faults(tmp_path, "99.0.0") == []
+    assert len(release.version_faults(tmp_path, release.version())) == 3
