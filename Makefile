@@ -49,21 +49,16 @@ golden: .venv/ready
 	$(BIN)/python conformance/make_golden.py
 	$(BIN)/python conformance/make_queries.py
 
-RELEASE_TOOLS := abi3audit auditwheel build twine 'ziglang>=0.16'
-
 # wheels for the platforms of build_backend/targets.py, cross-compiled by zig, and checked
-wheels: .venv/ready
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(RELEASE_TOOLS)
+wheels: .venv/ready .venv/release
 	$(BIN)/python build_backend/wheels.py dist
 
-# all that a release publishes, built and checked in dist/; nothing is uploaded
-release: .venv/ready
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(RELEASE_TOOLS)
+# all that a release publishes, built and checked in dist/; nothing is uploaded. See CONTRIBUTING.md
+release: .venv/ready .venv/release
 	$(BIN)/python build_backend/release.py dist
 
 # the same before a release: what would forbid to publish dist/ is reported last
-rehearsal: .venv/ready
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(RELEASE_TOOLS)
+rehearsal: .venv/ready .venv/release
 	$(BIN)/python build_backend/release.py dist --rehearsal
 
 # a new version, in the places that state it: make version VERSION=0.2.0
@@ -96,6 +91,11 @@ web/node_modules/.package-lock.json: web/package-lock.json
 	echo 'no C compiler here: ziglang from PyPI compiles the coder'; \
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'ziglang>=0.16'; }
 	touch .venv/packages
+
+# what builds and checks a release: the extra `release`
+.venv/release: .venv/packages requirements-release.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements-release.lock
+	touch .venv/release
 
 # the compiled module again, as an error of its import asks for
 module: .venv/packages

@@ -7,7 +7,9 @@ are not built again.
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -37,8 +39,10 @@ def missing_tools(modules: Iterable[str], target: str) -> list[str]:
     ]
 
 
-def run(command: Iterable[str | Path], cwd: str | Path = ROOT, **variables: str) -> None:
+def run(command: Iterable[str | Path], cwd: str | Path = ROOT, **variables: str) -> str:
     """Run a command; print it, and its output once it has ended: other commands run at the same time.
+
+    Returns the output.
 
     `variables` are added to the environment. Raises `subprocess.CalledProcessError` if the command fails.
     """
@@ -59,6 +63,7 @@ def run(command: Iterable[str | Path], cwd: str | Path = ROOT, **variables: str)
         print(f"= {shown}\n{done.stdout}", end="", flush=True)
     if done.returncode:
         raise subprocess.CalledProcessError(done.returncode, parts)
+    return done.stdout
 
 
 def run_all(tasks: Iterable[Task]) -> None:
@@ -84,8 +89,23 @@ def build_wheel(folder: Path, target: str, tag: str) -> None:
         (wheel,) = Path(unchecked).glob(f"*-cp311-abi3-{tag}.whl")
         run([sys.executable, "-m", "abi3audit", "--strict", "--summary", wheel])
         if "linux-gnu" in target:  # a musl wheel can only be resolved on a system with musl
-            run([sys.executable, "-m", "auditwheel", "show", wheel])
+            report = run([sys.executable, "-m", "auditwheel", "show", "--json", wheel])
+            if fault := glibc_fault(wheel.name, json.loads(report[report.index("{") :])["overall_tag"]):
+                sys.exit(fault)
         wheel.rename(folder / wheel.name)
+
+
+def glibc_fault(wheel: str, needed: str) -> str | None:
+    """Return a line if a wheel needs a newer glibc, or another machine, than its name states; else `None`.
+
+    `needed` is auditwheel's tag of the oldest system on which it runs, such as ``manylinux_2_17_x86_64``.
+    """
+    pattern = r"manylinux_(\d+)_(\d+)_(\w+)"
+    stated, found = re.search(pattern, wheel.replace(".", " ")), re.fullmatch(pattern, needed)
+    is_machine = stated and found and found[3] == stated[3]
+    if is_machine and (int(found[1]), int(found[2])) <= (int(stated[1]), int(stated[2])):
+        return None
+    return f"{wheel}: auditwheel found that it needs {needed}; expected what its name states"
 
 
 def wheel_tasks(folder: Path) -> list[Task]:

@@ -295,6 +295,25 @@ def test_each_file_too_many_or_missing_in_a_wheel_is_named(tmp_path: Path) -> No
     assert "links to docs/map.md" in link
 
 
+@pytest.mark.parametrize(
+    ("needed", "is_accepted"),
+    [
+        ("manylinux_2_17_x86_64", True),
+        ("manylinux_2_5_x86_64", True),
+        ("manylinux_2_36_x86_64", False),
+        ("manylinux_2_17_aarch64", False),
+        ("linux_x86_64", False),
+    ],
+)
+def test_a_wheel_that_needs_a_newer_glibc_than_its_name_states_is_refused(
+    needed: str, is_accepted: bool
+) -> None:
+    wheel = "touchfield-0.2.0-cp311-abi3-manylinux_2_17_x86_64.manylinux2014_x86_64.whl"
+    fault = wheels.glibc_fault(wheel, needed)
+    assert (fault is None) == is_accepted
+    assert fault is None or f"found that it needs {needed}" in fault
+
+
 def test_a_new_version_is_stated_in_all_places_or_in_none(tmp_path: Path) -> None:
     write_version_places(tmp_path, "0.2.0")
     module = tmp_path / "src" / "touchfield" / "_version.py"
