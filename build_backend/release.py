@@ -68,6 +68,10 @@ USES = (
 """What a receiver does, as arguments of the program."""
 
 
+FOR_SERVERS = {"404.html", "sitemap.xml", "sitemap.xml.gz"}
+"""Files of the site with which only a server at a known address can do something."""
+
+
 def git_output(root: Path, *arguments: str) -> str:
     """Return what git prints; nothing if it fails."""
     done = subprocess.run(["git", *arguments], cwd=root, capture_output=True, text=True, check=False)
@@ -190,7 +194,7 @@ def write_site(path: Path, released: str) -> None:
     with tempfile.TemporaryDirectory() as site:
         command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", site]
         run(command, SITE_DIRECTORY_URLS="false", SITE_VERSION=f"touchfield {released}")
-        files = [file for file in Path(site).rglob("*") if file.is_file()]
+        files = [file for file in Path(site).rglob("*") if file.is_file() and file.name not in FOR_SERVERS]
         write_archive(path, files, Path(site))
 
 

@@ -202,6 +202,10 @@ def read_file(data: bytes) -> TouchFile:
     return TouchFile(head, objects, read_segments(records, head["frame_count"]))
 
 
+class TooLarge(FaultyFile):
+    """Its frames are too large to lay out, but it may be without a fault."""
+
+
 def frames_of(file: TouchFile) -> Iterator[Any]:
     """The frames of a file, one after another: bricks, or dense arrays of objects."""
     coder = file.head["coder"]
@@ -232,7 +236,8 @@ def decode(path: str | Path) -> dict[str, Any]:
     """
     file = read_file(Path(path).read_bytes())
     shape, count = file.head["grid_shape"], file.head["frame_count"]
-    need(count * math.prod(shape) <= MOST_DENSE, f"{count} frames of {shape} samples are too many to lay out")
+    sizes = f"{count} frames of {shape} samples are too many to lay out; frames_of decodes them as bricks"
+    need(count * math.prod(shape) <= MOST_DENSE, sizes, TooLarge)
     forces_n = np.zeros((count, *shape, 3), np.float32)
     for i, frame in enumerate(frames_of(file)):
         forces_n[i] = laid_out(frame, shape) if isinstance(frame, dict) else frame
