@@ -22,7 +22,7 @@ const HEADERS = ["", ...["cells", "effects", "encode", "friction", "log", "media
 
 /** Every file that the page is made from; tests/viewer/test_page.py hashes the same. */
 const SOURCES = [...HEADERS, "build.mjs", "build_wasm.sh", "hand.c", "map.css", "map.html", "package-lock.json", "page.css", "page.h", "page.html", "record.h", "relief.h", "surface.h", "three_core.mjs", "timeline.css", "timeline.html", "touch_wasm.c", "unused_methods.mjs",
-  ...listed("freestanding", ""), ...listed("src", ".ts")];
+  ...listed("freestanding", ""), ...listed("src", ".ts"), ...listed("src/page", ".ts")];
 const sources = createHash("sha256");
 for (const name of SOURCES) sources.update(name).update("\0").update(read(name)).update("\0");
 

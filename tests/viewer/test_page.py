@@ -14,6 +14,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from graphlib import TopologicalSorter
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -69,6 +70,7 @@ def sources() -> list[str]:
         "unused_methods.mjs",
         *folders,
         *(f"src/{p.name}" for p in sorted((WEB / "src").glob("*.ts"))),
+        *(f"src/page/{p.name}" for p in sorted((WEB / "src" / "page").glob("*.ts"))),
     ]
 
 
@@ -97,6 +99,20 @@ def test_building_again_gives_the_same_pages(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     for name, page in PAGES.items():
         assert (tmp_path / name).read_text(encoding="utf-8") == page()
+
+
+def test_the_parts_of_the_page_import_each_other_in_one_direction() -> None:
+    files = [WEB / "src" / "main.ts", *(WEB / "src" / "page").glob("*.ts")]
+    imports = {
+        path: {
+            (path.parent / f"{name}.ts").resolve()
+            for name in re.findall(r'from "(\.[^"]+)"', path.read_text())
+        }
+        for path in files
+    }
+    order = [path for path in TopologicalSorter(imports).static_order() if path in imports]
+    assert order[-1] == files[0], "a part of the page imports main.ts"
+    assert len(order) == len(files) > 20
 
 
 def test_the_page_is_small() -> None:

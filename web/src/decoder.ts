@@ -22,7 +22,7 @@ export class Decoder {
   private readonly ready: Promise<unknown>;
   private inPage: Promise<Answer> | null = null;
 
-  constructor(module: WebAssembly.Module, private readonly script: string) {
+  constructor(module: Promise<WebAssembly.Module>, private readonly script: string) {
     try {
       this.worker = new Worker(script);
       this.worker.onmessage = ({ data }: MessageEvent<{ id: number; answer: unknown }>): void => {
@@ -37,7 +37,8 @@ export class Decoder {
     } catch {
       this.worker = null;
     }
-    this.ready = this.request({ do: "start", module });
+    this.ready = module.then((compiled) => this.request({ do: "start", module: compiled }));
+    this.ready.catch(() => undefined); // the page reports a module that cannot be compiled; requests fail with the same error
   }
 
   private async answer(request: EngineRequest): Promise<unknown> {

@@ -5,6 +5,13 @@ export const input = (id: string): HTMLInputElement => byId<HTMLInputElement>(id
 export const setText = (id: string, text: string): void => void (byId(id).textContent = text);
 export const setPressed = (id: string, isPressed: boolean): void => byId(id).setAttribute("aria-pressed", String(isPressed));
 
+/** Move a slider by so many of its units, as a user does. */
+export function nudge(id: string, by: number): void {
+  const slider = input(id);
+  slider.value = String(Number(slider.value) + by);
+  slider.dispatchEvent(new Event("input"));
+}
+
 /** Make an element with values of its properties, attributes and children. */
 export function element<K extends keyof HTMLElementTagNameMap>(tag: K, values: Partial<HTMLElementTagNameMap[K]>, attributes: Record<string, string> = {}, ...children: (Node | string)[]): HTMLElementTagNameMap[K] {
   const out = Object.assign(document.createElement(tag), values);

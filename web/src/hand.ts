@@ -145,10 +145,15 @@ export class Hand {
   rendered: Rendered | null = null;
   /** Why there is no hand. */
   fault = "";
+  /** Runs after each report, and where there is no hand. */
+  onReport = (): void => undefined;
+  private module: WebAssembly.Module | null = null;
   private worker: Worker | null = null;
   private file = 0;
 
-  constructor(private readonly module: WebAssembly.Module, private readonly script: string, private readonly onReport: () => void) {
+  /** A file is opened once the module is compiled: the decoder, which needs the same one, has opened it before. */
+  constructor(module: Promise<WebAssembly.Module>, private readonly script: string) {
+    module.then((compiled) => (this.module = compiled), () => undefined);
     document.addEventListener("visibilitychange", () => this.order({ do: "rest", isResting: document.hidden }));
   }
 
@@ -166,7 +171,7 @@ export class Hand {
         this.onReport();
       };
       this.worker.onerror = (): void => this.none("no worker is allowed");
-      this.order({ do: "open", file: this.file, module: this.module, data });
+      this.order({ do: "open", file: this.file, module: this.module!, data });
     } catch {
       this.none("no worker is allowed");
     }
