@@ -312,7 +312,8 @@ def test_swell_paper_has_thin_contour_lines_that_join_no_symbol(tmp_path: Path) 
     spec = MapSpec(has_labels=False, zooms=1, relief=dem(tmp_path / "dem.tif"))
     made = make_map(plain(tmp_path / "a.geojson"), tmp_path / "a.touch", spec, svg=svg)
     layout, space = made.drawn.layout, "{http://www.w3.org/2000/svg}"
-    thin = ElementTree.parse(svg).getroot().findall(f".//{space}g/{space}g/{space}path")
+    width_mm = f"{guidelines()['contour_line_mm'].value:g}"
+    thin = ElementTree.parse(svg).getroot().findall(f".//{space}g[@stroke-width='{width_mm}']/{space}path")
     numbers = [list(map(float, re.findall(r"[\d.]+", path.get("d")))) for path in thin]
     ends = np.rint(np.array(numbers).reshape(-1, 2, 2) / 2.5).astype(int)
     owners = layout.owner[ends[..., 1], ends[..., 0]]

@@ -429,8 +429,9 @@ def _map_walk(stream: OpenStream, spec: PlaySpec, on_note: OnNote) -> MapWalk | 
     name = stream.reader.name
     if stream.is_live or not stream.reader.has_map:
         if requested:
-            hint = "Make a map by: touchfield map."
-            raise InvalidArgument(requested[0], f"{name}, which is no map", "a map for a display", hint)
+            found = f"{name}, which has no zoom levels and no names"
+            hint = "Make one by: touchfield map SOURCE OUT.touch --device graphiti, or another pin display."
+            raise InvalidArgument(requested[0], found, "a map for a pin display", hint)
         return None
     try:
         record = stream.reader.read_map()
