@@ -105,6 +105,28 @@ def test_bodies_have_their_poses_and_one_field(tmp_path: Path) -> None:
             assert len(points) == body.field(0).support_count
 
 
+@pytest.mark.parametrize(
+    ("axes", "expected"),
+    [
+        ("x east, y north, z up", [3, 5, 1]),
+        ("x right, y up, z towards the user", [3, 1, 6]),
+        ("x right, y down, z away from the user", [3, 2, 5]),
+        ("x red, y green, z blue", None),
+    ],
+)
+def test_the_viewer_knows_what_is_up(tmp_path: Path, axes: str, expected: list[int] | None) -> None:
+    """Rerun's numbers of directions: 1 up, 2 down, 3 right, 4 left, 5 forward, 6 back."""
+    pytest.importorskip("rerun", reason="needs the extra rerun")
+    field = ForceField.from_dense(Grid((4, 4, 4), (0.01,) * 3, (0.0,) * 3), np.ones((4, 4, 4, 3), np.float32))
+    path = tmp_path / "a.touch"
+    encode(StoredScene(HapticMedium.from_frames([field], 1.0, axes)), path, EncodeSpec(nw=4))
+    done = view_in_rerun(path, tmp_path / "a.rrd")
+    assert any("no direction is known as up" in note for note in done.notes) == (expected is None)
+    if expected is not None:
+        (found,) = recorded(tmp_path / "a.rrd")["/"]["ViewCoordinates:xyz"]
+        assert np.ravel(found).tolist() == expected
+
+
 def test_what_is_left_out_is_reported(stream: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("rerun", reason="needs the extra rerun")
     limits = {"MAX_POINTS": 20, "MAX_ARROWS": 7, "MAX_FIELDS": 3, "MAX_POSES": 2}

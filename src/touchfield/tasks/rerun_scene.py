@@ -106,8 +106,8 @@ class _Logger:
             self._add_ticks(ticks)
 
     def _add_axes(self, axes: str) -> None:
-        """Tell the viewer which axis is up, if the text of the axes names directions."""
-        box = axes_of_text(axes)
+        """Tell the viewer which axis is up, if the text of the axes names directions; north is away."""
+        box = axes_of_text(axes.replace("east", "right").replace("north", "away"))
         if box is None:
             self.notes[f"axes {axes!r}: no direction is known as up"] = None
             return
