@@ -213,6 +213,17 @@ def test_keys_recall_their_names_and_differ() -> None:
     assert len(keys) == len(set(keys)) == 26**2
 
 
+def test_a_key_has_a_dot_in_the_lowest_row_while_there_are_such_keys() -> None:
+    assert next(keys_of("Bahnhof")) == "bn" and next(keys_of("Bad Hill")) == "bl"
+    least = int(guidelines()["key_low_letters"].value)
+    for name in ("Bahnhof", "Café Bad", "Ahead", "公園", "Queen Street", "High Field"):
+        low = [
+            sum(bool(letter_cell(letter) & (1 << 2 | 1 << 5)) for letter in key) >= least
+            for key in keys_of(name)
+        ]
+        assert low == sorted(low, reverse=True) and sum(low) == 26**2 - 10**2
+
+
 @pytest.mark.usefixtures("letters")
 def test_a_name_without_a_letter_in_the_table_gets_no_key(tmp_path: Path) -> None:
     streets = [

@@ -17,7 +17,7 @@ from touchfield.maps.guidelines import guidelines
 from touchfield.maps.joins import joined, of_relief
 from touchfield.maps.labels import LegendLine
 
-MARGIN_MM: Final = 10.0
+MARGIN_MM: Final = float(guidelines()["margin_mm"].value)
 """Around the pins on paper and on a plate."""
 SAMPLES_PER_PIN: Final = 6
 """Of a relief, along a row: 0.4 mm on a pitch of 2.5 mm, the nozzle of a usual printer."""

@@ -25,6 +25,8 @@ TEXT: Final = "text"
 """Class of the texts of a drawing."""
 MAX_NAME_CELLS: Final = 5
 """Longest name that stands on the map itself, cells; longer ones would fill the display."""
+LOW_LETTERS: Final = frozenset("klmnopqrstuvwxyz")
+"""Letters of Braille with dot 3 or dot 6, in the lowest row of a cell."""
 SWATCH_PINS: Final = 9
 """Columns of the sample of a symbol in the legend."""
 
@@ -167,9 +169,19 @@ def _nearest(
 def keys_of(name: str) -> Iterator[str]:
     """Yield keys of two letters for a name, those that recall it first.
 
-    >>> next(keys_of("Queen Street")), next(keys_of("Ölweg")), next(keys_of("公園"))
-    ('qs', 'ol', 'aa')
+    One of the letters has dot 3 or dot 6 (`LOW_LETTERS`): without it a finger cannot tell the height of the
+    dots. Keys without such a letter come last.
+
+    >>> next(keys_of("Queen Street")), next(keys_of("Bahnhof")), next(keys_of("公園"))
+    ('qs', 'bn', 'ak')
     """
+    keys = tuple(dict.fromkeys(_keys_of(name)))
+    has_low = [not LOW_LETTERS.isdisjoint(key) for key in keys]
+    yield from (key for key, is_low in zip(keys, has_low) if is_low)
+    yield from (key for key, is_low in zip(keys, has_low) if not is_low)
+
+
+def _keys_of(name: str) -> Iterator[str]:
     plain = unicodedata.normalize("NFKD", name).lower()
     words = re.findall("[a-z]+", "".join(c for c in plain if not unicodedata.combining(c)))
     letters = "".join(words)
