@@ -12,6 +12,7 @@ import pytest
 
 from map_makers import LetterBraille, block, town, write_geojson
 from touchfield.errors import InvalidArgument
+from touchfield.maps import paper
 from touchfield.maps.board import Layout, Placed
 from touchfield.maps.drawing import MARGIN_MM
 from touchfield.maps.guidelines import PinRules
@@ -109,28 +110,36 @@ def test_a_junction_is_not_filled_and_a_corner_is_joined() -> None:
 
 
 @pytest.mark.parametrize(
-    ("display", "paper", "per_sheet"), [("graphiti", "A4", 2), ("hyperbraille", "A4 across", 1)]
+    ("display", "name", "per_sheet"), [("graphiti", "A4", 2), ("hyperbraille", "A4 across", 1)]
 )
-def test_the_legend_goes_on_further_sheets(tmp_path: Path, display: str, paper: str, per_sheet: int) -> None:
+def test_the_legend_goes_on_further_sheets(tmp_path: Path, display: str, name: str, per_sheet: int) -> None:
     pytest.importorskip("svgelements")
     source = tmp_path / "sky.svg"
     source.write_text(SKY)
     made = make_map(source, tmp_path / "a.touch", MapSpec(display, zooms=1), svg=tmp_path / "a.svg")
     sheets = sheets_of(made)
-    assert made.figures["paper"] == paper and len(made.pages) > 1
+    assert made.figures["paper"] == name and len(made.pages) > 1
     assert len(sheets) == -(-(1 + len(made.pages)) // per_sheet) > 1
     assert [sheet.name for sheet in sheets[:2]] == ["a.svg", "a.sheet-2.svg"]
-    limit_mm = {"A4": (210, 297), "A4 across": (297, 210)}[paper]
+    limit_mm = {"A4": (210, 297), "A4 across": (297, 210)}[name]
     blocks = []
     for sheet in sheets:
         root = ElementTree.parse(sheet).getroot()
-        size_mm = [float(root.get(name).removesuffix("mm")) for name in ("width", "height")]
+        size_mm = [float(root.get(side).removesuffix("mm")) for side in ("width", "height")]
         assert size_mm[0] <= limit_mm[0] and size_mm[1] <= limit_mm[1]
         found = blocks_of(sheet, 2.5)
         assert len(found) <= per_sheet
         assert size_mm[1] == (2.5 * (made.pages[0].shape[0] - 1) + 2 * MARGIN_MM) * len(found)
         blocks += found
     assert [found.pins for found in blocks[1:]] == [pins_of(page) for page in made.pages]
+
+
+def test_a_map_that_no_paper_takes_is_noted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(paper, "PAPERS_MM", {"A7": (74, 105)})
+    source = write_geojson(tmp_path / "a.geojson", *town())
+    made = make_map(source, tmp_path / "a.touch", MapSpec(zooms=1), svg=tmp_path / "a.svg")
+    assert made.figures["paper"] is None and any("larger than A3" in note for note in made.notes)
+    assert len(sheets_of(made)) == 1 + len(made.pages)
 
 
 def test_a_sheet_does_not_take_the_place_of_the_drawing(tmp_path: Path) -> None:

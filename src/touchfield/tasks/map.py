@@ -174,6 +174,8 @@ def make_map(
     figures = _figures(read, window, target, drawn, checked, lines, files) | {"title": title}
     if svg is not None:
         figures["paper"] = paper_of(drawn.layout)[0] or None
+        if figures["paper"] is None:
+            page_notes += (f"{svg} is larger than A3: a map for another display fits on it (--device).",)
     if relief is not None:
         figures |= {"relief": _relief_figures(relief, drawn)}
         has_land = stl is not None or not target.is_array
