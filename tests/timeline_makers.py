@@ -71,9 +71,34 @@ def write_film(path: Path, seconds: float = SECONDS, codec: str = "libvpx-vp9") 
     return path
 
 
-def write_movie(folder: Path, name: str = "both.mp4", sound_at_s: float = 0.0) -> Path:
-    """A movie of three seconds with the tracks picture and sound."""
-    film = write_film(folder / "film.mp4")
+def write_sounding_film(path: Path, codec: str) -> Path:
+    """A movie of `write_film` with a track of sound beside the picture."""
+    import av
+
+    silent = write_film(path.with_stem("silent"), codec=codec)
+    with av.open(str(silent)) as source, av.open(str(path), "w") as sink:
+        picture = sink.add_stream_from_template(source.streams.video[0])
+        sound: Any = sink.add_stream("aac", rate=48000, layout="mono")
+        for packet in source.demux(video=0):
+            if packet.dts is not None:
+                packet.stream = picture
+                sink.mux(packet)
+        frame = av.AudioFrame.from_ndarray(
+            np.sin(np.arange(round(48000 * SECONDS)) / 20, dtype=np.float32)[None],
+            format="fltp",
+            layout="mono",
+        )
+        frame.sample_rate = 48000
+        sink.mux(sound.encode(frame))
+        sink.mux(sound.encode(None))
+    return path
+
+
+def write_movie(
+    folder: Path, name: str = "both.mp4", sound_at_s: float = 0.0, film: Path | None = None
+) -> Path:
+    """A movie of three seconds with the tracks picture and sound, of `film` or one whose picture is VP9."""
+    film = film or write_film(folder / "film.mp4")
     for medium, stem in ((picture_medium(), "picture"), (sound_medium(), "sound")):
         tf.encode(medium, folder / f"{stem}.touch", LOSSLESS)
     streams = [

@@ -319,6 +319,21 @@ def test_a_picture_that_is_no_png_is_refused_before_the_work(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(
+    ("arguments", "known"),
+    [("play in.touch --offline --log", "LOG.csv or LOG.mcap"), ("guide walk --offline --log", "LOG.csv")],
+)
+@pytest.mark.parametrize("name", ["log.txt", "log.json", "log"])
+def test_a_log_of_another_format_is_refused_before_the_work(
+    arguments: str, known: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    assert _exit_code([*arguments.split(), name]) == 2
+    assert f"{name}: found the ending" in (error := capsys.readouterr().err) and known in error
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_port_in_use_is_refused_before_the_source_is_read(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -83,24 +81,6 @@ def test_a_point_device_feels_the_symbols(source: Path, tmp_path: Path) -> None:
     assert known.sum() > 100 and z_m > low[2]
     assert heights[known & raised].mean() > heights[known & ~raised].mean() + 0.001
     assert any("point device" in note for note in made.notes) == bool(made.pages)
-
-
-@pytest.mark.usefixtures("letters")
-def test_swell_paper_has_a_circle_for_each_pin_and_joins_no_two_symbols(source: Path, tmp_path: Path) -> None:
-    svg = tmp_path / "town.svg"
-    made = make_map(source, tmp_path / "town.touch", svg=svg)
-    layout = made.drawn.layout
-    root = ElementTree.parse(svg).getroot()
-    space = "{http://www.w3.org/2000/svg}"
-    circles = root.findall(f".//{space}circle")
-    assert len(circles) == layout.raised.sum() + sum(int(page.sum()) for page in made.pages)
-    numbers = [
-        list(map(float, re.findall(r"[\d.]+", path.get("d")))) for path in root.findall(f".//{space}path")
-    ]
-    ends = np.rint(np.array(numbers).reshape(-1, 2, 2) / layout.rules.pitch_mm).astype(int)
-    owners = layout.owner[ends[..., 1], ends[..., 0]]
-    assert len(ends) > 50 and (owners[:, 0] == owners[:, 1]).all() and (owners >= 0).all()
-    assert {layout.symbols[n].role for n in owners[:, 0]} == {"line", "area"}
 
 
 @pytest.mark.usefixtures("letters")
@@ -231,6 +211,17 @@ def test_keys_recall_their_names_and_differ() -> None:
     assert next(keys_of("Queen Street")) == "qs" and next(keys_of("Ölweg")) == "ol"
     keys = list(keys_of("公園"))
     assert len(keys) == len(set(keys)) == 26**2
+
+
+def test_a_key_has_a_dot_in_the_lowest_row_while_there_are_such_keys() -> None:
+    assert next(keys_of("Bahnhof")) == "bn" and next(keys_of("Bad Hill")) == "bl"
+    least = int(guidelines()["key_low_letters"].value)
+    for name in ("Bahnhof", "Café Bad", "Ahead", "公園", "Queen Street", "High Field"):
+        low = [
+            sum(bool(letter_cell(letter) & (1 << 2 | 1 << 5)) for letter in key) >= least
+            for key in keys_of(name)
+        ]
+        assert low == sorted(low, reverse=True) and sum(low) == 26**2 - 10**2
 
 
 @pytest.mark.usefixtures("letters")

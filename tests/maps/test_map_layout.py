@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from map_makers import INPUTS, LetterBraille, feature, town, write_geojson
+from map_makers import INPUTS, LetterBraille, block, feature, street, town, write_geojson
 from touchfield.devices import device
 from touchfield.maps.board import Layout
 from touchfield.maps.check import check
 from touchfield.maps.guidelines import PinRules, guidelines
 from touchfield.maps.labels import class_titles, legend_lines, legend_pages
 from touchfield.maps.layout import Drawn, draw
+from touchfield.maps.lines import dashes
 from touchfield.maps.pins import Window, fill, trace
 from touchfield.maps.reader import box_of, on_level, read_map
 from touchfield.maps.symbols import symbols
@@ -197,6 +198,81 @@ def test_the_legend_has_every_symbol_and_key(tmp_path: Path) -> None:
         rows = np.flatnonzero(page.any(axis=1))
         assert (rows % 4 != 3).all()  # a free row between two lines
     assert legend_pages(lines, LetterBraille(), 8, 12, PinRules(2.5))[1]
+
+
+def names_of(made: Drawn) -> dict[str, str]:
+    return {label.name: label.text for label in made.labels}
+
+
+def test_a_house_that_fills_the_map_has_its_name_in_an_opening(tmp_path: Path) -> None:
+    house = block(0, 0, 0.001, 0.0005, building="school", name="High School")
+    made = drawn(write_geojson(tmp_path / "a.geojson", house))
+    checked = check(made.layout)
+    assert names_of(made) == {"High School": "hs"} and made.unlabelled == ()
+    assert checked.violations == () and checked.min_gap_mm is not None
+    label = made.labels[0]
+    box = np.s_[label.row - 1 : label.row + 4, label.column - 1 : label.column + 6]
+    assert made.layout.raised[box].sum() == sum(cell.bit_count() for cell in label.cells)
+    around = made.layout.raised[label.row - 4 : label.row + 7, label.column - 4 : label.column + 9].copy()
+    around[3:-3, 3:-3] = True
+    assert around.all(), "three pins of the house on every side: the size of an area"
+
+
+def test_a_house_with_room_beside_it_stays_whole(tmp_path: Path) -> None:
+    house = block(0.0004, 0.0002, 0.0007, 0.0004, building="yes", name="Hall")
+    edges = [street(0, y, 0.001, y, highway="primary") for y in (0, 0.0006)]
+    made = drawn(write_geojson(tmp_path / "a.geojson", house, *edges))
+    solid = made.layout.owner == next(n for n, s in enumerate(made.layout.symbols) if s.kind == "building")
+    assert names_of(made) == {"Hall": "Hall"}
+    rows, columns = np.nonzero(solid)
+    assert solid[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1].all()
+
+
+def test_a_house_too_narrow_for_an_opening_stays_whole(tmp_path: Path) -> None:
+    """An opening for a key takes 13 columns; this house has 12, and no room beside it."""
+    house = block(0, 0, 0.0002, 0.0006, building="yes", name="High School")
+    path = write_geojson(tmp_path / "a.geojson", house)
+    for columns, count in ((12, 0), (13, 1)):
+        window = Window(0.0, 0.0, 1.0, 40, columns)
+        features = [
+            replace(read_map(path).features[0], parts=(np.array([[-1, 1], [99, 1], [99, -99], [-1, -99]]),))
+        ]
+        made = draw(features, window, PinRules(2.5), LetterBraille())
+        assert len(made.labels) == count and len(made.unlabelled) == 1 - count
+        assert made.layout.raised.all() == (not count) and check(made.layout).violations == ()
+
+
+def test_a_text_upon_a_black_shape_stands_in_an_opening(tmp_path: Path) -> None:
+    pytest.importorskip("svgelements")
+    path = tmp_path / "a.svg"
+    path.write_text(
+        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 600 400"><g id="building">'
+        '<rect width="600" height="400" fill="#000"/></g><text x="300" y="200">Hall</text></svg>'
+    )
+    made = drawn(path)
+    assert names_of(made) == {"Hall": "Hall"} and check(made.layout).violations == ()
+
+
+def test_no_textured_area_is_a_single_row(tmp_path: Path) -> None:
+    """A row of pins would be felt as a street."""
+    for height in np.linspace(0.00005, 0.0002, 16):
+        lake = block(0, 0, 0.001, float(height), natural="water")
+        frame = [street(0, y, 0.001, y, highway="footway") for y in (-0.0003, 0.0006)]
+        made = drawn(write_geojson(tmp_path / "a.geojson", lake, *frame))
+        for n, symbol in enumerate(made.layout.symbols):
+            if symbol.role == "area":
+                felt = made.layout.raised & (made.layout.owner == n)
+                assert felt.any(axis=1).sum() > 1 < felt.any(axis=0).sum()
+
+
+@pytest.mark.parametrize("length", range(6, 40))
+def test_no_dash_is_shorter_than_its_style(length: int) -> None:
+    line = np.zeros((3, 45), np.bool_)
+    line[1, 2 : 2 + length] = True
+    raised = dashes(line, 3, 1)
+    runs = [len(run) for run in "".join("01"[int(up)] for up in raised[1]).split("0") if run]
+    assert set(runs) == {3} and len(runs) == (length + 1) // 4
+    assert not (raised & ~line).any()
 
 
 def test_what_a_pitch_allows() -> None:

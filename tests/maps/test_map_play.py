@@ -113,7 +113,9 @@ def test_moves_are_checked() -> None:
 def test_a_stream_without_a_map_has_no_places(town_map: Path) -> None:
     legend = next(town_map.parent.glob("*.legend-1.touch"))
     for spec in (PlaySpec(find="Mill", offline=True), PlaySpec(pans="in", offline=True)):
-        with pytest.raises(InvalidArgument, match="no map"):
+        with pytest.raises(
+            InvalidArgument, match="no zoom levels and no names; expected a map for a pin display"
+        ):
             play(legend, spec)
 
 

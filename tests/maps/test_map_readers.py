@@ -155,6 +155,32 @@ def test_a_drawing_has_lines_fills_texts_and_layers(tmp_path: Path) -> None:
     )
 
 
+def test_the_title_of_a_drawing_is_that_of_its_map(tmp_path: Path) -> None:
+    pytest.importorskip("svgelements")
+    path, space = tmp_path / "a.svg", 'xmlns="http://www.w3.org/2000/svg"'
+    shape = "<g><title>Layer</title><path d='M0 0L9 9'/></g>".replace("<path", "<path stroke='black'")
+    path.write_text(f"<svg {space}><title>The\n water cycle</title>{shape}</svg>")
+    assert read_map(path).title == "The water cycle"
+    path.write_text(f"<svg {space}>{shape}</svg>")
+    assert read_map(path).title == ""
+
+
+def test_colours_take_no_texture_of_a_class_that_the_drawing_names(tmp_path: Path) -> None:
+    pytest.importorskip("svgelements")
+    path = tmp_path / "a.svg"
+    colours = ("#111", "#333", "#555", "#777", "#999")
+    shapes = "".join(f'<rect x="{9 * n}" width="8" height="8" fill="{c}"/>' for n, c in enumerate(colours))
+    path.write_text(
+        f'<svg xmlns="http://www.w3.org/2000/svg">{shapes}'
+        '<g id="sea"><rect y="9" width="8" height="8" fill="#44f"/></g></svg>'
+    )
+    found = read_map(path)
+    kinds = [feature.kind for feature in found.features]
+    looks = [symbols()[kind].look for kind in kinds]
+    assert kinds.count("water") == 1 and len(kinds) == 5 and len(set(looks)) == 5
+    assert found.notes == ("Left out: 1 areas of further colours than 4, for want of textures.",)
+
+
 def refused(path: Path, content: str | bytes, match: str) -> None:
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(TouchfieldError, match=match) as caught:

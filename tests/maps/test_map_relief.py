@@ -306,13 +306,30 @@ def test_an_ascii_grid_is_a_relief_too(tmp_path: Path) -> None:
     assert np.array_equal(contours_of(tmp_path, path), expected)
 
 
+@pytest.mark.usefixtures("letters")
+def test_the_sample_of_relief_on_paper_is_a_thin_line(tmp_path: Path) -> None:
+    svg, space = tmp_path / "a.svg", "{http://www.w3.org/2000/svg}"
+    spec = MapSpec(zooms=1, relief=dem(tmp_path / "dem.tif"))
+    made = make_map(plain(tmp_path / "a.geojson"), tmp_path / "a.touch", spec, svg=svg)
+    row = 4 * [line.kind for line in made.lines].index(RELIEF)
+    strokes, dots = (
+        ElementTree.parse(svg).getroot().findall(f"{space}g")[2:4]
+    )  # of the first page of the legend
+    width_mm = f"{guidelines()['contour_line_mm'].value:g}"
+    thin = strokes.findall(f"{space}g[@stroke-width='{width_mm}']/{space}path")
+    assert len(thin) == 8 and all(f" {2.5 * (row + 1):g}L" in path.get("d", "") for path in thin)
+    heights = [float(dot.get("cy", "")) for dot in dots if float(dot.get("cx", "")) < 9 * 2.5]
+    assert heights and not any(2.5 * row <= height <= 2.5 * (row + 2) for height in heights)
+
+
 # -- paper, plates and point devices -----------------------------------------------------------------------
 def test_swell_paper_has_thin_contour_lines_that_join_no_symbol(tmp_path: Path) -> None:
     svg = tmp_path / "a.svg"
     spec = MapSpec(has_labels=False, zooms=1, relief=dem(tmp_path / "dem.tif"))
     made = make_map(plain(tmp_path / "a.geojson"), tmp_path / "a.touch", spec, svg=svg)
     layout, space = made.drawn.layout, "{http://www.w3.org/2000/svg}"
-    thin = ElementTree.parse(svg).getroot().findall(f".//{space}g/{space}g/{space}path")
+    width_mm = f"{guidelines()['contour_line_mm'].value:g}"
+    thin = ElementTree.parse(svg).getroot().findall(f".//{space}g[@stroke-width='{width_mm}']/{space}path")
     numbers = [list(map(float, re.findall(r"[\d.]+", path.get("d")))) for path in thin]
     ends = np.rint(np.array(numbers).reshape(-1, 2, 2) / 2.5).astype(int)
     owners = layout.owner[ends[..., 1], ends[..., 0]]

@@ -102,6 +102,22 @@ def test_a_recording_gives_a_row_for_each_frame(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize("is_level", [True, False])
+def test_a_recording_without_ground_says_that_no_steps_are_shown(tmp_path: Path, is_level: bool) -> None:
+    folder = tmp_path / "walk"
+    if is_level:
+        write_folder(folder, 12)
+    else:  # a wall that fills the picture
+        (folder / "depth").mkdir(parents=True)
+        for n in range(12):
+            wall = np.full((SIZE[1], SIZE[0]), 1500, np.uint16)
+            Image.fromarray(wall).save(folder / "depth" / f"{n:04d}.png")
+    figures, notes = guide(folder, GuideRun(offline=True), READ)
+    stated = [note for note in notes if "No ground was found" in note]
+    assert bool(stated) == (figures["without_ground"] > 1) == (not is_level)
+    assert not stated or f"in {figures['without_ground']} of 12 frames" in stated[0]
+
+
 def test_poses_of_a_folder_are_used(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "walk")
     (folder / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 6)

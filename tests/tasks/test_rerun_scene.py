@@ -19,8 +19,9 @@ from touchfield.network.opening import open_stream
 from touchfield.pipeline import encode
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.stored import StoredScene
-from touchfield.tasks import play_log, rerun_scene
+from touchfield.tasks import play_log, play_mcap_log, rerun_scene
 from touchfield.tasks.play_log import read_log
+from touchfield.tasks.play_mcap_log import read_mcap_log
 from touchfield.tasks.rerun_scene import view_in_rerun
 
 BODIES = Path(__file__).parents[2] / "conformance" / "v1" / "objects-rigid.touch"
@@ -104,6 +105,28 @@ def test_bodies_have_their_poses_and_one_field(tmp_path: Path) -> None:
             assert len(points) == body.field(0).support_count
 
 
+@pytest.mark.parametrize(
+    ("axes", "expected"),
+    [
+        ("x east, y north, z up", [3, 5, 1]),
+        ("x right, y up, z towards the user", [3, 1, 6]),
+        ("x right, y down, z away from the user", [3, 2, 5]),
+        ("x red, y green, z blue", None),
+    ],
+)
+def test_the_viewer_knows_what_is_up(tmp_path: Path, axes: str, expected: list[int] | None) -> None:
+    """Rerun's numbers of directions: 1 up, 2 down, 3 right, 4 left, 5 forward, 6 back."""
+    pytest.importorskip("rerun", reason="needs the extra rerun")
+    field = ForceField.from_dense(Grid((4, 4, 4), (0.01,) * 3, (0.0,) * 3), np.ones((4, 4, 4, 3), np.float32))
+    path = tmp_path / "a.touch"
+    encode(StoredScene(HapticMedium.from_frames([field], 1.0, axes)), path, EncodeSpec(nw=4))
+    done = view_in_rerun(path, tmp_path / "a.rrd")
+    assert any("no direction is known as up" in note for note in done.notes) == (expected is None)
+    if expected is not None:
+        (found,) = recorded(tmp_path / "a.rrd")["/"]["ViewCoordinates:xyz"]
+        assert np.ravel(found).tolist() == expected
+
+
 def test_what_is_left_out_is_reported(stream: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("rerun", reason="needs the extra rerun")
     limits = {"MAX_POINTS": 20, "MAX_ARROWS": 7, "MAX_FIELDS": 3, "MAX_POSES": 2}
@@ -126,6 +149,98 @@ def test_a_log_has_the_force_with_friction(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text(f"{HEADER}\n{ROW}\n{ROW.replace('0.5', 'nan')}\n")
     np.testing.assert_allclose(read_log(path), [[0.5, 1, 2, 3, 0.11, 0.22, 0.33]])
+
+
+def test_both_formats_of_a_log_show_the_same_hand(stream: Path, tmp_path: Path) -> None:
+    pytest.importorskip("mcap", reason="needs the extra mcap")
+    logs = [tmp_path / name for name in ("log.csv", "log.mcap")]
+    for log in logs:
+        assert _exit_code(["play", str(stream), "--offline", "--speed", "2", "--log", str(log)]) == 0
+    text, container = read_log(logs[0]), read_mcap_log(logs[1])
+    np.testing.assert_allclose(container, text, rtol=1e-6, atol=1e-9)
+    assert len(text) > 50 and text[:, 4:].any()
+
+
+def test_a_log_in_mcap_is_shown(stream: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="needs the extra rerun")
+    pytest.importorskip("mcap", reason="needs the extra mcap")
+    log, out = tmp_path / "log.MCAP", tmp_path / "a.rrd"
+    assert _exit_code(["play", str(stream), "--offline", "--log", str(log)]) == 0
+    assert _exit_code(["view", str(stream), "--rerun", "--out", str(out), "--log", str(log)]) == 0
+    hand, ticks = recorded(out)["/hand/position"], read_mcap_log(log)
+    np.testing.assert_allclose(
+        [p for (p,) in filter(None, hand["Points3D:positions"])], ticks[:, 1:4], atol=1e-7
+    )
+
+
+def mcap_file(path: Path, *messages: tuple[str, str]) -> Path:
+    """An MCAP file with messages of JSON, each topic and text."""
+    writer_of = pytest.importorskip("mcap.writer", reason="needs the extra mcap")
+    with path.open("wb") as file:
+        writer = writer_of.Writer(file)
+        writer.start()
+        schema = writer.register_schema("touchfield.Tick", "jsonschema", b"{}")
+        for topic, text in messages:
+            channel = writer.register_channel(topic, "json", schema)
+            writer.add_message(channel, 5, text.encode(), 5)
+        writer.finish()
+    return path
+
+
+POSE = '{"pose": {"position": {"x": 1, "y": 2, "z": 3}}}'
+VECTOR = '{"x": 0.1, "y": 0.2, "z": 0.3}'
+TICK = f'{{"media_s": 0.5, "field": {{"force": {VECTOR}}}, "friction": {VECTOR}}}'
+
+
+@pytest.mark.parametrize(
+    ("messages", "found"),
+    [
+        ([], "no tick"),
+        ([("/hand/pose", POSE)], "no tick"),
+        ([("/other", POSE)], "no tick"),
+        ([("/hand/pose", POSE), ("/hand/tick", "{")], "a message that is no tick"),
+        ([("/hand/pose", "[]"), ("/hand/tick", TICK)], "a message that is no tick"),
+        ([("/hand/pose", POSE), ("/hand/tick", TICK.replace("0.5", "null"))], "a message that is no tick"),
+        ([("/hand/pose", POSE), ("/hand/tick", TICK.replace("0.5", "NaN"))], "no tick"),
+    ],
+)
+def test_an_mcap_file_that_is_no_log_is_refused(
+    tmp_path: Path, messages: list[tuple[str, str]], found: str
+) -> None:
+    with pytest.raises(SourceError, match=f"found {found}.*expected a log of `touchfield play"):
+        read_mcap_log(mcap_file(tmp_path / "log.mcap", *messages))
+
+
+def test_a_tick_of_mcap_has_the_force_with_friction(tmp_path: Path) -> None:
+    path = mcap_file(tmp_path / "log.mcap", ("/hand/pose", POSE), ("/hand/tick", TICK))
+    np.testing.assert_allclose(read_mcap_log(path), [[0.5, 1, 2, 3, 0.2, 0.4, 0.6]])
+
+
+@pytest.mark.parametrize("content", [b"", b"t_s,x_m\n1,2\n", b"\x89MCAP0\r\n" + 99 * b"\xff"])
+def test_text_under_the_ending_of_mcap_is_refused(tmp_path: Path, content: bytes) -> None:
+    pytest.importorskip("mcap", reason="needs the extra mcap")
+    path = tmp_path / "log.mcap"
+    path.write_bytes(content)
+    with pytest.raises(SourceError, match="no sound MCAP"):
+        read_mcap_log(path)
+
+
+def test_a_long_log_in_mcap_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = mcap_file(tmp_path / "log.mcap", ("/hand/pose", POSE), ("/hand/tick", TICK))
+    monkeypatch.setattr(play_mcap_log, "MAX_ROWS", 0)
+    with pytest.raises(SourceError, match="more than 0 ticks"):
+        read_mcap_log(path)
+
+
+@pytest.mark.parametrize("option", ["--trajectory", "--trace"])
+def test_a_path_in_mcap_is_refused_with_the_way_out(
+    stream: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str
+) -> None:
+    path = tmp_path / "log.mcap"
+    path.write_bytes(b"")
+    assert _exit_code(["play", str(stream), "--offline", option, str(path)]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"touchfield: {option}: found {path}, an MCAP file") and "--log OUT.csv" in error
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,15 @@ from browser import ROOT, drive, needs_browser, step
 from timeline_sync import measure_sync
 
 import touchfield as tf
-from timeline_makers import BEATS_S, LOSSLESS, SECONDS, picture_medium, write_movie
+from timeline_makers import (
+    BEATS_S,
+    LOSSLESS,
+    SECONDS,
+    picture_medium,
+    write_film,
+    write_movie,
+    write_sounding_film,
+)
 from touchfield.cli.main import _exit_code
 from touchfield.codec.vibration import MAX_RELATIVE_ERROR
 from touchfield.errors import InvalidArgument, SourceError
@@ -210,6 +218,44 @@ def test_an_edit_list_is_opened_again_or_refused(movie: Path, tmp_path: Path) ->
         "isMuted": True, "offsetMs": -40, "runs": [{"first": 10, "stop": 30, "percent": 150}],
     }  # fmt: skip
     assert same == edits and "wrong.json cannot be opened" in refusal and "601 frames" in refusal
+
+
+@needs_browser
+@pytest.mark.parametrize("has_sound", [True, False])
+def test_a_picture_that_the_browser_lacks_is_stated_in_words(tmp_path: Path, has_sound: bool) -> None:
+    """Chromium plays the sound of such a movie, without an error and without a picture."""
+    pytest.importorskip("av", reason="movies need the extra video")
+    write = write_sounding_film if has_sound else write_film
+    movie = write_movie(tmp_path, film=write(tmp_path / "film.mp4", codec="mpeg4"))
+    result = drive(
+        tmp_path,
+        step("goto", url=tf.view(movie).save(tmp_path / "both.html").as_uri()),
+        step("until", code="!document.getElementById('notice').hidden"),
+        step("text", id="notice"),
+        step("text", id="pictureless"),
+        step("run", code="getComputedStyle(document.getElementById('video')).display"),
+        step("click", id="play"),
+        step("until", code="touchfield.state().time > 0.3 && Math.max(...touchfield.state().drives) > 0"),
+    )
+    notice, instead, display = result.answers[2:5]
+    assert "lacks the codec" in notice and "H.264" in notice and display == "none"
+    assert instead.startswith(
+        "No picture: sound and touch play" if has_sound else "No picture: the touch plays"
+    )
+
+
+@needs_browser
+def test_a_picture_that_is_shown_has_no_notice(movie: Path, tmp_path: Path) -> None:
+    result = drive(
+        tmp_path,
+        step("goto", url=tf.view(movie).save(tmp_path / "both.html").as_uri()),
+        step("until", code="document.getElementById('video').readyState > 1"),
+        step(
+            "run",
+            code="[document.getElementById('notice').hidden, document.getElementById('pictureless').hidden]",
+        ),
+    )
+    assert result.answers[2] == [True, True]
 
 
 def test_the_page_of_fields_is_another_one() -> None:

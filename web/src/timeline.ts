@@ -24,6 +24,8 @@ const STEP_S = 0.04;
 const JUMP_S = 1;
 const PERCENT_STEP = 10;
 const DROP_MS = 100;
+const CODEC_MISSING = "This browser does not show the picture of this movie: it lacks the codec";
+const CODEC_HINT = "With a picture in H.264 (ffmpeg -i MOVIE -c:v libx264 -c:a copy OUT.mp4, then watch or mux again) every browser shows it.";
 
 let given: Given;
 let tracks: Track[] = [];
@@ -578,11 +580,17 @@ function openMovie(): void {
   const { type } = byId("given-movie").dataset;
   const pictureless = byId("pictureless");
   if (!type) return void (pictureless.hidden = false);
-  player.open(takeBytes("given-movie"), type, (why) => {
+  const hidePicture = (instead: string, reason: string): void => {
+    setText("pictureless", instead);
     pictureless.hidden = false;
     byId("video").hidden = true;
-    notice([`The browser does not play this movie (${why}): its touch plays alone.`]);
-  });
+    notice([reason]);
+  };
+  player.open(
+    takeBytes("given-movie"), type,
+    (why) => hidePicture("No picture: the touch plays alone.", `${CODEC_MISSING} (${why}). Its touch plays alone. ${CODEC_HINT}`),
+    () => hidePicture("No picture: sound and touch play.", `${CODEC_MISSING}, or it has none. Sound and touch play. ${CODEC_HINT}`),
+  );
 }
 
 function notice(texts: string[]): void {

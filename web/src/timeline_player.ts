@@ -12,8 +12,11 @@ export class Player {
   /** `touchEnd` is the second at which the last track ends. */
   constructor(private readonly movie: HTMLVideoElement, private readonly touchEnd: () => number) {}
 
-  /** Take a movie as the clock; `lost` is told why if the browser does not play it. */
-  open(data: Uint8Array<ArrayBuffer>, type: string, lost: (why: string) => void): void {
+  /**
+   * Take a movie as the clock. `lost` is told why if the browser does not play it; `blind` is called if the browser plays its
+   * sound alone, as it does without a word where it lacks the codec of the picture.
+   */
+  open(data: Uint8Array<ArrayBuffer>, type: string, lost: (why: string) => void, blind: () => void): void {
     this.hasMovie = true;
     this.movie.src = URL.createObjectURL(new Blob([data], { type }));
     this.movie.onended = (): void => this.pause();
@@ -21,6 +24,7 @@ export class Player {
     this.movie.onplay = (): void => void (this.isRunning || this.start());
     this.movie.onpause = (): void => void (this.isRunning && !this.movie.ended && this.pause());
     this.movie.ondurationchange = (): void => this.onchange();
+    this.movie.onloadedmetadata = (): void => void (this.movie.videoWidth || blind());
     this.movie.onerror = (): void => {
       this.hasMovie = false;
       this.pause();

@@ -30,7 +30,7 @@ from touchfield.render.spec import RenderSpec
 from touchfield.render.tool import SPHERE_POINTS, Tool
 from touchfield.sources.mesh.mesh_files import read_triangles
 from touchfield.tasks.play import PlaySpec
-from touchfield.tasks.play_mcap import is_mcap, require_mcap
+from touchfield.tasks.play_mcap import require_log
 
 RENDER: Final = rows_of(RenderSpec, "Renderer") + rows(
     "Renderer",
@@ -76,7 +76,7 @@ _FORMS: Final = "point, sphere:RADIUS_M or MESH.obj, with ,points=N behind the l
 def play(
     options: Options,
     stream: Stream,
-    log: Annotated[Path | None, "CSV to write: every tick; .mcap: for Foxglove (extra: mcap)."] = None,
+    log: Annotated[Path | None, "Every tick, to write: .csv; or .mcap, for Foxglove (extra: mcap)."] = None,
     plot: Annotated[Path | None, "PNG to draw: the hand, the field, the forces."] = None,
     check: Annotated[bool, "Play nothing; tell whether this machine can decode it in time."] = False,
     bridge: Annotated[bool, "Show the hand in a browser while it plays."] = False,
@@ -97,8 +97,8 @@ def play(
         return
     _refuse_unused_by_device(options, bridge)
     check_results((stream,), log, plot=plot)
-    if log is not None and is_mcap(log):
-        require_mcap(log)  # before the playback, not after
+    if log is not None:
+        require_log(log)  # before the playback, not after
     is_logged = not (log is plot is None)
     derived = {"is_logged": is_logged, "is_drawn": plot is not None, "render": render_spec(options)}
     spec = PlaySpec(**{**fields_of(PlaySpec, options), **derived})

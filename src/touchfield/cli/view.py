@@ -57,7 +57,7 @@ def view(
     rerun: Annotated[
         bool, "Show it in Rerun instead, or write --out OUT.rrd and open nothing (extra: rerun)."
     ] = False,
-    log: Annotated[Path | None, "--rerun: log of play, CSV, whose hand and force are shown."] = None,
+    log: Annotated[Path | None, "--rerun: log of play, CSV or MCAP, whose hand and force are shown."] = None,
 ) -> Answer:
     """Open STREAM in the browser: seen, played, probed and heard, without any network."""
     from touchfield.tasks.view import view as run

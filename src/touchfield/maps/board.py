@@ -81,6 +81,11 @@ class Board:
         self.raised[place] = raised[place]
         self.symbols.append(symbol)
 
+    def clear(self, place: Bools) -> None:
+        """Take the pins of `place` from the symbols that they belong to."""
+        self.owner[place] = FREE
+        self.raised[place] = False
+
     def fits(self, rows: int, columns: int, free: Bools) -> Bools:
         """Return where the top left pin of a box of free pins may be, bool [rows, columns]."""
         sums = np.zeros((self.rows + 1, self.columns + 1), np.int64)

@@ -1,8 +1,4 @@
-"""Draws pins as SVG for swell paper, as a relief for printers and force-feedback devices, as STL, and as a
-picture for a report.
-
-On paper and in relief, neighbouring pins of one solid line or area are joined, so that a finger feels a line.
-"""
+"""Draws pins as a relief for printers and force-feedback devices, as STL, and as a picture for a report."""
 
 from __future__ import annotations
 
@@ -10,7 +6,6 @@ import struct
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
-from xml.sax.saxutils import escape
 
 import numpy as np
 from scipy import ndimage
@@ -19,102 +14,13 @@ from touchfield.arrays import Bools, Float64s
 from touchfield.atomic import atomic_path
 from touchfield.maps.board import FREE, Layout
 from touchfield.maps.guidelines import guidelines
+from touchfield.maps.joins import joined, of_relief
 from touchfield.maps.labels import LegendLine
-from touchfield.maps.symbols import RELIEF, symbols
 
-MARGIN_MM: Final = 10.0
+MARGIN_MM: Final = float(guidelines()["margin_mm"].value)
 """Around the pins on paper and on a plate."""
 SAMPLES_PER_PIN: Final = 6
 """Of a relief, along a row: 0.4 mm on a pitch of 2.5 mm, the nozzle of a usual printer."""
-
-
-def _joined(layout: Layout) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Return the pairs of neighbouring raised pins of one line or solid area."""
-    is_joined = np.array(
-        [
-            (symbol.role == "line" and symbol.kind != RELIEF) or _is_solid(symbol.kind)
-            for symbol in layout.symbols
-        ]
-        + [False]
-    )
-    joins = layout.raised & is_joined[layout.owner]
-    return _pairs(layout, joins)
-
-
-def _contours(layout: Layout) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Return the pairs of neighbouring pins of one contour line, up or down: on paper it is a thin line."""
-    return _pairs(layout, _of_relief(layout))
-
-
-def _of_relief(layout: Layout) -> Bools:
-    is_relief = np.array([symbol.kind == RELIEF for symbol in layout.symbols] + [False])
-    return np.asarray(is_relief[layout.owner])
-
-
-def _pairs(layout: Layout, joins: Bools) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Return the pairs of neighbouring pins of one symbol among those of a mask."""
-    pairs = []
-    rows, columns = joins.shape
-    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
-        for row, column in np.argwhere(joins):
-            other = (int(row) + down, int(column) + right)
-            is_inside = 0 <= other[0] < rows and 0 <= other[1] < columns
-            if is_inside and joins[other] and layout.owner[other] == layout.owner[row, column]:
-                pairs.append(((int(row), int(column)), other))
-    return pairs
-
-
-def _is_solid(kind: str) -> bool:
-    return kind in symbols() and symbols()[kind].texture == ("1",)
-
-
-def write_svg(
-    path: Path, layout: Layout, pages: Sequence[Bools], lines: Sequence[LegendLine], title: str, credit: str
-) -> None:
-    """Write the map and below it the pages of its legend, black, in millimetres, for swell paper.
-
-    Contour lines are thin lines without pins.
-
-    Raises `SourceError` if it cannot be written; no file is then left.
-    """
-    pitch_mm, dot_mm = layout.rules.pitch_mm, float(guidelines()["dot_mm"].value)
-    rows, columns = layout.raised.shape
-    width_mm = pitch_mm * (columns - 1) + 2 * MARGIN_MM
-    page_mm = pitch_mm * (rows - 1) + 2 * MARGIN_MM
-    height_mm = page_mm * (1 + len(pages))
-    out = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width_mm:g}mm" height="{height_mm:g}mm" '
-        f'viewBox="0 0 {width_mm:g} {height_mm:g}">',
-        f"<title>{escape(title)}</title>",
-        f"<desc>{escape(_description(lines, credit))}</desc>",
-        f'<g transform="translate({MARGIN_MM:g} {MARGIN_MM:g})" stroke="#000" stroke-linecap="round" '
-        f'stroke-width="{dot_mm:g}">',
-        *_paths(_joined(layout), pitch_mm),
-        f'<g stroke-width="{float(guidelines()["contour_line_mm"].value):g}">',
-        *_paths(_contours(layout), pitch_mm),
-        "</g>",
-        "</g>",
-    ]
-    for n, pins in enumerate((layout.raised & ~_of_relief(layout), *pages)):
-        out.append(f'<g transform="translate({MARGIN_MM:g} {MARGIN_MM + n * page_mm:g})">')
-        out += [
-            f'<circle cx="{column * pitch_mm:g}" cy="{row * pitch_mm:g}" r="{dot_mm / 2:g}"/>'
-            for row, column in np.argwhere(pins)
-        ]
-        out.append("</g>")
-    with atomic_path(path) as temporary:
-        temporary.write_text("\n".join([*out, "</svg>", ""]), "utf-8")
-
-
-def _paths(pairs: Sequence[tuple[tuple[int, int], tuple[int, int]]], pitch_mm: float) -> list[str]:
-    return [
-        f'<path d="M{c0 * pitch_mm:g} {r0 * pitch_mm:g}L{c1 * pitch_mm:g} {r1 * pitch_mm:g}"/>'
-        for (r0, c0), (r1, c1) in pairs
-    ]
-
-
-def _description(lines: Sequence[LegendLine], credit: str) -> str:
-    return "; ".join(filter(None, (credit, *(line.text for line in lines))))
 
 
 def plate_mm(
@@ -130,9 +36,9 @@ def plate_mm(
     margin = round(margin_mm / spacing_mm)
     shape = tuple(factor * (n - 1) + 1 + 2 * margin for n in layout.raised.shape)
     core = np.zeros(shape, np.bool_)
-    up = margin + factor * np.argwhere(layout.raised & ~_of_relief(layout))
+    up = margin + factor * np.argwhere(layout.raised & ~of_relief(layout))
     core[tuple(up.T)] = True
-    for (r0, c0), (r1, c1) in _joined(layout):
+    for (r0, c0), (r1, c1) in joined(layout):
         for step in range(factor + 1):
             core[margin + factor * r0 + step * (r1 - r0), margin + factor * c0 + step * (c1 - c0)] = True
     ground_mm = np.zeros(shape) if land_mm is None else _ground_mm(land_mm, shape, margin)
@@ -215,9 +121,9 @@ def draw_report(
         _draw_pins(axes[1 + n], page, f"legend, page {n + 1}")
         r, c = np.nonzero(page)
         axes[1 + n].scatter(c, r, s=14, color="black", zorder=2)
-    texts = [line.text for line in lines]
+    texts = [f"{line.key}  {line.text}" if line.key else line.text for line in lines]
     if texts and pages:
-        shown = "\n".join(text[:30] for text in texts[:30])
+        shown = "\n".join(text if len(text) <= 28 else f"{text[:27]}…" for text in texts[:30])
         axes[1].text(1.01, 1.0, shown, transform=axes[1].transAxes, va="top", fontsize=7, parse_math=False)
     with atomic_path(path) as temporary:
         figure.savefig(temporary, dpi=110, format="png")

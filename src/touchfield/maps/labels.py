@@ -15,14 +15,18 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import ndimage
 
-from touchfield.arrays import Bools
+from touchfield.arrays import Bools, Int64s
 from touchfield.maps.board import Board, Layout, Placed
 from touchfield.maps.braille import Braille, pins_of
 from touchfield.maps.guidelines import PinRules, guidelines
 from touchfield.maps.symbols import RELIEF, Symbol, relief_symbol, symbols
 
+TEXT: Final = "text"
+"""Class of the texts of a drawing."""
 MAX_NAME_CELLS: Final = 5
 """Longest name that stands on the map itself, cells; longer ones would fill the display."""
+LOW_LETTERS: Final = frozenset("klmnopqrstuvwxyz")
+"""Letters of Braille with dot 3 or dot 6, in the lowest row of a cell."""
 SWATCH_PINS: Final = 9
 """Columns of the sample of a symbol in the legend."""
 
@@ -38,7 +42,8 @@ class Translator(Protocol):
 class LabelRequest:
     """A name that is wanted on the map, for what lies on some pins, bool [rows, columns].
 
-    With `must_be_inside` the whole label stands on these pins.
+    With `must_be_inside` the whole label stands on these pins. The name of a solid area, and a text of a
+    drawing upon one, may stand in an opening of it if there is no other room.
     """
 
     name: str
@@ -105,19 +110,21 @@ def _put(board: Board, request: LabelRequest, braille: Braille, taken: set[str])
         return None  # a key would have an empty line in the legend
     texts = [request.name] if request.name not in taken else []
     key = next((key for key in keys_of(request.name) if key not in taken), None)
-    for text in (*texts, *filter(None, (key,))):
-        cells = braille.cells(text)
-        if not cells or (text == request.name and len(cells) > MAX_NAME_CELLS):
-            continue
-        pins = pins_of(cells, board.rules.cell_pins)
-        spot = _spot(board, request, pins.shape)
-        if spot is not None:
-            row, column = spot
-            place, raised = np.zeros(board.shape, np.bool_), np.zeros(board.shape, np.bool_)
-            box = np.s_[row : row + pins.shape[0], column : column + pins.shape[1]]
-            place[box], raised[box] = True, pins
-            board.put(Placed("label", "label", (text,), cells), place, raised)
-            return Label(request.name, request.kind, text, row, column, cells)
+    for spot_of in (_spot, _spot_of_opening):
+        for text in (*texts, *filter(None, (key,))):
+            cells = braille.cells(text)
+            if not cells or (text == request.name and len(cells) > MAX_NAME_CELLS):
+                continue
+            pins = pins_of(cells, board.rules.cell_pins)
+            spot = spot_of(board, request, pins.shape)
+            if spot is not None:
+                row, column = spot
+                place, raised = np.zeros(board.shape, np.bool_), np.zeros(board.shape, np.bool_)
+                box = np.s_[row : row + pins.shape[0], column : column + pins.shape[1]]
+                place[box], raised[box] = True, pins
+                board.clear(board.near(place))  # of a solid area; around a free box there is nothing
+                board.put(Placed("label", "label", (text,), cells), place, raised)
+                return Label(request.name, request.kind, text, row, column, cells)
     return None
 
 
@@ -126,7 +133,26 @@ def _spot(board: Board, request: LabelRequest, size: tuple[int, int]) -> tuple[i
     free = ~board.blocked()
     if request.must_be_inside:
         free &= request.pins
-    starts = np.argwhere(board.fits(*size, free))
+    return _nearest(board, request, np.argwhere(board.fits(*size, free)), size)
+
+
+def _spot_of_opening(board: Board, request: LabelRequest, size: tuple[int, int]) -> tuple[int, int] | None:
+    """Return the top left pin of a box in a solid area that stays wide enough around it to be felt."""
+    is_solid = np.array([s.kind in symbols() and symbols()[s.kind].is_solid for s in board.symbols] + [False])
+    solid = is_solid[board.owner]
+    if request.kind != TEXT:
+        solid &= request.pins
+        if request.kind not in symbols() or not symbols()[request.kind].is_solid:
+            return None
+    around = board.rules.too_close.shape[0] // 2 + board.rules.symbol_pins
+    starts = np.argwhere(board.fits(size[0] + 2 * around, size[1] + 2 * around, solid)) + around
+    return _nearest(board, request, starts, size)
+
+
+def _nearest(
+    board: Board, request: LabelRequest, starts: Int64s, size: tuple[int, int]
+) -> tuple[int, int] | None:
+    """Return the one of these top left pins, int64 [n, 2], whose box is nearest to what it names."""
     if not len(starts):
         return None
     distances = ndimage.distance_transform_cdt(~request.pins, "chessboard")
@@ -143,9 +169,19 @@ def _spot(board: Board, request: LabelRequest, size: tuple[int, int]) -> tuple[i
 def keys_of(name: str) -> Iterator[str]:
     """Yield keys of two letters for a name, those that recall it first.
 
-    >>> next(keys_of("Queen Street")), next(keys_of("Ölweg")), next(keys_of("公園"))
-    ('qs', 'ol', 'aa')
+    One of the letters has dot 3 or dot 6 (`LOW_LETTERS`): without it a finger cannot tell the height of the
+    dots. Keys without such a letter come last.
+
+    >>> next(keys_of("Queen Street")), next(keys_of("Bahnhof")), next(keys_of("公園"))
+    ('qs', 'bn', 'ak')
     """
+    keys = tuple(dict.fromkeys(_keys_of(name)))
+    has_low = [not LOW_LETTERS.isdisjoint(key) for key in keys]
+    yield from (key for key, is_low in zip(keys, has_low) if is_low)
+    yield from (key for key, is_low in zip(keys, has_low) if not is_low)
+
+
+def _keys_of(name: str) -> Iterator[str]:
     plain = unicodedata.normalize("NFKD", name).lower()
     words = re.findall("[a-z]+", "".join(c for c in plain if not unicodedata.combining(c)))
     letters = "".join(words)
@@ -159,11 +195,17 @@ def keys_of(name: str) -> Iterator[str]:
 # -- legend ------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class LegendLine:
-    """A line of the legend: a sample of a symbol or a key, and what it means."""
+    """A line of the legend: a sample of a symbol of the class `kind`, or a `key`, and what it means."""
 
     sample: Bools
     text: str
     kind: str = ""
+    key: str = ""
+
+    @property
+    def shows(self) -> str:
+        """The class, or the key in letters."""
+        return self.kind or f"key {self.key}"
 
 
 def class_titles(language: str, interval_m: float | None = None) -> dict[str, str]:
@@ -186,7 +228,8 @@ def legend_lines(
         if symbol.name in kinds
     ]
     for label in sorted((label for label in labels if label.is_key), key=lambda label: label.text):
-        lines.append(LegendLine(pins_of(label.cells, layout.rules.cell_pins), label.name))
+        sample = pins_of(label.cells, layout.rules.cell_pins)
+        lines.append(LegendLine(sample, label.name, key=label.text))
     return tuple(lines)
 
 

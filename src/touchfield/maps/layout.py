@@ -26,7 +26,7 @@ from touchfield.maps.board import FREE, Board, Layout, Placed, parts_of
 from touchfield.maps.braille import Braille
 from touchfield.maps.features import Feature
 from touchfield.maps.guidelines import PinRules, guidelines
-from touchfield.maps.labels import Label, LabelRequest, put_labels
+from touchfield.maps.labels import TEXT, Label, LabelRequest, put_labels
 from touchfield.maps.lines import dashes, network_of
 from touchfield.maps.pins import Window, fill, trace
 from touchfield.maps.relief import Relief
@@ -263,7 +263,7 @@ def _draw_points(drawing: _Drawing) -> None:
 
 def _request_texts(drawing: _Drawing) -> None:
     """Ask for the texts of a drawing."""
-    for feature in drawing.features.get("text", ()):
+    for feature in drawing.features.get(TEXT, ()):
         pin = _pin_of(drawing, feature)
         if pin is not None:
             mask = np.zeros(drawing.board.shape, np.bool_)
@@ -276,15 +276,11 @@ def _area_masks(drawing: _Drawing) -> dict[str, list[tuple[Feature, Bools]]]:
     """Return the pins of each feature of the textured areas, and ask for their labels."""
     masks = {}
     for symbol in symbols().values():
-        if symbol.texture and not _is_solid(symbol):
+        if symbol.texture and not symbol.is_solid:
             masks[symbol.name] = _masks_of(drawing, symbol)
             for feature, mask in masks[symbol.name]:
                 drawing.request(feature, mask)
     return masks
-
-
-def _is_solid(symbol: Symbol) -> bool:
-    return symbol.texture == ("1",)
 
 
 def _masks_of(drawing: _Drawing, symbol: Symbol) -> list[tuple[Feature, Bools]]:
@@ -311,7 +307,7 @@ def _draw_areas(
 ) -> None:
     board = drawing.board
     for symbol in symbols().values():
-        if not symbol.texture or _is_solid(symbol) != is_solid:
+        if not symbol.texture or symbol.is_solid != is_solid:
             continue
         found = _masks_of(drawing, symbol) if masks is None else masks[symbol.name]
         blocked = board.blocked()
@@ -322,7 +318,7 @@ def _draw_areas(
         whole = np.asarray(ndimage.binary_opening(whole & ~blocked, smallest))
         texture, kept = symbol.pattern(board.shape), np.zeros(board.shape, np.bool_)
         for part in parts_of(whole):
-            if (part & texture).sum() >= MIN_TEXTURE_PINS:
+            if _is_texture(part & texture):
                 names = tuple(dict.fromkeys(f.name for f, mask in found if f.name and (mask & part).any()))
                 board.put(Placed(symbol.name, "area", names), part, texture)
                 kept |= part
@@ -332,6 +328,12 @@ def _draw_areas(
                 drawing.drawn[feature.kind] += bool((mask & kept).any())
             if is_solid:
                 drawing.request(feature, mask & kept)
+
+
+def _is_texture(felt: Bools) -> bool:
+    """True if raised pins are felt as a texture: a single row of them would be felt as a line."""
+    rows, columns = np.nonzero(felt)
+    return len(rows) >= MIN_TEXTURE_PINS and min(len(set(rows)), len(set(columns))) > 1
 
 
 def _touches(drawing: _Drawing, feature: Feature) -> bool:

@@ -164,7 +164,10 @@ def _spur(mask: Bools, end: tuple[int, int], min_pins: int) -> list[tuple[int, i
 
 
 def dashes(mask: Bools, on: int, off: int) -> Bools:
-    """Return the pins of a network that are up: `on` of them, then `off` down, from an end of each part."""
+    """Return the pins of a network that are up: `on` of them, then `off` down, from an end of each part.
+
+    A rest that is shorter than a dash is down, unless it is all of its part.
+    """
     if not off:
         return mask
     raised = np.zeros_like(mask)
@@ -180,4 +183,8 @@ def dashes(mask: Bools, on: int, off: int) -> Bools:
                 if other not in depths:
                     depths[other] = depths[pin] + 1
                     queue.append(other)
+        found = parts_of(raised & part) if on > 1 else []
+        rests = [dash for dash in found if dash.sum() < on]
+        for rest in rests if len(rests) < len(found) else []:
+            raised[rest] = False
     return raised

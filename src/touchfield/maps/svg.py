@@ -2,7 +2,8 @@
 
 The class of an element follows from words in its id, its class and the labels of the layers around it; else
 from its paint. An element with a fill is an area, one without a line: dashed if its stroke is dashed. Each
-colour of areas without a class gets a texture of its own, up to `FILLS`. White areas are paper. Texts become
+colour of areas without a class gets a texture of its own, of `FILLS` those that no class of the drawing has.
+White areas are paper. Texts become
 Braille labels. Nothing outside the file is read, and nothing is drawn that a browser does not draw.
 """
 
@@ -22,8 +23,8 @@ import numpy as np
 from touchfield.arrays import Float64s
 from touchfield.errors import SourceError, import_extra
 from touchfield.files import library_faults, read_bytes
-from touchfield.maps.features import Collector, MapSource, require_features
-from touchfield.maps.symbols import FILLS, class_of_words
+from touchfield.maps.features import Collector, MapSource, clean_name, require_features
+from touchfield.maps.symbols import FILLS, class_of_words, symbols
 from touchfield.sources.mesh.instances import ROOT, Definitions
 
 MAX_BYTES: Final = 1 << 22
@@ -60,21 +61,22 @@ def read_svg(path: Path) -> MapSource:
     data = read_bytes(path, MAX_BYTES, _EXPECTED)
     outside = _check(path, data)
     svgelements = import_extra("svgelements", f"reading {path.name}", "svgelements", "map")
-    found, colours = Collector(str(path)), _Colours()
+    found, root = Collector(str(path)), ElementTree.fromstring(data)
     if outside:
         found.left_out["references to other files, which are not read"] += outside
     with library_faults(path, "a drawing that svgelements does not read", _EXPECTED):
-        drawing = svgelements.SVG.parse(BytesIO(_drawn(data, found)), reify=True)
+        drawing = svgelements.SVG.parse(BytesIO(_drawn(root, found)), reify=True)
         elements = list(_elements(svgelements, drawing, ()))
+        colours = _Colours({class_of_words(labels, "area") for each, labels in elements if _has_fill(each)})
         for element, labels in reversed(elements):  # what lies on top takes the most important texture
             _add(svgelements, found, colours, element, labels)
     require_features(found, "lines, filled shapes or texts")
-    return MapSource(tuple(found.features), None, None, found.notes())
+    title = clean_name(root.findtext(f"{_SVG}title") or "")
+    return MapSource(tuple(found.features), None, None, found.notes(), title=title)
 
 
-def _drawn(data: bytes, found: Collector) -> bytes:
+def _drawn(root: ElementTree.Element, found: Collector) -> bytes:
     """Return the drawing with `_UNDRAWN` elements within ``defs``; count flowed texts and hidden parts."""
-    root = ElementTree.fromstring(data)
     for parent in list(root.iter()):
         for n, element in enumerate(parent):
             tag = str(element.tag).removeprefix(_SVG)
@@ -115,15 +117,20 @@ def _labels(element: Any) -> list[str]:
 
 
 class _Colours:
-    """The classes of areas by their colour, in the order in which they are asked for."""
+    """The classes of areas by their colour, in the order in which they are asked for.
 
-    def __init__(self) -> None:
+    `named` are the classes that the drawing names; none of the colours feels like one of them.
+    """
+
+    def __init__(self, named: set[str | None]) -> None:
+        looks = {symbols()[kind].look for kind in named if kind is not None}
+        self.textures = [kind for kind in FILLS if symbols()[kind].look not in looks]
         self._kinds: dict[tuple[int, int, int], str] = {}
 
     def kind_of(self, colour: tuple[int, int, int]) -> str | None:
         """Return the class of a colour; None if all textures are taken."""
-        if colour not in self._kinds and len(self._kinds) < len(FILLS):
-            self._kinds[colour] = FILLS[len(self._kinds)]
+        if colour not in self._kinds and len(self._kinds) < len(self.textures):
+            self._kinds[colour] = self.textures[len(self._kinds)]
         return self._kinds.get(colour)
 
 
@@ -152,7 +159,9 @@ def _add(
     if fill is not None and min(fill) < WHITE and has_inside:
         area_class = class_of_words(labels, "area") or colours.kind_of(fill)
         if area_class is None:
-            found.left_out[f"areas of further colours than {len(FILLS)}, the most textures"] += 1
+            found.left_out[
+                f"areas of further colours than {len(colours.textures)}, for want of textures"
+            ] += 1
         else:
             found.add(area_class, "area", [part for part in parts if len(part) > 2])
     elif class_of_words(labels, "point") and _is_closed(parts):
@@ -177,6 +186,12 @@ def _line_class(element: Any) -> str:
 
 def _numbers(text: Any) -> list[float]:
     return [float(number) for number in re.findall(r"\d+\.?\d*|\.\d+", str(text or ""))]
+
+
+def _has_fill(element: Any) -> bool:
+    """True for a shape with a fill other than paper."""
+    fill = _paint(getattr(element, "fill", None))
+    return fill is not None and min(fill) < WHITE
 
 
 def _is_closed(parts: list[Float64s]) -> bool:

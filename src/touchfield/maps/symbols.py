@@ -57,6 +57,11 @@ class Symbol:
         return not (self.outline or self.opens or self.widens)
 
     @property
+    def is_solid(self) -> bool:
+        """True for an area whose pins are all up."""
+        return self.texture == ("1",)
+
+    @property
     def look(self) -> tuple[object, ...]:
         """What a finger tells the symbol by."""
         return (self.on, self.off) if self.shape == "line" else (*self.texture, *self.picture)

@@ -43,6 +43,8 @@ OnNote = Callable[[str], None]
 
 FAREWELL_S: Final = 1.0
 """How long the warning is shown when a camera ends."""
+MAX_WITHOUT_GROUND: Final = 0.1
+"""Fraction of the frames from which on a note says that the ground was not found."""
 NOTICE: Final = (
     "This is no mobility aid and replaces no cane: see docs/how-to/guide.md for what it does not see."
 )
@@ -107,6 +109,7 @@ def guide(
     counts.pose_jumps = evaluate.pose_jumps
     if rows is not None:
         notes += rows.notes
+    notes += _ground_notes(counts)
     figures = {"device": run.device, "profile": profile.name, "has_poses": sequence.poses is not None}
     return {**figures, **counts.summary()}, tuple(dict.fromkeys(notes))
 
@@ -150,6 +153,16 @@ def _pose_notes(sequence: DepthSequence, spec: GuideSpec) -> tuple[str, ...]:
     if spec.memory_s == 0:
         return ()
     return (f"What left the picture is remembered for {spec.memory_s:g} s, by the camera poses.",)
+
+
+def _ground_notes(counts: Counts) -> tuple[str, ...]:
+    """Return a note if steps were looked for in few frames."""
+    if counts.without_ground <= MAX_WITHOUT_GROUND * counts.evaluated:
+        return ()
+    return (
+        f"No ground was found in {counts.without_ground} of {counts.evaluated} frames, so no steps and drops "
+        "are shown in them: --pitch-deg and --camera-height-m state how the camera is worn.",
+    )
 
 
 # -- without a clock ---------------------------------------------------------------------------------------

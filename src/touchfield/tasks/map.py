@@ -22,14 +22,16 @@ from touchfield.exchange.symbolic import ArrayEffect, effect_medium
 from touchfield.filters.device_spec import device_grid
 from touchfield.maps.braille import Braille
 from touchfield.maps.check import Checked, check
-from touchfield.maps.drawing import draw_report, plate_mm, write_stl, write_svg
+from touchfield.maps.drawing import draw_report, plate_mm, write_stl
 from touchfield.maps.features import MapSource
 from touchfield.maps.guidelines import PinRules, guidelines
 from touchfield.maps.labels import LegendLine, class_titles, legend_lines, legend_pages
 from touchfield.maps.layout import Drawn, draw
+from touchfield.maps.paper import paper_of, refuse_sheets_over, sheet_paths, write_svg
 from touchfield.maps.pins import Window
 from touchfield.maps.reader import box_of, on_level, read_map
 from touchfield.maps.relief import MAX_HEIGHTS, Relief, read_relief
+from touchfield.maps.symbols import symbol_of
 from touchfield.maps.zooms import MAX_LEVELS, Level, draw_levels
 from touchfield.pipeline.encoding import encode_prepared
 from touchfield.pipeline.map_index import MapTexts, map_record
@@ -129,8 +131,8 @@ def make_map(
     `source` is GeoJSON, an extract of OpenStreetMap (``.osm``, ``.osm.pbf``), an SVG drawing, or the sample
     ``sample:park``. `out` is a
     medium of one frame for the device, with zoom levels and an index of names for a display; the pages of its
-    legend are ``OUT.legend-1.touch`` and so on. `svg` is a drawing for swell paper, with the legend; `stl` a
-    plate for printers.
+    legend are ``OUT.legend-1.touch`` and so on. `svg` is a drawing for swell paper, with the legend, on as
+    many sheets as it takes (`touchfield.maps.paper`); `stl` a plate for printers.
 
     Raises TouchfieldError if the source cannot be read, nothing can be drawn, or labels are requested and
     liblouis is missing; no file is then left.
@@ -160,15 +162,20 @@ def make_map(
     levels, zoom_notes = _levels(read, box, (window, drawn), braille, spec, target, relief)
     record, index_notes = map_record(read, box, levels, MapTexts(title, spec.language, titles), braille)
     heights_m = relief.under_m(window) if relief else None
+    if svg is not None:
+        refuse_sheets_over(source, sheet_paths(Path(svg), drawn.layout, len(pages)))
     files = _write(path, drawn, pages, target, source, record, heights_m)
     if svg is not None:
-        write_svg(Path(svg), drawn.layout, pages, lines, title, read.attribution)
-        files += (Path(svg),)
+        files += write_svg(Path(svg), drawn.layout, pages, lines, title, read.attribution)
     if stl is not None:
         write_stl(Path(stl), drawn.layout, _land_mm(heights_m, "print_relief_mm"))
         files += (Path(stl),)
     checked = check(drawn.layout)
     figures = _figures(read, window, target, drawn, checked, lines, files) | {"title": title}
+    if svg is not None:
+        figures["paper"] = paper_of(drawn.layout)[0] or None
+        if figures["paper"] is None:
+            page_notes += (f"{svg} is larger than A3: a map for another display fits on it (--device).",)
     if relief is not None:
         figures |= {"relief": _relief_figures(relief, drawn)}
         has_land = stl is not None or not target.is_array
@@ -351,7 +358,7 @@ def _figures(
         "required_gap_mm": float(guidelines()["gap_mm"].value),
         "violations": len(checked.violations),
         "labels": len(drawn.labels),
-        "legend": [{"shows": line.kind or "key", "text": line.text} for line in lines],
+        "legend": [{"shows": line.shows, "text": line.text} for line in lines],
         "unlabelled": list(drawn.unlabelled),
         "attribution": read.attribution or None,
         "files": [str(file) for file in files],
@@ -370,6 +377,11 @@ def _level_figures(levels: tuple[Level, ...], record: TactileMap) -> dict[str, A
     }
 
 
+def _title(kind: str) -> str:
+    symbol = symbol_of(kind)
+    return kind if symbol is None else symbol.titled("en")
+
+
 def _notes(
     read: MapSource,
     drawn: Drawn,
@@ -380,8 +392,8 @@ def _notes(
 ) -> tuple[str, ...]:
     notes = [*read.notes, *drawn.notes]
     notes += [
-        f"{seen - count} of {seen} {kind} are not drawn on the whole map: too small, too close to others, or "
-        "outside."
+        f"Not drawn on the whole map: {seen - count} of {seen} ({_title(kind)}): too small, too close to "
+        "others, or outside."
         for kind, (seen, count) in drawn.counts.items()
         if count < seen
     ]

@@ -57,7 +57,7 @@ from touchfield.render.spec import RenderSpec, device_to_field
 from touchfield.tasks.map_keys import TerminalKeys
 from touchfield.tasks.map_play import MapWalk, SimulatedDisplay, go_to, moves_in, play_map
 from touchfield.tasks.play_log import MAX_ROWS, write_log
-from touchfield.tasks.play_mcap import is_mcap, write_mcap
+from touchfield.tasks.play_mcap import is_mcap, require_log, write_mcap
 from touchfield.viewer.interaction import InteractionView, draw_interaction
 
 OnNote = Callable[[str], None]
@@ -159,10 +159,11 @@ class Played:
         return self
 
     def write_log(self, path: Path) -> tuple[str, ...]:
-        """Write the log atomically, as MCAP if `path` ends so, else as comma-separated text; return notes.
+        """Write the log atomically, as comma-separated text (.csv) or MCAP (.mcap); return notes.
 
-        Raises as `touchfield.tasks.play_mcap.write_mcap` does.
+        Raises InvalidArgument for another ending, and as `touchfield.tasks.play_mcap.write_mcap` does.
         """
+        require_log(path)
         rows = self._point_result(self.rows, "log")
         if is_mcap(path):
             return write_mcap(path, rows, self._point_result(self.device_to_field, "log"))
@@ -280,11 +281,18 @@ class _Run(NamedTuple):
 
 def _read_trajectory(spec: PlaySpec, stream: OpenStream) -> Trace | None:
     """Read the positions of the simulated hand, hand metres; None if no file is named."""
-    trajectory = None if spec.trajectory is None else read_trace(spec.trajectory)
+    trajectory = None if spec.trajectory is None else _read_path("--trajectory", spec.trajectory)
     if spec.trace is None:
         return trajectory
-    recorded = read_trace(spec.trace)
+    recorded = _read_path("--trace", spec.trace)
     return Trace(recorded.times_s, stream.placement.to_hand(recorded.positions_m))
+
+
+def _read_path(option_name: str, path: Path) -> Trace:
+    if is_mcap(path):
+        hint = "touchfield play --log OUT.csv writes positions that are read."
+        raise InvalidArgument(option_name, f"{path}, an MCAP file", "comma-separated text", hint)
+    return read_trace(path)
 
 
 def _run_player(
@@ -429,8 +437,9 @@ def _map_walk(stream: OpenStream, spec: PlaySpec, on_note: OnNote) -> MapWalk | 
     name = stream.reader.name
     if stream.is_live or not stream.reader.has_map:
         if requested:
-            hint = "Make a map by: touchfield map."
-            raise InvalidArgument(requested[0], f"{name}, which is no map", "a map for a display", hint)
+            found = f"{name}, which has no zoom levels and no names"
+            hint = "Make one by: touchfield map SOURCE OUT.touch --device graphiti, or another pin display."
+            raise InvalidArgument(requested[0], found, "a map for a pin display", hint)
         return None
     try:
         record = stream.reader.read_map()

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from touchfield._version import __version__
 from touchfield.arrays import Bools, Float64s
 from touchfield.atomic import atomic_path
-from touchfield.errors import import_extra
+from touchfield.errors import import_extra, require_ending
 from touchfield.tasks.mcap_schemas import ARROW_TOPIC, POSE_TOPIC, PRIMITIVES, SCHEMAS, TICK_TOPIC
 from touchfield.tasks.play_log import ROWS_AT_ONCE, state_texts
 
@@ -37,6 +37,13 @@ _NS: Final = 1_000_000_000
 def is_mcap(path: Path) -> bool:
     """Return True if a path names an MCAP file."""
     return path.suffix.lower() == ".mcap"
+
+
+def require_log(path: Path) -> None:
+    """Raise `InvalidArgument` if a path is neither CSV nor MCAP, `MissingExtra` if it needs the library."""
+    require_ending(path, "LOG.csv", "LOG.mcap")
+    if is_mcap(path):
+        require_mcap(path)
 
 
 def require_mcap(path: Path) -> Any:

@@ -23,6 +23,8 @@ from touchfield.medium.pose_track import PoseTrack
 from touchfield.network.opening import open_stream
 from touchfield.render.point_device import axes_of_text
 from touchfield.tasks.play_log import read_log
+from touchfield.tasks.play_mcap import is_mcap
+from touchfield.tasks.play_mcap_log import read_mcap_log
 
 TIMELINE: Final = "media"
 MAX_POINTS: Final = 20_000
@@ -54,12 +56,12 @@ def view_in_rerun(
 ) -> RerunScene:
     """Write a stream as a recording of Rerun, atomically, or open the viewer if `out` is None.
 
-    log : CSV of ``play --log``, or None
+    log : CSV or MCAP of ``play --log``, or None
 
     Raises MissingExtra if rerun-sdk is not installed, InvalidArgument or SourceError if the log or the output
     is unusable, FormatError if the stream cannot be read.
     """
-    ticks = None if log is None else read_log(log)
+    ticks = None if log is None else read_mcap_log(log) if is_mcap(log) else read_log(log)
     rerun = import_extra("rerun", f"{stream} in Rerun", "rerun-sdk", "rerun")
     with open_stream(stream) as opened:
         recording = rerun.RecordingStream("touchfield")
@@ -104,8 +106,8 @@ class _Logger:
             self._add_ticks(ticks)
 
     def _add_axes(self, axes: str) -> None:
-        """Tell the viewer which axis is up, if the text of the axes names directions."""
-        box = axes_of_text(axes)
+        """Tell the viewer which axis is up, if the text of the axes names directions; north is away."""
+        box = axes_of_text(axes.replace("east", "right").replace("north", "away"))
         if box is None:
             self.notes[f"axes {axes!r}: no direction is known as up"] = None
             return
