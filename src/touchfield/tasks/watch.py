@@ -211,8 +211,9 @@ def _sound_touch(movie: _Movie, out: Path, target: Device, report: Progress) -> 
     features = sound_features(sound.blocks())
     medium = sound_medium(features, device_grid(target), target.force_max_n)
     scene = FixedLatticeScene(medium, target, ())
-    # there are no forces to round, and a frame of none takes fewest bytes in mode "lossless"
-    coding = TouchSpec(segment_frames=round(RATE_HZ * SOUND_SEGMENT_S), mode="lossless")
+    # there are no forces to round or to predict: a frame of none takes fewest bytes this way
+    frames = round(RATE_HZ * SOUND_SEGMENT_S)
+    coding = TouchSpec(segment_frames=frames, mode="lossless", interframe="off")
     prepared = prepare(scene, EncodeSpec(device=target.name, nw=None, touch=coding))
     encoded = encode_prepared(prepared, out, file_provenance(movie.path, prepared), report)
     return MadeTouch(out, sound.start_s, encoded, sound.notes, sound=features)
