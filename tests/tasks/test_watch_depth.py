@@ -124,6 +124,14 @@ def test_what_passes_by_is_near_and_no_approach(frames: int) -> None:
     assert 0 < features.drives.max() <= MAX_NEAR
 
 
+def test_camera_that_tilts_towards_the_floor_is_quiet() -> None:
+    """The nearest part of the floor comes in at the lower border, and nothing approaches."""
+    rows = np.arange(HEIGHT + 60)[:, None] - 30.0
+    tall = np.broadcast_to(1.2 * 150 / np.maximum(rows - 20, 25), (HEIGHT + 60, WIDTH))
+    features = features_of([tall[round(0.8 * n) :][:HEIGHT].astype(np.float64) for n in range(75)])
+    assert features.approaches == 0
+
+
 def test_what_becomes_near_and_stays_fades() -> None:
     scene, centre = room(), centre_of(1, 2)
     depths = [scene] * 30 + [with_board(scene, centre, 1.5, 0.2)] * 300

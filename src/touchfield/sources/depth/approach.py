@@ -7,7 +7,8 @@ across an edge is a surface that is not there.
 *Approach.* A pixel approaches if its depth z falls over the past `WINDOW_S`, and in each half of it. Speed is
 the smaller one of both halves, and the time to contact is z over it. The older depths are the *nearest* ones
 within `REACH_PX`: what was as near beside the pixel before has moved sideways, or the camera has turned.
-Halves whose speeds differ by more than `MAX_UNEVEN` are a step in depth: another surface came into view.
+Nothing is known of what was beside the picture, so pixels at its border do not approach. Halves whose speeds
+differ by more than `MAX_UNEVEN` are a step in depth: another surface came into view.
 
 *Nearness.* The scene is the upper quartile of the known depths of a picture, low-passed by `SCENE_S`.
 Nearness is 0 at half of that depth and 1 at a quarter. What stays near is for `watch_depth`, which adapts.
@@ -158,7 +159,7 @@ class ApproachModel:
             slower, faster = np.minimum(before, after), np.maximum(before, after)
             is_even = np.isfinite(faster) & (slower > 0) & (faster <= MAX_UNEVEN * slower)
             contact_s = np.where(is_even, current / slower - age_s, np.inf)
-        return np.clip((FAR_S - contact_s) / (FAR_S - FULL_S), 0, 1).astype(np.float32)
+        return _inside(np.clip((FAR_S - contact_s) / (FAR_S - FULL_S), 0, 1).astype(np.float32))
 
     def _nearness(self, current: Float32s, time_s: float) -> Float32s:
         known = np.isfinite(current)
@@ -171,3 +172,11 @@ class ApproachModel:
         self._scene += (scene - self._scene) * (1 - math.exp(-passed_s / SCENE_S))
         near, close = math.log(NEAR_RATIO), math.log(CLOSE_RATIO)
         return np.clip((self._scene - np.log(current) - near) / (close - near), 0, 1).astype(np.float32)
+
+
+def _inside(urgency: Float32s) -> Float32s:
+    """Return the urgency of a map without its border."""
+    out = np.zeros_like(urgency)
+    inside = np.s_[REACH_PX:-REACH_PX, REACH_PX:-REACH_PX]
+    out[inside] = urgency[inside]
+    return out
