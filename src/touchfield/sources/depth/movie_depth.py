@@ -123,7 +123,8 @@ def _opened(source: Path) -> tuple[DepthSequence, Float64s | None]:
     options = SourceOptions(intrinsics=_ANY_CAMERA, frame="camera", world="frames")
     scene = open_source(source, options)
     if not isinstance(scene, DepthScene):
-        raise SourceError(str(source), "a source without depth pictures", _EXPECTED)
+        hint = "Colours, and grey of 8 bits a pixel, are no depth."
+        raise SourceError(str(source), "a source without depth pictures", _EXPECTED, hint)
     return scene.sequence, None
 
 
