@@ -268,6 +268,7 @@ EXPECTED: Final[dict[str, dict[str, Case]]] = {
         "out": case("{tmp}/new.mkv", "watch.out", "{tmp}/new.mkv"),
         "device": case("tactile-vest-8x8", "spec.device", "tactile-vest-8x8"),
         "only": case("sound", "spec.only", "sound"),
+        "depth": case("depth.mkv", "spec.depth", "depth.mkv"),
         "plot": case(_DRAWN, "watch.plot", _DRAWN),
     },
     "import": {

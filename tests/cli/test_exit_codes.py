@@ -210,6 +210,7 @@ READ_BY_OPTIONS = (
     "compare sphere.toml not-there.touch --no-picture",
     "mux look.png not-there.touch new.mp4",
     "watch not-there.mkv --out new.mkv",
+    "watch look.png --out new.mkv --depth not-there.mkv",
     "demux not-there.m3u8 new.touch",
     "study analyse not-there",
     *(f"import not-there.{ending} new.touch" for ending in ("ahap", "haptic", "tact", "hmpg")),

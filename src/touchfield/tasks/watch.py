@@ -1,20 +1,21 @@
-"""`watch`: makes touch from the picture and the sound of an ordinary movie (paper section 5.1, case 1), and
+"""`watch`: makes touch from the picture, the sound and the depth of a movie (paper section 5.1, case 1), and
 puts it into the movie as one track for each source.
 
-Sound and picture are read at the same time, each in a pass of its own, so that memory holds some pictures and
-about fifty bytes for each hop of the sound. Everything that is made is *symbolic* (paper figure 1).
+All sources are read at the same time, each in a pass of its own, so that memory holds some pictures, about
+fifty bytes for each hop of the sound, and a few numbers for each depth picture. Everything that is made is
+*symbolic* (paper figure 1).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
-
-import numpy as np
 
 from touchfield.codec.touch.spec import TouchSpec
 from touchfield.compute.threads import Progress, silent
@@ -23,27 +24,27 @@ from touchfield.errors import InvalidArgument, SourceError, require_one_of
 from touchfield.files import refuse_overwriting
 from touchfield.filters.device_spec import device_grid
 from touchfield.network.mux import TimedStream, mux_streams, require_movie
-from touchfield.network.opening import open_stream
-from touchfield.pipeline.array_medium import Drives
-from touchfield.pipeline.encoding import Encoded, encode_prepared
+from touchfield.pipeline.encoding import encode_prepared
 from touchfield.pipeline.preparation import prepare
 from touchfield.pipeline.provenance import file_provenance
 from touchfield.pipeline.result import Result
 from touchfield.pipeline.source import FixedLatticeScene
 from touchfield.pipeline.spec import EncodeSpec
-from touchfield.sources.images.movies import ColourVideo, unfinished_note, video_header
-from touchfield.sources.sound.analysis import SoundFeatures, sound_features
+from touchfield.sources.depth.movie_depth import depth_of_source, depth_of_track
+from touchfield.sources.images.movies import ColourVideo, unfinished_note
+from touchfield.sources.sound.analysis import sound_features
 from touchfield.sources.sound.soundtrack import MovieTracks, Soundtrack, movie_tracks
 from touchfield.sources.video.saliency import EvenPictures, SaliencyScene
-from touchfield.tasks.watch_sound import RATE_HZ, low_drives, sound_medium
-from touchfield.viewer.watch import Timeline, draw_timeline
+from touchfield.sources.video.track_frames import TrackFrames, VideoTracks, video_tracks
+from touchfield.tasks.watch_depth import depth_features, depth_medium
+from touchfield.tasks.watch_report import MadeTouch, depth_notes, figures_of, notes_of, timelines_of
+from touchfield.tasks.watch_sound import RATE_HZ, sound_medium
+from touchfield.viewer.watch import draw_timeline
 
-SOURCES: Final = ("picture", "sound")
+SOURCES: Final = ("picture", "sound", "depth")
 PICTURE_TAGS: Final = ("symbolic", "picture")
 DEFAULT_DEVICE: Final = "tactsuit-x40"
 SOUND_SEGMENT_S: Final = 1.0
-_NOTED_S: Final = 0.5
-_TIMELINE_BINS: Final = 1200
 
 
 @dataclass(frozen=True)
@@ -53,32 +54,49 @@ class WatchSpec:
     device : str
         Name of the profile of an array of motors, or its TOML file.
     only : str or None
-        "picture" or "sound"; None is both, as far as the movie has them.
+        "picture", "sound" or "depth"; None is all of them, as far as the movie has them.
+    depth : str, Path or None
+        A depth video or a folder of depth pictures; None is the movie's own track of depth, if it has one.
     """
 
     device: str = DEFAULT_DEVICE
     only: str | None = None
+    depth: str | Path | None = None
 
     def __post_init__(self) -> None:
         if self.only is not None:
             require_one_of("only", self.only, SOURCES)
+        if self.depth is not None and self.only not in (None, "depth"):
+            mend = "Leave one of the two out."
+            raise InvalidArgument("depth", f"a depth that is not used with only {self.only}", "one use", mend)
 
 
 @dataclass(frozen=True)
-class _Made:
-    """A touch that was made of a source: its file, the time of frame 0 on the movie's clock, and notes."""
+class _Movie:
+    """A movie, its tracks by kind, and the file or folder of its depth, if that is not a track of it."""
 
     path: Path
-    start_s: float
-    encoded: Encoded
-    notes: tuple[str, ...]
-    features: SoundFeatures | None = None
+    tracks: MovieTracks
+    videos: VideoTracks
+    depth: Path | None
 
     @property
-    def seconds(self) -> float:
-        """Duration."""
-        medium = self.encoded.prepared.medium
-        return len(medium) / medium.rate_hz
+    def has(self) -> dict[str, bool]:
+        """Which sources there are."""
+        has_depth = self.depth is not None or bool(self.videos.depths)
+        return {"picture": bool(self.videos.colours), "sound": self.tracks.sounds > 0, "depth": has_depth}
+
+    @property
+    def is_mixed(self) -> bool:
+        """True if it has tracks of deep grey, which are no pictures."""
+        return bool(self.videos.depths or self.videos.infrared)
+
+    @cached_property
+    def pictures(self) -> Any:
+        """Its first picture as `ColourVideo` or `TrackFrames`; None without one."""
+        if not self.videos.colours:
+            return None
+        return TrackFrames(self.path, self.videos.colours[0]) if self.is_mixed else ColourVideo(self.path)
 
 
 def watch(
@@ -93,24 +111,30 @@ def watch(
 
     `movie` has the ending of a video (`touchfield.sources.images.movies.MOVIE_SUFFIXES`); `out` is .mp4,
     .m4v, .mov, .ts or .mkv. `plot` is a PNG of the timeline. ``report(done, total)`` counts the pictures, or
-    without a picture the hops of the sound. Raises TouchfieldError if the movie has neither picture nor sound
-    or cannot be read, or the device is no array of motors; no file `out` is then left.
+    without a picture the hops of the sound, or the depth pictures. Raises TouchfieldError if the movie has
+    none of the sources or cannot be read, or the device is no array of motors; no file `out` is then left.
     """
-    spec, movie, out = spec or WatchSpec(), Path(movie), Path(out)
+    spec, out = spec or WatchSpec(), Path(out)
     require_movie(out)
-    refuse_overwriting(out, movie)
+    depth = None if spec.depth is None else Path(spec.depth)
+    refuse_overwriting(out, movie, *([] if depth is None else [depth]))
+    if depth is not None and not os.path.exists(depth):
+        raise SourceError(str(depth), "nothing there", "a depth video or a folder", "Check the path.")
     target = _motors(spec.device)
-    tracks = movie_tracks(movie)
-    sources = _sources(movie, tracks, spec)
+    opened = _Movie(Path(movie), movie_tracks(Path(movie)), video_tracks(Path(movie)), depth)
+    sources = _sources(opened, spec)
+    if sources != ("sound",):
+        _ = opened.pictures  # here, and not in two threads
     with TemporaryDirectory(prefix="touchfield-") as folder:
-        made = _make(movie, Path(folder), sources, target, report)
+        made = _make(opened, Path(folder), sources, target, report)
         timed = [TimedStream(touch.path, touch.start_s, name) for name, touch in made.items()]
         sizes, copied = mux_streams(movie, timed, out)
         if plot is not None:
-            title = f"{movie.name}: touch for {target.name}"
-            draw_timeline(Path(plot), _timelines(made, target), title)
-    figures = _figures(made, dict(zip(made, sizes, strict=True)), out, target, copied)
-    return Result(figures, _notes(movie, tracks, made, spec))
+            title = f"{opened.path.name}: touch for {target.name}"
+            draw_timeline(Path(plot), timelines_of(made, target), title)
+    figures = figures_of(made, dict(zip(made, sizes, strict=True)), out, target, copied)
+    notes = (*notes_of(opened.tracks, made, spec.only), *_track_notes(opened, sources))
+    return Result(figures, notes)
 
 
 def _motors(name: str) -> Device:
@@ -121,143 +145,91 @@ def _motors(name: str) -> Device:
     return target
 
 
-def _sources(movie: Path, tracks: MovieTracks, spec: WatchSpec) -> tuple[str, ...]:
+def _sources(movie: _Movie, spec: WatchSpec) -> tuple[str, ...]:
     """The sources that are requested, as far as the movie has them."""
-    has = {"picture": tracks.pictures > 0, "sound": tracks.sounds > 0}
     requested = SOURCES if spec.only is None else (spec.only,)
-    sources = tuple(name for name in requested if has[name])
+    sources = tuple(name for name in requested if movie.has[name])
+    if spec.only is None and movie.depth is None and sources == ("depth",):
+        mend = "Make touch of its depth with --only depth, or encode it: touchfield encode --as depth-video."
+        raise SourceError(str(movie.path), "a picture of deep grey", "8 bits a colour", mend)
     if not sources:
-        missing = " and no ".join(requested)
-        raise SourceError(str(movie), f"no {missing} in the file", "a movie with picture or sound")
+        mend = "Name its depth with --depth." if spec.only == "depth" else ""
+        missing = " and no ".join(requested[:2])
+        raise SourceError(str(movie.path), f"no {missing} in the file", "a movie with picture or sound", mend)
     return sources
 
 
+def _track_notes(movie: _Movie, sources: tuple[str, ...]) -> list[str]:
+    """Notes on tracks of deep grey that are not used."""
+    unused = len(movie.videos.depths) - ("depth" in sources and movie.depth is None)
+    notes = []
+    if unused > 0:
+        notes.append(f"{unused} tracks of depth in the movie are copied, and not used.")
+    if movie.videos.infrared:
+        notes.append(f"{movie.videos.infrared} tracks of infrared are copied, and not used.")
+    if movie.is_mixed and len(movie.videos.colours) > 1:
+        notes.append(f"Of {len(movie.videos.colours)} pictures the first is used; all are copied.")
+    return notes
+
+
+# -- the touch of each source ------------------------------------------------------------------------------
 def _make(
-    movie: Path, folder: Path, sources: tuple[str, ...], target: Device, report: Progress
-) -> dict[str, _Made]:
-    """The touch of each source; the sound is made in a thread of its own."""
-    if len(sources) == 1:
-        maker = {"picture": _picture_touch, "sound": _sound_touch}[sources[0]]
-        return {sources[0]: maker(movie, folder / f"{sources[0]}.touch", target, report)}
-    with ThreadPoolExecutor(1) as pool:
-        sound = pool.submit(_sound_touch, movie, folder / "sound.touch", target, silent)
-        picture = _picture_touch(movie, folder / "picture.touch", target, report)
-        return {"picture": picture, "sound": sound.result()}
+    movie: _Movie, folder: Path, sources: tuple[str, ...], target: Device, report: Progress
+) -> dict[str, MadeTouch]:
+    """The touch of each source; all but the first are made in threads of their own."""
+    makers: dict[str, Callable[[_Movie, Path, Device, Progress], MadeTouch]] = {
+        "picture": _picture_touch,
+        "sound": _sound_touch,
+        "depth": _depth_touch,
+    }
+    first, *others = (
+        partial(makers[name], movie, folder / f"{name}.touch", target, report if not n else silent)
+        for n, name in enumerate(sources)
+    )
+    with ThreadPoolExecutor(max(1, len(others))) as pool:
+        futures = [pool.submit(other) for other in others]
+        touches = [first(), *(future.result() for future in futures)]
+    return dict(zip(sources, touches, strict=True))
 
 
-def _picture_touch(movie: Path, out: Path, target: Device, report: Progress) -> _Made:
-    if video_header(movie).is_deep_grey:
-        mend = "Encode it as depth: touchfield encode --as depth-video."
-        raise SourceError(str(movie), "a picture of deep grey", "8 bits a colour", mend)
-    video = ColourVideo(movie)
+def _picture_touch(movie: _Movie, out: Path, target: Device, report: Progress) -> MadeTouch:
+    video, notes = movie.pictures, unfinished_note(movie.path)
+    if not movie.is_mixed:
+        notes = (*filter(None, [video.header.track_note]), *notes)
     pictures = EvenPictures(video)
     scene = SaliencyScene(pictures, pictures.rate_hz or 1.0)
     scene.tags = PICTURE_TAGS
     prepared = prepare(scene, EncodeSpec(device=target.name))
-    encoded = encode_prepared(prepared, out, file_provenance(movie, prepared), report)
-    notes = (*filter(None, [video.header.track_note]), *unfinished_note(movie))
+    encoded = encode_prepared(prepared, out, file_provenance(movie.path, prepared), report)
     if pictures.is_uneven:
         notes += (f"The pictures are at unequal times: they are shown at {pictures.rate_hz:g} Hz, in time.",)
-    return _Made(out, float(video.times_s[0]), encoded, notes)
+    return MadeTouch(out, float(video.times_s[0]), encoded, notes)
 
 
-def _sound_touch(movie: Path, out: Path, target: Device, report: Progress) -> _Made:
-    sound = Soundtrack(movie)
+def _sound_touch(movie: _Movie, out: Path, target: Device, report: Progress) -> MadeTouch:
+    sound = Soundtrack(movie.path)
     features = sound_features(sound.blocks())
     medium = sound_medium(features, device_grid(target), target.force_max_n)
     scene = FixedLatticeScene(medium, target, ())
-    # there are no forces to round, and a frame of none takes fewest bytes in mode "lossless"
-    coding = TouchSpec(segment_frames=round(RATE_HZ * SOUND_SEGMENT_S), mode="lossless")
+    # there are no forces to round or to predict: a frame of none takes fewest bytes this way
+    frames = round(RATE_HZ * SOUND_SEGMENT_S)
+    coding = TouchSpec(segment_frames=frames, mode="lossless", interframe="off")
     prepared = prepare(scene, EncodeSpec(device=target.name, nw=None, touch=coding))
-    encoded = encode_prepared(prepared, out, file_provenance(movie, prepared), report)
-    return _Made(out, sound.start_s, encoded, sound.notes, features)
+    encoded = encode_prepared(prepared, out, file_provenance(movie.path, prepared), report)
+    return MadeTouch(out, sound.start_s, encoded, sound.notes, sound=features)
 
 
-# -- report ------------------------------------------------------------------------------------------------
-def _figures(
-    made: dict[str, _Made], sizes: dict[str, int], out: Path, target: Device, copied: tuple[str, ...]
-) -> dict[str, Any]:
-    figures: dict[str, Any] = {"device": target.name, "file_bytes": out.stat().st_size}
-    for name, touch in made.items():
-        figures |= {
-            f"{name}_seconds": touch.seconds,
-            f"{name}_rate_hz": touch.encoded.prepared.medium.rate_hz,
-            f"{name}_touch_bytes": sizes[name],
-            f"{name}_bytes_per_s": sizes[name] / touch.seconds,
-        }
-    if (features := _sound_features(made)) is not None:
-        figures |= {
-            "onsets": len(features.onsets),
-            "onsets_per_minute": 60 * len(features.onsets) / features.duration_s,
-            "low_fraction": float((low_drives(features) > 0).mean()),
-            "silent_fraction": features.silent_fraction,
-        }
-    return {**figures, "tags": {name: list(_tags(touch)) for name, touch in made.items()}, "copied": copied}
-
-
-def _sound_features(made: dict[str, _Made]) -> SoundFeatures | None:
-    return made["sound"].features if "sound" in made else None
-
-
-def _tags(touch: _Made) -> tuple[str, ...]:
-    return touch.encoded.prepared.medium.tags
-
-
-def _notes(movie: Path, tracks: MovieTracks, made: dict[str, _Made], spec: WatchSpec) -> tuple[str, ...]:
-    notes = [note for touch in made.values() for note in touch.notes]
-    if tracks.sounds and not tracks.pictures and spec.only is None:
-        notes.append("The movie has no picture: the touch is that of the sound.")
-    if tracks.pictures and not tracks.sounds and spec.only is None:
-        notes.append("The movie has no sound: the touch is that of the picture.")
-    if (features := _sound_features(made)) is not None and features.silent_fraction == 1:
-        notes.append("The sound is silent throughout: its touch does nothing.")
-    if tracks.sounds > 1 and "sound" in made:
-        notes.append(f"Of {tracks.sounds} sounds the first is used ({tracks.sound}); all are copied.")
-    if tracks.subtitles:
-        notes.append(f"{tracks.subtitles} tracks of subtitles are copied, and not used.")
-    if tracks.covers:
-        notes.append(f"{tracks.covers} still pictures (covers) are copied, and not used.")
-    if tracks.others:
-        notes.append(f"{tracks.others} tracks of data or attachments are not copied.")
-    if len(made) == len(SOURCES):
-        notes += _difference_notes(made["picture"], made["sound"])
-    return tuple(notes)
-
-
-def _difference_notes(picture: _Made, sound: _Made) -> Iterator[str]:
-    """Notes on a sound that starts or ends at another time than the picture."""
-    late_s = sound.start_s - picture.start_s
-    over_s = late_s + sound.seconds - picture.seconds
-    if abs(late_s) > _NOTED_S:
-        word = "after" if late_s > 0 else "before"
-        yield f"The sound starts {abs(late_s):.2f} s {word} the picture."
-    if abs(over_s) > _NOTED_S:
-        word = "after" if over_s > 0 else "before"
-        yield f"The sound ends {abs(over_s):.2f} s {word} the picture."
-
-
-def _timelines(made: dict[str, _Made], target: Device) -> dict[str, Timeline]:
-    """The drives of each touch, read back from its file, with what the sound was found to hold."""
-    start_s = min(touch.start_s for touch in made.values())
-    timelines = {}
-    for name, touch in made.items():
-        with open_stream(touch.path) as stream:
-            drives = Drives(stream.medium, target, target.force_max_n)
-            bins = _binned(drives, min(_TIMELINE_BINS, len(drives)))
-        first_s = touch.start_s - start_s
-        timelines[name] = Timeline(first_s, touch.seconds, bins)
-    if (features := _sound_features(made)) is not None:
-        onsets_s = np.array([onset.time_s for onset in features.onsets])
-        first_s = made["sound"].start_s - start_s
-        timelines["sound"] = replace(timelines["sound"], onsets_s=first_s + onsets_s, levels=features.levels)
-    return timelines
-
-
-def _binned(drives: Drives, count: int) -> Any:
-    """The greatest drive of each actuator of the first panel in `count` spans, float32 [actuators, count]."""
-    frames = np.arange(len(drives)) * count // len(drives)
-    rows, columns = drives.drives(0)[0].shape
-    image = np.zeros((rows * columns, count), np.float32)
-    for i, span in enumerate(frames.tolist()):
-        image[:, span] = np.maximum(image[:, span], drives.drives(i)[0].ravel())
-    return image
+def _depth_touch(movie: _Movie, out: Path, target: Device, report: Progress) -> MadeTouch:
+    pictures = movie.pictures
+    size, first_s = (None, 0.0) if pictures is None else (pictures.size, float(pictures.times_s[0]))
+    if movie.depth is not None:
+        depth = depth_of_source(movie.depth, first_s)
+    else:
+        depth = depth_of_track(movie.path, movie.videos.depths[0])
+    grid = device_grid(target)
+    features = depth_features(depth, grid, size, report)
+    scene = FixedLatticeScene(depth_medium(features, grid, target.force_max_n), target, ())
+    prepared = prepare(scene, EncodeSpec(device=target.name, nw=None, allow_empty=True))
+    encoded = encode_prepared(prepared, out, file_provenance(movie.depth or movie.path, prepared))
+    notes = (*depth.notes, *depth_notes(features, depth.size, size))
+    return MadeTouch(out, float(depth.times_s[0]), encoded, notes, depth=features)
