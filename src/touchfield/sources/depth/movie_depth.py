@@ -142,6 +142,7 @@ def _of_layout(layout: Layout, source: Path) -> tuple[DepthSequence, Float64s | 
         stated = layout.list_pictures(source).times_s
         times_s = np.zeros(0) if stated is None else stated
     is_stated = len(times_s) == sequence.frame_count and np.isfinite(times_s).all()
+    is_stated = is_stated and (len(times_s) == 1 or times_s[-1] > times_s[0])
     return sequence, times_s if is_stated else None
 
 
