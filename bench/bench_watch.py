@@ -189,7 +189,7 @@ def baseline_drives(scene: Scene) -> Float32s:
     is_near = ((depths > 0) & (depths < BASELINE_M)).reshape(
         len(depths), rows, height // rows, columns, width // columns
     )
-    return (is_near.mean(axis=(2, 4)) >= 1 / 12).astype(np.float32)
+    return np.asarray(is_near.mean(axis=(2, 4)) >= 1 / 12, np.float32)
 
 
 def starts(is_on: Bools) -> Bools:

@@ -188,6 +188,13 @@ def test_regions_are_those_of_the_picture() -> None:
     assert np.isin([1, 2, 17, 18], tall.index).all()
 
 
+def test_array_of_as_many_motors_as_pixels_has_regions() -> None:
+    grid = Grid.over_box((-0.16, -0.12, -0.1), (0.16, 0.12, 0.1), (32, 32, 1))
+    features = depth_features(movie_depth(approaching(1, 2, count=60)), grid, (WIDTH, HEIGHT))
+    rows, columns = np.nonzero(features.drives.any(axis=0))
+    assert rows.min() >= 8 and rows.max() < 16 and columns.min() >= 16 and columns.max() < 24
+
+
 # -- the movie ---------------------------------------------------------------------------------------------
 def board_movie(count: int = 90) -> Depths:
     return approaching(1, 1, count=count)

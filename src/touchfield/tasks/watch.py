@@ -32,10 +32,10 @@ from touchfield.pipeline.source import FixedLatticeScene
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.sources.depth.movie_depth import depth_of_source, depth_of_track
 from touchfield.sources.images.movies import ColourVideo, unfinished_note
+from touchfield.sources.images.track_frames import TrackFrames, VideoTracks, video_tracks
 from touchfield.sources.sound.analysis import sound_features
 from touchfield.sources.sound.soundtrack import MovieTracks, Soundtrack, movie_tracks
 from touchfield.sources.video.saliency import EvenPictures, SaliencyScene
-from touchfield.sources.video.track_frames import TrackFrames, VideoTracks, video_tracks
 from touchfield.tasks.watch_depth import depth_features, depth_medium
 from touchfield.tasks.watch_report import MadeTouch, depth_notes, figures_of, notes_of, timelines_of
 from touchfield.tasks.watch_sound import RATE_HZ, sound_medium

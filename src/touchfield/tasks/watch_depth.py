@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -98,13 +99,19 @@ class Regions:
 
     def strongest(self, values: Float32s, fraction: float) -> Float32s:
         """Return the value that `fraction` of the pixels of each motor reach, float32 [rows, columns]."""
-        out = np.zeros(self.shape[0] * self.shape[1], np.float32)
-        for motor in range(len(out)):
-            own = values[self.index == motor]
-            if len(own):
-                nth = max(1, math.ceil(fraction * len(own)))
-                out[motor] = np.partition(own, len(own) - nth)[len(own) - nth]
+        out, flat = np.zeros(self.shape[0] * self.shape[1], np.float32), values.ravel()
+        if flat.any():
+            for motor, pixels in enumerate(self._pixels):
+                if len(pixels):
+                    place = len(pixels) - math.ceil(fraction * len(pixels))
+                    out[motor] = np.partition(flat[pixels], place)[place]
         return out.reshape(self.shape)
+
+    @cached_property
+    def _pixels(self) -> list[Int64s]:
+        """Pixels of each motor."""
+        motors = range(self.shape[0] * self.shape[1])
+        return [np.flatnonzero(self.index.ravel() == motor) for motor in motors]
 
     def mean(self, values: Float32s) -> Float32s:
         """Return the mean of the pixels of each motor, float32 [rows, columns]."""

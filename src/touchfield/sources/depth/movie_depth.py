@@ -25,10 +25,10 @@ from touchfield.sources.camera import CodedSequence, DepthCode, DepthSequence
 from touchfield.sources.depth.approach import reduced_depth, sample_indices
 from touchfield.sources.depth.layouts import LAYOUTS, Layout, unread_note
 from touchfield.sources.images.movies import GreyVideo, map_size
+from touchfield.sources.images.track_frames import TrackFrames
 from touchfield.sources.options import SourceOptions
 from touchfield.sources.poses import MAX_TIME_S, read_text, split_lines
 from touchfield.sources.registry import open_source
-from touchfield.sources.video.track_frames import TrackFrames
 
 _ANY_CAMERA: Final = "1,1,0,0"  # the readers need one, and nothing here depends on it
 _ANY_SCALE: Final = 1000.0
@@ -141,8 +141,9 @@ def _of_layout(layout: Layout, source: Path) -> tuple[DepthSequence, Float64s | 
     else:
         stated = layout.list_pictures(source).times_s
         times_s = np.zeros(0) if stated is None else stated
-    is_stated = len(times_s) == sequence.frame_count and np.isfinite(times_s).all()
-    return sequence, times_s if is_stated else None
+    if len(times_s) != sequence.frame_count or not np.isfinite(times_s).all():
+        return sequence, None
+    return sequence, times_s if len(times_s) == 1 or times_s[-1] > times_s[0] else None
 
 
 def _is_video(sequence: DepthSequence) -> bool:

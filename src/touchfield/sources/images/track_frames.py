@@ -69,6 +69,9 @@ class TrackFrames(InOrder):
         with opened_container(path) as container:
             stream = container.streams[index]
             context, rate = stream.codec_context, stream.average_rate
+            if context is None:  # the codec's name is damaged
+                mend = "Copy it again."
+                raise SourceError(str(path), "a video of no codec that is known", "a whole video", mend)
             bound_pixels(path, context.width, context.height)
             self.size, self.pixels = (context.width, context.height), context.pix_fmt or ""
             self.rate_hz = float(rate) if rate and rate > 0 else None
