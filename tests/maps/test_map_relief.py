@@ -312,9 +312,8 @@ def test_the_sample_of_relief_on_paper_is_a_thin_line(tmp_path: Path) -> None:
     spec = MapSpec(zooms=1, relief=dem(tmp_path / "dem.tif"))
     made = make_map(plain(tmp_path / "a.geojson"), tmp_path / "a.touch", spec, svg=svg)
     row = 4 * [line.kind for line in made.lines].index(RELIEF)
-    strokes, dots = (
-        ElementTree.parse(svg).getroot().findall(f"{space}g")[2:4]
-    )  # of the first page of the legend
+    groups = ElementTree.parse(svg).getroot().findall(f"{space}g")
+    strokes, dots = groups[2:4]  # of the first page of the legend
     width_mm = f"{guidelines()['contour_line_mm'].value:g}"
     thin = strokes.findall(f"{space}g[@stroke-width='{width_mm}']/{space}path")
     assert len(thin) == 8 and all(f" {2.5 * (row + 1):g}L" in path.get("d", "") for path in thin)
