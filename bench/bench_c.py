@@ -122,5 +122,12 @@ if __name__ == "__main__":
         measure,
         bars,
         runs=(5, 1),
-        reads=("c/*.h", "c/python/*", "build_backend/*.py", "bench/*.c"),
+        reads=(
+            "c/*.h",
+            "c/python/*",
+            "build_backend/compiler.py",
+            "build_backend/hook.py",
+            "build_backend/targets.py",
+            "bench/*.c",
+        ),
     )

@@ -32,10 +32,17 @@ BENCH: Final = Path(__file__).resolve().parent
 ROOT: Final = BENCH.parent
 FOLDERS: Final = ("src", "bench", "tests", "reproduction")
 NOT_MEASURED: Final = frozenset(
-    f"bench/{name}"
-    for name in ("machine.py", "provenance.py", "run_all.py", "quotes.py", "trace/sitecustomize.py")
+    (
+        "bench/machine.py",
+        "bench/provenance.py",
+        "bench/run_all.py",
+        "bench/quotes.py",
+        "bench/trace/sitecustomize.py",
+        "src/touchfield/_version.py",
+    )
 )
-"""Files that run, report and store, and take no part in a measurement."""
+"""Files that run, report and store, and take no part in a measurement. A result states the version that it
+was measured with, and a release does not make it stale."""
 NATIVE: Final = ROOT / "c" / "python"
 """The compiled module: module.c, and headers that list their functions as `{"name", ...}`."""
 NOT_DATA: Final = frozenset(
@@ -254,7 +261,8 @@ def changed(path: Path, code: str | None) -> list[str]:
         return ["(no record of the code that was measured)"]
     if overall(before) != code:
         return [f"(the record of the code, {path.name}, is of another run)"]
-    candidates = [file for file, value in before.items() if digest(file) != value]
+    measured = {file: value for file, value in before.items() if file not in NOT_MEASURED}
+    candidates = [file for file, value in measured.items() if digest(file) != value]
     present = _all_digests() if candidates else frozenset()
     return [file for file in candidates if before[file] not in present]
 

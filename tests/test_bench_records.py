@@ -92,6 +92,9 @@ def test_changed_files_are_named(provenance: Any, tmp_path: Path, monkeypatch: p
     moved.write_text(CODE)
     provenance._all_digests.cache_clear()
     assert provenance.changed(record, provenance.overall(code)) == []
+    with_version = {**code, "src/touchfield/_version.py": "0" * 16}
+    provenance.write_code(record, with_version)
+    assert provenance.changed(record, provenance.overall(with_version)) == []  # of a release
     assert "another run" in provenance.changed(record, "0" * 16)[0]
     assert "no record" in provenance.changed(tmp_path / "none.txt", "0" * 16)[0]
     provenance.digest.cache_clear()
