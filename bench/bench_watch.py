@@ -21,8 +21,8 @@ something passes or the camera turns a start above the strength of what is merel
 counted beside it (`near starts a minute`). The baseline is plain nearness: a motor is on while a twelfth of
 its region is nearer than 2 m. The movie with depth is
 `testsrc2`, 1280 x 720 at 25 Hz, H.264, with depth of the same size in FFV1 as of a renderer, four seconds of
-a moving ramp that repeat. (With the noise of a sensor, decoding FFV1 alone took 55 to 95 ms of a processor for
-a frame of that size; the bar cannot be met then.)
+a moving ramp that repeat. (With the noise of a sensor, decoding FFV1 alone took 55 to 95 ms of a processor
+for a frame of that size; the bar cannot be met then.)
 """
 
 from __future__ import annotations
@@ -307,7 +307,7 @@ def bars(figures: Figures) -> list[Bar]:
             figure(baseline, "false drives a minute"),
         )
     )
-    if figures["depth movie"]:
+    if figures.get("depth movie"):
         wall_s = figure(figures, "depth movie", "wall, s") / figure(figures, "depth movie", "movie, s")
         rows.append(at_most("wall-clock time with depth over the duration", wall_s, 0.5))
     if figures["movie"]:
