@@ -109,6 +109,13 @@ def test_a_junction_is_not_filled_and_a_corner_is_joined() -> None:
     assert ((0, 0), (1, 1)) in pairs and ((2, 2), (3, 2)) in pairs
 
 
+@pytest.mark.parametrize(("kind", "pairs"), [("path", 0), ("road", 1)])
+def test_dots_that_meet_are_no_dash(kind: str, pairs: int) -> None:
+    raised, owner = np.zeros((2, 3), np.bool_), np.full((2, 3), -1)
+    raised[0, :2], owner[0, :2] = True, 0
+    assert len(joined(Layout(raised, owner, (Placed(kind, "line"),), PinRules(2.5)))) == pairs
+
+
 @pytest.mark.parametrize(
     ("display", "name", "per_sheet"), [("graphiti", "A4", 2), ("hyperbraille", "A4 across", 1)]
 )

@@ -13,8 +13,11 @@ Pair = tuple[tuple[int, int], tuple[int, int]]
 
 
 def joined(layout: Layout) -> list[Pair]:
-    """Return the pairs of neighbouring raised pins of one line or solid area."""
-    is_joined = [(s.role == "line" and s.kind != RELIEF) or is_solid(s.kind) for s in layout.symbols]
+    """Return the pairs of neighbouring raised pins of one line or solid area.
+
+    Where dotted lines meet, two dots may be neighbours; a line between them would be another class.
+    """
+    is_joined = [(s.role == "line" and _is_stroke(s.kind)) or is_solid(s.kind) for s in layout.symbols]
     return _pairs(layout, layout.raised & np.array([*is_joined, False])[layout.owner])
 
 
@@ -27,6 +30,10 @@ def of_relief(layout: Layout) -> Bools:
     """Return the pins of contour lines, bool [rows, columns]."""
     is_relief = np.array([symbol.kind == RELIEF for symbol in layout.symbols] + [False])
     return np.asarray(is_relief[layout.owner])
+
+
+def _is_stroke(kind: str) -> bool:
+    return kind != RELIEF and not (kind in symbols() and symbols()[kind].is_dotted)
 
 
 def is_solid(kind: str) -> bool:

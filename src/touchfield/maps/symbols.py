@@ -62,6 +62,11 @@ class Symbol:
         return self.texture == ("1",)
 
     @property
+    def is_dotted(self) -> bool:
+        """True for a line of single pins with gaps."""
+        return self.shape == "line" and self.on == 1 and self.off > 0
+
+    @property
     def look(self) -> tuple[object, ...]:
         """What a finger tells the symbol by."""
         return (self.on, self.off) if self.shape == "line" else (*self.texture, *self.picture)
