@@ -130,8 +130,8 @@ def test_limits_of_the_renderer_apply_to_hand_and_picture(tmp_path: Path) -> Non
         assert (played.view.peak_n, played.view.continuous_n) == (peak_n, continuous_n)
         assert (played.statistics["friction"], played.statistics["profile"]) == (friction, omni.name)
         max_forces_n.append(played.statistics["greatest_force_n"])
-    # without a trajectory a hand presses by 0.8 of the continuous limit, as far as samples of 5 mm tell; where
-    # on the ball, the rounding of the machine decides
+    # without a trajectory a hand presses by 0.8 of the continuous limit, as far as samples of 5 mm tell;
+    # the rounding of the machine decides where on the ball
     assert max_forces_n[1] == pytest.approx(0.8 * 0.5, rel=0.15) and max_forces_n[1] < 0.5 < max_forces_n[0]
 
 
