@@ -56,7 +56,7 @@ static inline touch_vector touch_contact_force(touch_receiver *receiver, const t
     else
         start_m = touch_carried_point(t, proxy->body, proxy->body_position_m, proxy->position_m);
     touch_field_point carried = touch_probe(&s, start_m), found = carried;
-    touch_contact_motion motion = {{0.0, 0.0, 0.0}, 0.0};
+    touch_contact_motion motion = {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, 0.0};
     if (!is_new) motion = touch_motion_of(&s, hand_m, carried);
     int is_in_contact = touch_move_proxy(&s, hand_m, TOUCH_PROXY_AWAY * motion.total_m, &found);
     touch_store_proxy(proxy, t, found.position_m, is_in_contact); /* position_m is of this tick now, force_n and stored_n not */

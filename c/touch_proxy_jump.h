@@ -3,8 +3,10 @@
    The force changes at once by as much as the field itself changes at the hand: along that change, and in other directions as
    far as the hand moves. The rest of a change is owed. It comes with time, and with the motion of the hand by K per metre,
    less half of what the field may pass on: in full where it works against the motion, half where it lies across it, and not
-   where it works along it, so that it drives no hand. In free space of a medium of one frame it comes with motion in any
-   direction, as after a slip round a rim: no wall can come back there that it would have softened. */
+   where it works along it, so that it drives no hand. The motion is that of the hand beside the body that
+   carries the proxy, or in space, whichever gives less: neither a body that moves past a hand at rest, nor one that takes the
+   hand along, brings what is owed. In free space of a medium of one frame it comes with motion in any direction, as after a
+   slip round a rim: no wall can come back there that it would have softened. */
 #ifndef TOUCH_PROXY_JUMP_H
 #define TOUCH_PROXY_JUMP_H
 
@@ -15,9 +17,10 @@
 #define TOUCH_PROXY_EASE_PASSED 0.5           /* of what changed at once: so much less comes with the motion */
 #define TOUCH_PROXY_EASE_TURN 10.0            /* times K and the motion of the hand: so far a change may turn off the field's */
 
-typedef struct { /* in a tick, relative to the body that carries the proxy */
-    touch_vector hand_m; /* of the hand */
-    double total_m;      /* how far hand and surface moved */
+typedef struct { /* in a tick */
+    touch_vector hand_m;  /* of the hand, relative to the body that carries the proxy */
+    touch_vector space_m; /* of the hand in space */
+    double total_m;       /* how far hand and surface moved, relative to that body */
 } touch_contact_motion;
 
 /* How far hand and surface moved since the tick before. */
@@ -25,7 +28,8 @@ static inline touch_contact_motion touch_motion_of(const touch_isosurface *s, to
     const touch_proxy *proxy = &s->receiver->state.proxy;
     touch_vector carry_m = touch_subtract(carried.position_m, proxy->position_m);
     touch_contact_motion motion;
-    motion.hand_m = touch_subtract(touch_subtract(hand_m, proxy->hand_m), carry_m);
+    motion.space_m = touch_subtract(hand_m, proxy->hand_m);
+    motion.hand_m = touch_subtract(motion.space_m, carry_m);
     motion.total_m = touch_magnitude(motion.hand_m) + fabs(carried.force_n - proxy->surface_n) / s->stiffness_n_per_m;
     return motion;
 }
@@ -77,7 +81,9 @@ static inline void touch_ease_jump(const touch_isosurface *s, const touch_contac
     if (dt_s > 0.0) at_once_n = touch_passed_change(s, motion->hand_m, within_n, own_n);
     touch_vector owed_n = touch_add(proxy->eased_n, touch_subtract(change_n, at_once_n));
     int is_free = touch_is_free_for_good(s, stored_n);
-    owed_n = touch_shortened(owed_n, touch_given_by_motion(s, motion->hand_m, owed_n, passed_n, is_free));
+    double given_n = touch_fmin(touch_given_by_motion(s, motion->hand_m, owed_n, passed_n, is_free),
+                                touch_given_by_motion(s, motion->space_m, owed_n, passed_n, is_free));
+    owed_n = touch_shortened(owed_n, given_n);
     double given_n_per_s = touch_fmin(touch_magnitude(owed_n) / TOUCH_PROXY_EASE_SMALL_S, s->large_n / TOUCH_PROXY_EASE_S);
     proxy->eased_n = touch_shortened(owed_n, given_n_per_s * dt_s);
 }

@@ -269,6 +269,21 @@ def test_random_pressing_adds_no_energy() -> None:
         assert max(energy) < 1e-3 and min(energy) < -1e-3
 
 
+def test_a_body_that_moves_past_a_hand_at_rest_brings_nothing_of_what_is_owed() -> None:
+    """What a jump of the proxy owes comes with the motion of the hand, or slowly."""
+    slides = [(UNTURNED, (0.002 * n, 0.0, 0.0)) for n in range(4)]  # 2 mm a frame, the plate 2 mm
+    rendered, hand = Held(plate(0.002), poses=slides), np.array([0.0, 0.0, -0.001])
+    into(rendered, np.array([0.0, 0.0, 0.004]), hand)
+    proxy = rendered.memory.receiver["state"]["proxy"]
+    proxy["eased_n"] = (0.0, 0.3, 0.0)
+    owed = []
+    for n in range(100):
+        rendered.at = n / 40  # a frame in 40 ms: 0.05 m/s
+        rendered.tick(hand)
+        owed.append(float(np.linalg.norm(proxy["eased_n"])))
+    assert owed[-1] > 0.2 and np.abs(np.diff(owed)).max() < 1.05e-3 * rendered.wall.large_n
+
+
 def test_a_plate_that_rises_carries_the_hand() -> None:
     lifts = [(UNTURNED, (0.0, 0.0, 0.01 * n)) for n in range(4)]  # 10 mm a frame, the plate 2 mm
     rendered = Held(plate(0.002), poses=lifts)
