@@ -2,9 +2,9 @@
 known to be stale.
 
 The code of a result is every source file that the processes of its benchmark loaded, the data files of loaded
-packages (device profiles, the page), and the files that the benchmark names (such as C that it compiles). Of
-the compiled module it is the sources of the functions that the loaded modules name: a change of the renderer
-leaves the bytes of a coder as they are.
+packages (device profiles; a built page only where a module names it), and the files that the benchmark names
+(such as C that it compiles). Of the compiled module it is the sources of the functions that the loaded modules
+name: a change of the renderer leaves the bytes of a coder as they are.
 Hashes ignore comments, docstrings and layout of Python, C and TypeScript. They also ignore the folder of a
 file, because other files then import the same names from another module.
 """
@@ -86,7 +86,8 @@ class Trace:
         sources.update(path for pattern in also for path in ROOT.glob(pattern) if path.is_file())
         packages = {path.parent for path in sources if path.name == "__init__.py"}
         sources.update(path for package in packages for path in _data_of(package))
-        return sorted({path.relative_to(ROOT).as_posix() for path in sources} - NOT_MEASURED)
+        files = {path.relative_to(ROOT).as_posix() for path in sources} - NOT_MEASURED
+        return sorted(files - unread_pages(files))
 
 
 def _require_this_package() -> None:
@@ -140,6 +141,15 @@ def _data_of(package: Path) -> Iterator[Path]:
             yield from _data_of(path)
         elif path.is_file() and path.suffix not in NOT_DATA:
             yield path
+
+
+def unread_pages(files: Iterable[str]) -> set[str]:
+    """Return the built pages of loaded packages that no loaded module names, so that none was read."""
+    files = set(files)
+    pages = {file for file in files if file.endswith(".html")}
+    modules = [ROOT / file for file in files if pages and file.endswith(".py")]
+    texts = [path.read_text(encoding="utf-8") for path in modules if path.is_file()]
+    return {page for page in pages if not any(Path(page).name in text for text in texts)}
 
 
 @cache
@@ -261,7 +271,8 @@ def changed(path: Path, code: str | None) -> list[str]:
         return ["(no record of the code that was measured)"]
     if overall(before) != code:
         return [f"(the record of the code, {path.name}, is of another run)"]
-    measured = {file: value for file, value in before.items() if file not in NOT_MEASURED}
+    unread = NOT_MEASURED | unread_pages(before)
+    measured = {file: value for file, value in before.items() if file not in unread}
     candidates = [file for file, value in measured.items() if digest(file) != value]
     present = _all_digests() if candidates else frozenset()
     return [file for file in candidates if before[file] not in present]
