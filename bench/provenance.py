@@ -3,8 +3,8 @@ known to be stale.
 
 The code of a result is every source file that the processes of its benchmark loaded, the data files of loaded
 packages (device profiles; a built page only where a module names it), and the files that the benchmark names
-(such as C that it compiles). Of the compiled module it is the sources of the functions that the loaded modules
-name: a change of the renderer leaves the bytes of a coder as they are.
+(such as C that it compiles). Of the compiled module it is the sources of the functions that the loaded
+modules name: a change of the renderer leaves the bytes of a coder as they are.
 Hashes ignore comments, docstrings and layout of Python, C and TypeScript. They also ignore the folder of a
 file, because other files then import the same names from another module.
 """

@@ -308,7 +308,7 @@ def with_rate(source: Path, path: Path, rate_hz: float) -> Path:
 
 @pytest.mark.parametrize("name", ["touch-block", "objects-touch", "plate"])
 def test_program_of_the_readme_runs(readme_program: Path, plate: Path, tmp_path: Path, name: str) -> None:
-    """The program renders in real time: hands rest for seconds, and media last for one, so that load is no fault."""
+    """It renders in real time: hands rest for seconds, and media last for one, so that load is no fault."""
     count = 4000
     if name == "plate":
         path, positions_m = plate, press(0.002, count)
