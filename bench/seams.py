@@ -184,7 +184,9 @@ def rest(medium: Any, hand: tuple[Any, Any], case: Case, is_spring: bool, render
     """Return the forces on a hand at rest, newtons, and its positions, metres, float64 [ticks, 3] each."""
     played, (point, force) = session(medium, case, render), hand
     if is_spring:
-        return played.on_spring(point, point - force / SPRING_N_PER_M, case.ticks, case.events)
+        goal_m = point - force / SPRING_N_PER_M
+        forces_n, positions_m = played.on_spring(point, goal_m, case.ticks, case.events)
+        return forces_n, positions_m
     return played.at_rest(point, case.ticks, case.events), np.broadcast_to(point, (case.ticks, 3))
 
 
