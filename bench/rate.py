@@ -1,7 +1,7 @@
 """Compares bytes and error of coder `touch` with coder `paper` and general-purpose coders.
 
     python bench/rate.py [--quick] [--nw 5 6 7] [--fields NAME ...] [--efforts NAME ...] [--only WHAT ...]
-                         [--keep FOLDER]
+                         [--keep FOLDER] [--stored-peers]
 
 The fields are those of `rate_fields`. There are two comparisons, each of one frame and of five frames in one
 segment:
@@ -17,8 +17,10 @@ range of the best peer's bytes over those of `touch` is printed.
 
 The speed is measured first, alone, and in every run; the other figures use one process per core. `--keep`
 keeps the other figures in a folder. A run that was interrupted, or is repeated after a change of some source,
-measures only what is missing there. `--quick` takes one frame of one field at n_w 5. A full run writes
-``results/rate.json`` and ``results/rate.png``.
+measures only what is missing there. `--stored-peers` takes the figures of the peers, which take most of the
+time, from the stored result wherever all bytes and errors of `touch` and `paper` of a row are equal to the
+stored ones, and so its field is; the peers of other rows are measured. `--quick` takes one frame of one field
+at n_w 5. A full run writes ``results/rate.json`` and ``results/rate.png``.
 """
 
 from __future__ import annotations
@@ -38,7 +40,21 @@ from typing import Any
 import provenance
 import rate_ours as ours
 import rate_peers as peers
-from machine import RESULTS, SHARED, Bar, Figures, at_least, at_most, check_quick, keep, show, table, text
+from machine import (
+    RESULTS,
+    SHARED,
+    Bar,
+    Figures,
+    at_least,
+    at_most,
+    check_quick,
+    keep,
+    show,
+    stale,
+    stored,
+    table,
+    text,
+)
 from rate_fields import FRAMES, WALL_VOXELS, Case, cases
 from rate_pool import Job, Pool, cached, fields_in, fingerprint
 from rate_symbols import F0_N, K
@@ -97,7 +113,7 @@ class Report:
     A row of `sizes` has "field", "kind", "at" ("NMSE" or "promise"), "frames", "nmse_db", "touch" by effort
     (bytes), "p_over_i" by effort, "peers", and what else its jobs returned. A row of `speeds` has "field",
     "effort" and the figures of `rate_ours.speed`. `before` has the former figures, with which the bars
-    compare.
+    compare. `stored_peers` is the number of rows whose peers are those of the stored result.
     """
 
     efforts: tuple[str, ...]
@@ -106,6 +122,7 @@ class Report:
     speeds: list[Figures] = field(default_factory=list)
     objects: dict[str, float] = field(default_factory=dict)
     curves: dict[str, Figures] = field(default_factory=dict)
+    stored_peers: int = 0
 
     def at(self, at: str, frames: int) -> list[Figures]:
         """Return the rows of a table."""
@@ -258,6 +275,7 @@ def arguments() -> Any:
     parser.add_argument("--efforts", nargs="+", default=list(EFFORTS), choices=EFFORTS)
     parser.add_argument("--only", nargs="+", default=list(SECTIONS), choices=SECTIONS, help="some of it")
     parser.add_argument("--keep", type=Path, help="a folder of figures, to go on from")
+    parser.add_argument("--stored-peers", action="store_true", help="peers of fields that are as they were")
     options = parser.parse_args()
     is_all = (tuple(options.nw), options.efforts, tuple(options.only)) == (SIDES, list(EFFORTS), SECTIONS)
     options.is_full = is_all and not options.quick and not options.fields
@@ -265,6 +283,51 @@ def arguments() -> Any:
         options.nw, options.fields = [5], ["tum band", "motorcycle band"]
         options.only = [section for section in options.only if section in ("NMSE", "promise")]
     return options
+
+
+Row = tuple[Case, str, int]
+
+
+def without_peers(jobs: Sequence[Job]) -> list[Job]:
+    """Return the jobs that code with `touch` and `paper`."""
+    return [job for job in jobs if not job.part.endswith("peers")]
+
+
+def commit_of_peers() -> str:
+    """Return the commit at which the peers of the stored result were measured."""
+    before = stored("rate")
+    measured_in: Figures = before.get("peers_of") or before["run"]
+    return str(measured_in["commit"])
+
+
+def take_stored_peers(pool: Pool, rows: Sequence[Row], drawn: Sequence[Case], efforts: Sequence[str]) -> int:
+    """Code all fields, and take the peers' figures of those that are as they were; return their number.
+
+    SystemExit if the sources of the peers have changed since.
+    """
+    if changed := [file for file in stale("rate") if file.startswith("bench/rate_")]:
+        sys.exit(f"--stored-peers: {', '.join(changed)} changed since: run without it")
+    jobs = [Job(case, "curve") for case in drawn]
+    jobs += [job for row in rows for job in without_peers(jobs_of(*row, efforts))]
+    pool.run(jobs)
+    before = stored("rate")
+    sizes = {(row["field"], row["at"], row["frames"]): row for row in before["sizes"]}
+    taken = 0
+    for case, at, count in rows:
+        row, old = row_of(case, at, count, pool, efforts), sizes.get((case.title, at, count), {})
+        own = {key: value for key, value in row.items() if key != "peers"}
+        if own == {key: old.get(key) for key in own}:
+            job = jobs_of(case, at, count, efforts)[0]
+            pool.found[job.name] = {key: old[key] for key in ("peers", "on_paper", "source") if key in old}
+            taken += 1
+    for case in drawn:
+        drawn_own, old = pool.found.get(Job(case, "curve").name), before["curves"].get(case.title, {})
+        if drawn_own and drawn_own == {key: old.get(key) for key in drawn_own}:
+            points = {key: value for key, value in old.items() if key not in drawn_own}
+            pool.found[Job(case, "curve_peers").name] = points
+            taken += 1
+    pool.log(f"peers of {taken} of {len(rows) + len(drawn)} rows are those of {commit_of_peers()}")
+    return taken
 
 
 def measured(options: Any, pool: Pool, selected: list[Case]) -> Report:
@@ -285,7 +348,10 @@ def measured(options: Any, pool: Pool, selected: list[Case]) -> Report:
         for count in counts
         for case in selected
     ]
-    pool.run([*curves, *(job for row in rows for job in jobs_of(*row, options.efforts))])
+    if options.stored_peers:
+        report.stored_peers = take_stored_peers(pool, rows, drawn, options.efforts)
+    jobs = [*curves, *(job for row in rows for job in jobs_of(*row, options.efforts))]
+    pool.run([job for job in jobs if job.name not in pool.found])
     report.sizes = [row_of(*row, pool, options.efforts) for row in rows]
     for job in curves:
         report.curves.setdefault(job.case.title, {}).update(pool.found.get(job.name, {}))
@@ -317,6 +383,8 @@ def main() -> None:
 
         draw(report.curves, {row["field"]: row for row in report.at("promise", 1)}, RESULTS / "rate.png")
     figures = {"fields": where, "wall_voxels": WALL_VOXELS, "k": K, "f0_n": F0_N, "absent": peers.absent()}
+    if report.stored_peers:
+        figures["peers_of"] = {"commit": commit_of_peers(), "rows": report.stored_peers}
     figures |= {"best_peer_over_ours": report.ranges(), "speeds": report.speeds, "objects": report.objects}
     show(figures | {"failed": pool.failed})
     figures |= {"sizes": report.sizes, "curves": report.curves, "failed": pool.failed}
