@@ -1,12 +1,15 @@
 """Damages valid files of every format that strangers send, reads them, and counts what is no clear refusal.
 
     python bench/bench_parsers.py [--quick] [--runs N] [--seconds S] [--seed S] [--only NAME]
+                                   [--again N]
 
 Each format of `parser_formats` gets `runs` cases, or as many as end in `seconds` seconds; a full run takes an
-hour or two. With `--only`, the rows of other formats stay as they are stored, with the commit of each. A case
-is "read" or "refused" in a line that names the file; anything else is a fault: another exception, a warning,
-a process that dies or hangs, more time or memory than the bytes allow, a file that is opened outside the
-folder (`parser_worker`). Inputs of faults are found again by ``fuzz_parsers.py --replay NAME SEED NUMBER``.
+hour or two. With `--only`, the rows of other formats stay as they are stored, with the commit of each. With
+`--again N`, all rows stay, and each format gets N other cases, or those of `seconds`, with today's readers:
+their commit, number and faults are stored beside. A case is "read" or "refused" in a line that names the
+file; anything else is a fault: another exception, a warning, a process that dies or hangs, more time or
+memory than the bytes allow, a file that is opened outside the folder (`parser_worker`). Inputs of faults are
+found again by ``fuzz_parsers.py --replay NAME SEED NUMBER``.
 
 Time is that of the processor, in which a library may be imported and loops be compiled. Memory is the growth
 of the resident memory. A quick run is a few cases of each format. Whether a case is read or refused depends
@@ -47,15 +50,27 @@ def stored_rows() -> dict[str, dict[str, Any]]:
     return {name: {"commit": before["run"]["commit"], **row} for name, row in before.get("rows", {}).items()}
 
 
-def measure(runs: int, seconds: float, seed: int, only: str) -> Figures:
-    """Run the cases of every format, or those of one, whose row of the stored result is replaced."""
+def again_of(tally: Tally, seed: int, commit: str) -> dict[str, Any]:
+    """Return what a row states of cases that were run again."""
+    row = row_of(tally, seed, commit)
+    return {f"again_{key}": row[key] for key in ("commit", "runs", "faults", "replay")}
+
+
+def measure(runs: int, seconds: float, seed: int, only: str, again: int) -> Figures:
+    """Run the cases of every format, or of one; other rows, or the older cases, are the stored ones."""
     child, commit = Child(), provenance.Run().summary()["commit"]
-    rows = stored_rows() if only else {}
+    rows = stored_rows() if only or again else {}
     for entry in formats():
-        if only in ("", entry.name):
+        if only not in ("", entry.name):
+            continue
+        if again:
+            tally = fuzz(child, entry.name, again, seconds, seed + 1, first=runs)
+            rows[entry.name] |= again_of(tally, seed + 1, commit)
+        else:
             tally = fuzz(child, entry.name, runs, seconds, seed)
-            row = rows[entry.name] = row_of(tally, seed, commit)
-            print(f"{entry.name}: {row['runs']} cases, {row['faults']} faults", flush=True)
+            rows[entry.name] = row_of(tally, seed, commit)
+        cases, faults = tally.counts.total(), tally.counts["FAULT"]
+        print(f"{entry.name}: {cases} cases, {faults} faults", flush=True)
     child.end()
     return {
         "runs": sum(column(rows, "runs")),
@@ -68,7 +83,7 @@ def measure(runs: int, seconds: float, seed: int, only: str) -> Figures:
 def bars(figures: Figures) -> list[Bar]:
     """Require that every format is run, without a fault."""
     rows = figures["rows"]
-    return [
+    found = [
         at_least("formats", len(rows), 40),
         at_least(
             "runs of the format with the fewest",
@@ -77,6 +92,9 @@ def bars(figures: Figures) -> list[Bar]:
         ),
         at_most("faults", sum(column(rows, "faults")), 0),
     ]
+    if again := column(rows, "again_faults"):
+        found.append(at_most(f"faults of cases run again, {len(again)} formats", sum(again), 0))
+    return found
 
 
 if __name__ == "__main__":
@@ -89,4 +107,5 @@ if __name__ == "__main__":
         seconds=(900.0, 20.0),
         seed=(0, 0),
         only=("", ""),
+        again=(0, 0),
     )
