@@ -281,6 +281,8 @@ USES = "".join(f'<g id="g{n}">{f"<use href=#g{n + 1}#/>" * 10}</g>'.replace("#g"
                for n in range(12))  # fmt: skip
 BAD_SVG: dict[str, tuple[str, str]] = {
     "no XML": ("<svg", "no XML"),
+    "a name with two colons": ('<svg xmlns:a="b" a:b:c="1"/>', "no XML"),
+    "a prefix without a namespace": ("<svg><a:b/></svg>", "no XML"),
     "an unknown encoding": ('<?xml version="1.0" encoding="UTF255"?><svg/>', "no XML"),
     "an encoding of many bytes": ('<?xml version="1.0" encoding="gb18030"?><svg/>', "no XML"),
     "another root": ("<html/>", "the element 'html'"),

@@ -61,7 +61,7 @@ def read_svg(path: Path) -> MapSource:
     data = read_bytes(path, MAX_BYTES, _EXPECTED)
     outside = _check(path, data)
     svgelements = import_extra("svgelements", f"reading {path.name}", "svgelements", "map")
-    found, root = Collector(str(path)), ElementTree.fromstring(data)
+    found, root = Collector(str(path)), _parsed(path, data)
     if outside:
         found.left_out["references to other files, which are not read"] += outside
     with library_faults(path, "a drawing that svgelements does not read", _EXPECTED):
@@ -73,6 +73,14 @@ def read_svg(path: Path) -> MapSource:
     require_features(found, "lines, filled shapes or texts")
     title = clean_name(root.findtext(f"{_SVG}title") or "")
     return MapSource(tuple(found.features), None, None, found.notes(), title=title)
+
+
+def _parsed(path: Path, data: bytes) -> ElementTree.Element:
+    """Return the root; `SourceError` also for names that only XML without namespaces allows, as a:b:c."""
+    try:
+        return ElementTree.fromstring(data)
+    except ElementTree.ParseError as error:
+        raise SourceError(str(path), f"no XML ({error})", _EXPECTED) from error
 
 
 def _drawn(root: ElementTree.Element, found: Collector) -> bytes:
