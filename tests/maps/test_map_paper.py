@@ -141,6 +141,23 @@ def test_the_legend_goes_on_further_sheets(tmp_path: Path, display: str, name: s
     assert [found.pins for found in blocks[1:]] == [pins_of(page) for page in made.pages]
 
 
+def test_parts_of_an_earlier_map_are_noted(tmp_path: Path) -> None:
+    source = write_geojson(tmp_path / "a.geojson", *town())
+    out, svg = tmp_path / "a.touch", tmp_path / "a.svg"
+    made = make_map(source, out, MapSpec(zooms=1), svg=svg)
+    assert not any("earlier map" in note for note in made.notes)
+    more = [tmp_path / f"a.legend-{len(made.pages) + n}.touch" for n in (1, 2)]
+    more.append(tmp_path / f"a.sheet-{len(sheets_of(made)) + 1}.svg")
+    for path in more:
+        path.write_bytes(b"")
+    made = make_map(source, out, MapSpec(zooms=1), svg=svg)
+    notes = [note for note in made.notes if "earlier map" in note]
+    assert (
+        len(notes) == 2 and more[0].name in notes[0] and more[1].name in notes[0] and more[2].name in notes[1]
+    )
+    assert all(path.read_bytes() == b"" for path in more)
+
+
 def test_a_map_that_no_paper_takes_is_noted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(paper, "PAPERS_MM", {"A7": (74, 105)})
     source = write_geojson(tmp_path / "a.geojson", *town())

@@ -34,10 +34,15 @@ def paper_of(layout: Layout) -> tuple[str, int]:
     return "", 1
 
 
+def sheet_path(path: Path, sheet: int) -> Path:
+    """Return the file of a further sheet, counted from 2, beside that of the first."""
+    return path.with_name(f"{path.stem}.sheet-{sheet}{path.suffix}")
+
+
 def sheet_paths(path: Path, layout: Layout, page_count: int) -> tuple[Path, ...]:
     """Return the files of the sheets for a map and pages of its legend: the first is `path` itself."""
     count = -(-(1 + page_count) // paper_of(layout)[1])
-    return (path, *(path.with_name(f"{path.stem}.sheet-{n}{path.suffix}") for n in range(2, count + 1)))
+    return (path, *(sheet_path(path, n) for n in range(2, count + 1)))
 
 
 def write_svg(

@@ -4,7 +4,9 @@ device, with a legend, and on request for swell paper and printers."""
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import count, takewhile
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,7 +29,7 @@ from touchfield.maps.features import MapSource
 from touchfield.maps.guidelines import PinRules, guidelines
 from touchfield.maps.labels import LegendLine, class_titles, legend_lines, legend_pages
 from touchfield.maps.layout import Drawn, draw
-from touchfield.maps.paper import paper_of, refuse_sheets_over, sheet_paths, write_svg
+from touchfield.maps.paper import paper_of, refuse_sheets_over, sheet_path, sheet_paths, write_svg
 from touchfield.maps.pins import Window
 from touchfield.maps.reader import box_of, on_level, read_map
 from touchfield.maps.relief import MAX_HEIGHTS, Relief, read_relief
@@ -118,6 +120,15 @@ def legend_path(out: Path, page: int) -> Path:
     return out.with_name(f"{out.stem}.legend-{page}{out.suffix}")
 
 
+def _earlier_parts(part_path: Callable[[Path, int], Path], path: Path, first: int) -> tuple[str, ...]:
+    """Return a note on parts from number `first` on: an earlier map of this name had more than this one."""
+    files = [*takewhile(Path.exists, (part_path(path, n) for n in count(first)))]
+    if not files:
+        return ()
+    names = ", ".join(file.name for file in files)
+    return (f"Of an earlier map, not of this one: {names}. Remove {'them' if files[1:] else 'it'}.",)
+
+
 def make_map(
     source: str | Path,
     out: str | Path,
@@ -165,8 +176,11 @@ def make_map(
     if svg is not None:
         refuse_sheets_over(source, sheet_paths(Path(svg), drawn.layout, len(pages)))
     files = _write(path, drawn, pages, target, source, record, heights_m)
+    page_notes += _earlier_parts(legend_path, path, len(files))
     if svg is not None:
-        files += write_svg(Path(svg), drawn.layout, pages, lines, title, read.attribution)
+        sheets = write_svg(Path(svg), drawn.layout, pages, lines, title, read.attribution)
+        page_notes += _earlier_parts(sheet_path, Path(svg), len(sheets) + 1)
+        files += sheets
     if stl is not None:
         write_stl(Path(stl), drawn.layout, _land_mm(heights_m, "print_relief_mm"))
         files += (Path(stl),)
