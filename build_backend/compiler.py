@@ -64,8 +64,9 @@ def compile_module(folder: Path, target: str | None = None) -> Path:
     path = folder / f"_native{module_suffix(target)}"
     source = SOURCE.relative_to(ROOT)
     print(f"touchfield: {' '.join(compiler)} compiles {source}", file=sys.stderr, flush=True)
-    command = [*compiler, *OPTIONS, *_link_options(target), "-o", str(path), str(SOURCE), *_libraries(target)]
-    subprocess.run(command, check=True)
+    command = [*compiler, *OPTIONS, *_link_options(target), "-o", str(path), str(SOURCE)]
+    with tempfile.TemporaryDirectory() as scratch:
+        subprocess.run([*command, *_libraries(target, Path(scratch))], check=True)
     return path
 
 
@@ -94,15 +95,15 @@ def _link_options(target: str | None) -> list[str]:
     return ["-Wl,-undefined,dynamic_lookup"] if is_mac else []
 
 
-def _libraries(target: str | None) -> list[str]:
+def _libraries(target: str | None, scratch: Path) -> list[str]:
     is_windows = sys.platform == "win32" if target is None else "windows" in target
-    return [str(_import_library())] if is_windows else ["-lm"]
+    return [str(_import_library(scratch))] if is_windows else ["-lm"]
 
 
-def _import_library() -> Path:
-    """Import library of python3.dll, made from the names that the module uses."""
+def _import_library(folder: Path) -> Path:
+    """Import library of python3.dll in a folder, made from the names that the module uses."""
     definition = SOURCE.with_name("python3.def")
-    library = Path(tempfile.mkdtemp()) / "python3.lib"
+    library = folder / "python3.lib"
     command = [sys.executable, "-m", "ziglang", "dlltool", "-m", "i386:x86-64", "-D", "python3.dll"]
     subprocess.run([*command, "-d", str(definition), "-l", str(library)], check=True)
     return library
