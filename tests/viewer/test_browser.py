@@ -133,6 +133,32 @@ def test_play_seek_and_pause(page: str, tmp_path: Path) -> None:
     assert on["time"] == pytest.approx(1 / on["head"]["rate"]) and result.errors == []
 
 
+FRAME_REQUESTS = """(async () => {
+  const request = window.requestAnimationFrame.bind(window);
+  let requests = 0;
+  window.requestAnimationFrame = (shown) => { requests++; return request(shown); };
+  const press = (times) => { for (let n = 0; n < times; n++) document.getElementById("play").click(); };
+  const within = async (frames) => {
+    requests = 0;
+    for (let n = 0; n < frames; n++) await new Promise(request);
+    return requests;
+  };
+  press(1);
+  const once = await within(20);
+  press(1);
+  press(5);
+  return [once, await within(20)];
+})()"""
+"""How often the page asks for a frame of the screen, in 20 frames: after Play, and five presses at once."""
+
+
+def test_play_that_is_pressed_again_at_once_starts_no_second_loop(page: str, tmp_path: Path) -> None:
+    opening = step("goto", url=page), step("open", file=MOVING)
+    result = drive(tmp_path, *opening, step("run", code=FRAME_REQUESTS), step("state"))
+    once, five_times = result.answers[2]
+    assert once > 10 and five_times < 1.3 * once and result.answers[3]["playing"] and result.errors == []
+
+
 def test_the_pointer_probes_and_drags(page: str, tmp_path: Path) -> None:
     result = drive(tmp_path, step("goto", url=page), step("open", file=SOLID), step("state"),
                    step("move", x=430, y=400), step("move", x=470, y=430), step("state"),

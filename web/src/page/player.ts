@@ -12,6 +12,9 @@ import * as walk from "./surface_walk";
 const AHEAD_S = 1; // of playing: so much of a remote file is fetched ahead
 const SLOW_STEP_S = 0.25;
 
+/** Number of the last loop of steps: an earlier one, which may still wait for its frame, ends. */
+let lastLoop = 0;
+
 export function wire(): void {
   byId("play").onclick = toggle;
   byId("at").oninput = (): void => seek(Number(input("at").value));
@@ -30,7 +33,7 @@ export function setPlaying(on: boolean): void {
   setPressed("play", on);
   setText("play", on ? "Pause" : "Play");
   if (!medium) return;
-  if (on) void step(performance.now());
+  if (on) void step(performance.now(), ++lastLoop);
   else if (walk.isActive() && isPageState("ready")) probe.feel(probe.point); // while it played, the probe left the surface
 }
 
@@ -41,9 +44,9 @@ function seek(time: number): void {
   frames.show(time);
 }
 
-/** Show what is due; `before` is the time of the step before, milliseconds. */
-async function step(before: number): Promise<void> {
-  if (!clock.isPlaying || !medium) return;
+/** Show what is due; `before` is the time of the step before, milliseconds, and `loop` that of the steps. */
+async function step(before: number, loop: number): Promise<void> {
+  if (!clock.isPlaying || loop !== lastLoop || !medium) return;
   const now = performance.now();
   const time = timeAfter((now - before) / 1000, medium.seconds);
   try {
@@ -53,7 +56,7 @@ async function step(before: number): Promise<void> {
     return reportFault(error);
   }
   adaptPace((performance.now() - now) / 1000);
-  requestAnimationFrame(() => void step(now));
+  requestAnimationFrame(() => void step(now, loop));
 }
 
 /** The time that is due; after the end the medium starts again, unless a movie is the clock. */
