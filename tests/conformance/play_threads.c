@@ -1,5 +1,6 @@
-/* A receiver with its three threads: play_threads FILE.touch SECONDS SEED SPEED IS_LOOP. One thread ticks at the clock of the
+/* A receiver with its three threads: play_threads FILE.touch SECONDS SEED SPEED IS_LOOP LEAST. One thread ticks at the clock of the
    machine, one decodes, and this one gives orders at random times; at last it stops. Every force must be within its limits.
+   It goes on for up to ten times SECONDS until LEAST ticks had a force: a loaded machine decodes late.
    Prints ticks, ticks with a force, ticks without a frame, frames that were left out, and seeks. */
 #define _POSIX_C_SOURCE 200809L
 #define TOUCH_IMPLEMENTATION
@@ -11,8 +12,7 @@
 #include <time.h>
 
 static touch_play play;
-static int64_t is_over, is_wrong; /* read and written by all threads */
-static int64_t forces;
+static int64_t is_over, is_wrong, forces; /* read and written by all threads */
 
 static int64_t now_ns(void) {
     struct timespec now;
@@ -54,7 +54,7 @@ static void *serve(void *unused) {
         double step = touch_norm(touch_subtract(force, before));
         if (!(touch_norm(force) <= settings->force_limits.peak)) touch_share(&is_wrong, 1);
         if (!(step <= settings->force_limits.slew_per_s * dt_s + 1e-12)) touch_share(&is_wrong, 2);
-        forces += touch_norm(force) > 0.0, before = force, latest_ns = time_ns;
+        touch_share(&forces, touch_shared(&forces) + (touch_norm(force) > 0.0)), before = force, latest_ns = time_ns;
         pause_us((receiver->clock.deadline_ns - now_ns()) / 1000 > 0 ? 500 : 0);
     }
     if (touch_norm(before) != 0.0) touch_share(&is_wrong, 3);
@@ -84,11 +84,12 @@ static int start(char **words) {
 
 int main(int count, char **words) {
     pthread_t servo, decoder;
-    if (count != 6 || !start(words)) return puts(play.error), 65;
-    int64_t stop_ns = now_ns() + (int64_t)(1e9 * strtod(words[2], NULL)), has_orders = strtod(words[3], NULL) > 0.0;
+    if (count != 7 || !start(words)) return puts(play.error), 65;
+    int64_t length_ns = (int64_t)(1e9 * strtod(words[2], NULL)), least = atoi(words[6]);
+    int64_t start_ns = now_ns(), has_orders = strtod(words[3], NULL) > 0.0;
     if (pthread_create(&servo, NULL, serve, NULL) || pthread_create(&decoder, NULL, decode, NULL)) return 71;
     touch_play_resume(&play);
-    while (now_ns() < stop_ns) {
+    while (now_ns() < start_ns + (touch_shared(&forces) < least ? 10 : 1) * length_ns) {
         pause_us(has_orders ? (int64_t)(60000 * any()) : 10000);
         if (has_orders) order();
     }
