@@ -158,6 +158,16 @@ def test_parts_of_an_earlier_map_are_noted(tmp_path: Path) -> None:
     assert all(path.read_bytes() == b"" for path in more)
 
 
+def test_the_drawing_that_is_read_is_no_part_of_an_earlier_map(tmp_path: Path) -> None:
+    pytest.importorskip("svgelements")
+    source = tmp_path / "sky.svg"
+    source.write_text(SKY)
+    sheets = sheets_of(make_map(source, tmp_path / "a.touch", MapSpec(zooms=1), svg=tmp_path / "a.svg"))
+    further = source.rename(tmp_path / f"a.sheet-{len(sheets) + 1}.svg")
+    made = make_map(further, tmp_path / "a.touch", MapSpec(zooms=1), svg=tmp_path / "a.svg")
+    assert not any("earlier map" in note for note in made.notes)
+
+
 def test_a_map_that_no_paper_takes_is_noted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(paper, "PAPERS_MM", {"A7": (74, 105)})
     source = write_geojson(tmp_path / "a.geojson", *town())

@@ -120,9 +120,15 @@ def legend_path(out: Path, page: int) -> Path:
     return out.with_name(f"{out.stem}.legend-{page}{out.suffix}")
 
 
-def _earlier_parts(part_path: Callable[[Path, int], Path], path: Path, first: int) -> tuple[str, ...]:
-    """Return a note on parts from number `first` on: an earlier map of this name had more than this one."""
-    files = [*takewhile(Path.exists, (part_path(path, n) for n in count(first)))]
+def _earlier_parts(
+    part_path: Callable[[Path, int], Path], path: Path, first: int, source: str | Path
+) -> tuple[str, ...]:
+    """Return a note on parts from number `first` on: an earlier map of this name had more than this one.
+
+    The drawing that was read is none of them, whatever its name is.
+    """
+    found = takewhile(Path.exists, (part_path(path, n) for n in count(first)))
+    files = [file for file in found if file.absolute() != Path(source).absolute()]
     if not files:
         return ()
     names = ", ".join(file.name for file in files)
@@ -176,10 +182,10 @@ def make_map(
     if svg is not None:
         refuse_sheets_over(source, sheet_paths(Path(svg), drawn.layout, len(pages)))
     files = _write(path, drawn, pages, target, source, record, heights_m)
-    page_notes += _earlier_parts(legend_path, path, len(files))
+    page_notes += _earlier_parts(legend_path, path, len(files), source)
     if svg is not None:
         sheets = write_svg(Path(svg), drawn.layout, pages, lines, title, read.attribution)
-        page_notes += _earlier_parts(sheet_path, Path(svg), len(sheets) + 1)
+        page_notes += _earlier_parts(sheet_path, Path(svg), len(sheets) + 1, source)
         files += sheets
     if stl is not None:
         write_stl(Path(stl), drawn.layout, _land_mm(heights_m, "print_relief_mm"))
