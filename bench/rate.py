@@ -300,6 +300,11 @@ def commit_of_peers() -> str:
     return str(measured_in["commit"])
 
 
+def is_as_stored(figures: Figures, before: Figures) -> bool:
+    """Return whether figures, of which there are some, are equal to the stored ones."""
+    return bool(figures) and figures == {key: before.get(key) for key in figures}
+
+
 def take_stored_peers(pool: Pool, rows: Sequence[Row], drawn: Sequence[Case], efforts: Sequence[str]) -> int:
     """Code all fields, and take the peers' figures of those that are as they were; return their number.
 
@@ -315,16 +320,15 @@ def take_stored_peers(pool: Pool, rows: Sequence[Row], drawn: Sequence[Case], ef
     taken = 0
     for case, at, count in rows:
         row, old = row_of(case, at, count, pool, efforts), sizes.get((case.title, at, count), {})
-        own = {key: value for key, value in row.items() if key != "peers"}
-        if own == {key: old.get(key) for key in own}:
+        if is_as_stored({key: value for key, value in row.items() if key != "peers"}, old):
             job = jobs_of(case, at, count, efforts)[0]
             pool.found[job.name] = {key: old[key] for key in ("peers", "on_paper", "source") if key in old}
             taken += 1
     for case in drawn:
-        drawn_own, old = pool.found.get(Job(case, "curve").name), before["curves"].get(case.title, {})
-        if drawn_own and drawn_own == {key: old.get(key) for key in drawn_own}:
-            points = {key: value for key, value in old.items() if key not in drawn_own}
-            pool.found[Job(case, "curve_peers").name] = points
+        curves, old = pool.found.get(Job(case, "curve").name, {}), before["curves"].get(case.title, {})
+        if is_as_stored(curves, old):
+            of_peers = {key: value for key, value in old.items() if key not in curves}
+            pool.found[Job(case, "curve_peers").name] = of_peers
             taken += 1
     pool.log(f"peers of {taken} of {len(rows) + len(drawn)} rows are those of {commit_of_peers()}")
     return taken

@@ -70,6 +70,16 @@ def test_c_by_its_tokens(provenance: Any) -> None:
     assert provenance.c_meaning(code) != provenance.c_meaning(code.replace("1;", "2;"))
 
 
+def test_a_built_page_counts_where_a_module_names_it(
+    provenance: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(provenance, "ROOT", tmp_path)
+    (tmp_path / "a.py").write_text('page = read("web/page.html")\n')
+    files = ["a.py", "web/page.html", "web/map.html", "missing.py", "device.toml"]
+    assert provenance.unread_pages(files) == {"web/map.html"}
+    assert provenance.unread_pages(files[1:]) == {"web/page.html", "web/map.html"}
+
+
 def test_changed_files_are_named(provenance: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(provenance, "ROOT", tmp_path)
     for name in ("a.py", "b.py"):

@@ -1,6 +1,6 @@
-/* A receiver with its three threads: play_threads FILE.touch SECONDS SEED SPEED IS_LOOP LEAST. One thread ticks at the clock of the
-   machine, one decodes, and this one gives orders at random times; at last it stops. Every force must be within its limits.
-   It goes on for up to ten times SECONDS until LEAST ticks had a force: a loaded machine decodes late.
+/* A receiver with its three threads: play_threads FILE.touch SECONDS SEED SPEED IS_LOOP LEAST. One thread ticks at the clock
+   of the machine, one decodes, and this one gives orders at random times; at last it stops. Every force must be within its
+   limits. It goes on for up to ten times SECONDS until LEAST ticks had a force: a loaded machine decodes late.
    Prints ticks, ticks with a force, ticks without a frame, frames that were left out, and seeks. */
 #define _POSIX_C_SOURCE 200809L
 #define TOUCH_IMPLEMENTATION
@@ -54,7 +54,8 @@ static void *serve(void *unused) {
         double step = touch_norm(touch_subtract(force, before));
         if (!(touch_norm(force) <= settings->force_limits.peak)) touch_share(&is_wrong, 1);
         if (!(step <= settings->force_limits.slew_per_s * dt_s + 1e-12)) touch_share(&is_wrong, 2);
-        touch_share(&forces, touch_shared(&forces) + (touch_norm(force) > 0.0)), before = force, latest_ns = time_ns;
+        if (touch_norm(force) > 0.0) touch_share(&forces, touch_shared(&forces) + 1);
+        before = force, latest_ns = time_ns;
         pause_us((receiver->clock.deadline_ns - now_ns()) / 1000 > 0 ? 500 : 0);
     }
     if (touch_norm(before) != 0.0) touch_share(&is_wrong, 3);

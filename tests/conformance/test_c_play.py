@@ -228,14 +228,25 @@ OAK = Material(
 FELT = Material("felt", 0.9, speeds_m_s=(0.02,), forces_n=(0.5, 2.0), texture_rms_n=(TEXTURE,))
 
 
-def store_text(source: Path, path: Path, text: str, names: Sequence[str] = ()) -> None:
-    """Copy a file with a table of materials, valid or not, and other names of its objects."""
+def copy_changed(
+    source: Path,
+    path: Path,
+    *,
+    rate_hz: float | None = None,
+    materials: str | None = None,
+    names: Sequence[str] = (),
+) -> Path:
+    """Copy a file with another rate of frames, materials, valid or not, and names of its objects."""
     with TouchReader(source) as reader, TouchWriter(path) as writer:
-        writer.write_head(reader.head, {**reader.provenance, KEY: text})
+        head = reader.head if rate_hz is None else replace(reader.head, rate_hz=rate_hz)
+        provenance = reader.provenance if materials is None else {**reader.provenance, KEY: materials}
+        writer.write_head(head, provenance)
         for n in range(reader.object_count):
-            writer.write_object(replace(reader.read_object(n), name=names[n]))
+            record = reader.read_object(n)
+            writer.write_object(replace(record, name=names[n]) if names else record)
         for n, entry in enumerate(reader.segments):
             writer.write_segment(entry.first_frame, entry.frame_count, reader.read_segment(n))
+    return path
 
 
 @pytest.mark.parametrize("name", ["touch-block", "objects-touch"])
@@ -246,7 +257,8 @@ def test_forces_with_stored_materials_are_those_of_the_python_player(
     names = ('T\u00fcr "\U0001f600\\', "b", "c") if name == "objects-touch" else ()  # JSON escapes the first
     if names:
         oak = replace(oak, object=names[0], box_m=None)
-    store_text(GOLDEN / f"{name}.touch", path, stored_json([oak, FELT, Material("plain")]), names)
+    materials = stored_json([oak, FELT, Material("plain")])
+    copy_changed(GOLDEN / f"{name}.touch", path, materials=materials, names=names)
     settings, log = play_in_python(path, through_the_medium(path, 900), loop=True)
     plain = play(program, GOLDEN / f"{name}.touch", log["position_m"], tmp_path, loop=True)
     played = play(program, path, log["position_m"], tmp_path, loop=True)
@@ -280,7 +292,7 @@ def test_materials_are_valid_in_c_if_they_are_in_python(
 ) -> None:
     path = tmp_path / "stored.touch"
     bands = json.dumps([float(f"{hz:.4g}") for hz in BANDS_HZ])
-    store_text(GOLDEN / "touch-block.touch", path, f'{{"bands_hz": {bands}, {text}}}')
+    copy_changed(GOLDEN / "touch-block.touch", path, materials=f'{{"bands_hz": {bands}, {text}}}')
     for run in (
         lambda: play(program, path, np.zeros((1, 3)), tmp_path),
         lambda: play_in_python(path, np.zeros((1, 3)), loop=False),
@@ -301,17 +313,6 @@ def readme_program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return compiled(source, source.parent, "-O1")
 
 
-def with_rate(source: Path, path: Path, rate_hz: float) -> Path:
-    """Copy a file with another rate of its frames."""
-    with TouchReader(source) as reader, TouchWriter(path) as writer:
-        writer.write_head(replace(reader.head, rate_hz=rate_hz), reader.provenance)
-        for n in range(reader.object_count):
-            writer.write_object(reader.read_object(n))
-        for n, entry in enumerate(reader.segments):
-            writer.write_segment(entry.first_frame, entry.frame_count, reader.read_segment(n))
-    return path
-
-
 @pytest.mark.parametrize("name", ["touch-block", "objects-touch", "plate"])
 def test_program_of_the_readme_runs(readme_program: Path, plate: Path, tmp_path: Path, name: str) -> None:
     """It renders in real time: hands rest for seconds, and media last for one, so that load is no fault."""
@@ -319,7 +320,7 @@ def test_program_of_the_readme_runs(readme_program: Path, plate: Path, tmp_path:
     if name == "plate":
         path, positions_m = plate, press(0.002, count)
     else:
-        path = with_rate(GOLDEN / f"{name}.touch", tmp_path / "slow.touch", 5.0)
+        path = copy_changed(GOLDEN / f"{name}.touch", tmp_path / "slow.touch", rate_hz=5.0)
         positions_m = np.tile(point_with_a_force(path), (count, 1))
     lines = "".join(f"{x!r} {y!r} {z!r}\n" for x, y, z in positions_m.tolist())
     done = subprocess.run([readme_program, path], input=lines, capture_output=True, text=True, check=False)
