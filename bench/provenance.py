@@ -3,8 +3,8 @@ known to be stale.
 
 The code of a result is every source file that the processes of its benchmark loaded, the data files of loaded
 packages (device profiles; a built page only where a module names it), and the files that the benchmark names
-(such as C that it compiles). Of the compiled module it is the sources of the functions that the loaded
-modules name: a change of the renderer leaves the bytes of a coder as they are.
+(such as C that it compiles). Of the compiled module it is the functions that the loaded modules name, with
+all declarations that these need: a change of the renderer leaves the bytes of a coder as they are.
 Hashes ignore comments, docstrings and layout of Python, C and TypeScript. They also ignore the folder of a
 file, because other files then import the same names from another module.
 """
@@ -28,11 +28,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
+import c_declarations
+
 BENCH: Final = Path(__file__).resolve().parent
 ROOT: Final = BENCH.parent
 FOLDERS: Final = ("src", "bench", "tests", "reproduction")
 NOT_MEASURED: Final = frozenset(
     (
+        "bench/c_declarations.py",
         "bench/machine.py",
         "bench/provenance.py",
         "bench/run_all.py",
@@ -44,17 +47,17 @@ NOT_MEASURED: Final = frozenset(
 """Files that run, report and store, and take no part in a measurement. A result states the version that it
 was measured with, and a release does not make it stale."""
 NATIVE: Final = ROOT / "c" / "python"
-"""The compiled module: module.c, and headers that list their functions as `{"name", ...}`."""
+"""The compiled module, whose headers list their functions as `{"name", function, ...}`."""
+COMPILED: Final = "c (what the compiled module needs)"
+"""The line of a record for these functions; the others are paths of files."""
 NOT_DATA: Final = frozenset(
     (".py", ".pyc", ".pyi", ".nbi", ".nbc", ".typed", ".so", ".pyd", ".pdb", ".dylib")
 )
 VARIABLE: Final = "TOUCHFIELD_BENCH_TRACE"
 """Environment variable with the folder where processes list the files they loaded."""
-_STRINGS: Final = r"\"(?:\\.|[^\"\\])*\"|'(?:\\.|[^'\\])*'|`(?:\\.|[^`\\])*`"
-_INCLUDE: Final = re.compile(r"^#include \"([^\"]+)\"", re.MULTILINE)
-_FUNCTION: Final = re.compile(r"\{\"(\w+)\", (?:FAST_FUNCTION|\w+, METH)")
+_FUNCTION: Final = re.compile(r"\{\"(\w+)\", (?:FAST_FUNCTION\()?(\w+)\)?, METH")
 _NATIVE_NAME: Final = re.compile(r"\bnative\.(\w+)")
-_C_TOKENS: Final = re.compile(rf"{_STRINGS}|//[^\n]*|/\*.*?\*/|\s+", re.DOTALL)
+_C_TOKENS: Final = re.compile(rf"{c_declarations.STRINGS}|//[^\n]*|/\*.*?\*/|\s+", re.DOTALL)
 
 
 # -- files and their hashes --------------------------------------------------------------------------------
@@ -80,13 +83,12 @@ class Trace:
         for path in Path(self._folder.name).glob("*.txt"):
             loaded.update(path.read_text(encoding="utf-8").splitlines())
         sources = {path for name in loaded for path in _source(name)}
-        if any(Path(name).name.startswith("_native.") for name in loaded):
-            measured = [p for p in sources if p.relative_to(ROOT).as_posix() not in NOT_MEASURED]
-            sources.update(native_sources(path for path in measured if path.suffix == ".py"))
         sources.update(path for pattern in also for path in ROOT.glob(pattern) if path.is_file())
         packages = {path.parent for path in sources if path.name == "__init__.py"}
         sources.update(path for package in packages for path in _data_of(package))
         files = {path.relative_to(ROOT).as_posix() for path in sources} - NOT_MEASURED
+        if any(Path(name).name.startswith("_native.") for name in loaded):
+            files.add(COMPILED)
         return sorted(files - unread_pages(files))
 
 
@@ -105,30 +107,35 @@ def _source(name: str) -> Iterator[Path]:
         yield path
 
 
-def native_sources(modules: Iterable[Path]) -> set[Path]:
-    """Return the sources in C of the functions that modules name, as in ``native.tick``.
-
-    The binary of the compiled module differs between compilers, and holds all functions.
-    """
-    names = {name for path in modules for name in _NATIVE_NAME.findall(path.read_text(encoding="utf-8"))}
-    headers = [
-        path
-        for path in NATIVE.glob("*.h")
-        if names.intersection(_FUNCTION.findall(path.read_text(encoding="utf-8")))
-    ]
-    return {NATIVE / "module.c"}.union(*map(_with_includes, headers))
+def native_names(files: Iterable[str]) -> frozenset[str]:
+    """Return the functions of the compiled module that Python files name, as in ``native.cycle``."""
+    modules = [ROOT / file for file in files if file.endswith(".py")]
+    texts = [path.read_text(encoding="utf-8") for path in modules if path.is_file()]
+    return frozenset(name for text in texts for name in _NATIVE_NAME.findall(text))
 
 
 @cache
-def _with_includes(header: Path) -> frozenset[Path]:
-    """Return a header and all headers of the repository that it includes."""
-    found, waiting = set[Path](), [header.resolve()]
-    while waiting:
-        path = waiting.pop()
-        if path.is_file() and path not in found:
-            found.add(path)
-            waiting += [(path.parent / name).resolve() for name in _INCLUDE.findall(path.read_text("utf-8"))]
-    return frozenset(found)
+def native_digest(names: frozenset[str]) -> str:
+    """Return a hash of the functions of the compiled module with these names, and of all that they need.
+
+    The binary of the compiled module differs between compilers, and holds all functions.
+    """
+    roots = [function for name, function in native_functions() if name in names]
+    texts = [declaration.text for declaration in c_declarations.needed(_native_declarations(), roots)]
+    return _hash("\n".join(texts))
+
+
+@cache
+def native_functions() -> tuple[tuple[str, str], ...]:
+    """Return the name of each function of the compiled module in Python, and in C."""
+    texts = [path.read_text(encoding="utf-8") for path in sorted(NATIVE.glob("*.h"))]
+    return tuple(pair for text in texts for pair in _FUNCTION.findall(text))
+
+
+@cache
+def _native_declarations() -> dict[str, list[c_declarations.Declaration]]:
+    headers = [*sorted(NATIVE.glob("*.h")), *sorted(NATIVE.parent.glob("*.h"))]
+    return c_declarations.by_name(path.read_text(encoding="utf-8") for path in headers)
 
 
 def _data_of(package: Path) -> Iterator[Path]:
@@ -167,7 +174,11 @@ def digest(file: str) -> str:
         meaning = json.dumps(tomllib.loads(text), sort_keys=True, default=str)
     else:
         meaning = text.replace("\r\n", "\n")
-    return hashlib.sha256(meaning.encode("utf-8", "surrogateescape")).hexdigest()[:16]
+    return _hash(meaning)
+
+
+def _hash(text: str) -> str:
+    return hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()[:16]
 
 
 def python_meaning(text: str, is_bench: bool = False) -> str:
@@ -238,13 +249,14 @@ def c_meaning(text: str) -> str:
 
 
 def code_of(files: Iterable[str]) -> dict[str, str]:
-    """Return the hash of each file, by its path."""
-    return {file: digest(file) for file in files}
+    """Return the hash of each file, by its path; `COMPILED` is that of what these files need."""
+    files = list(files)
+    return {file: native_digest(native_names(files)) if file == COMPILED else digest(file) for file in files}
 
 
 def overall(code: dict[str, str]) -> str:
     """Return one hash of all hashes."""
-    return hashlib.sha256(json.dumps(code, sort_keys=True).encode()).hexdigest()[:16]
+    return _hash(json.dumps(code, sort_keys=True))
 
 
 def write_code(path: Path, code: dict[str, str]) -> None:
@@ -273,7 +285,8 @@ def changed(path: Path, code: str | None) -> list[str]:
         return [f"(the record of the code, {path.name}, is of another run)"]
     unread = NOT_MEASURED | unread_pages(before)
     measured = {file: value for file, value in before.items() if file not in unread}
-    candidates = [file for file, value in measured.items() if digest(file) != value]
+    now = code_of(measured)
+    candidates = [file for file, value in measured.items() if now[file] != value]
     present = _all_digests() if candidates else frozenset()
     return [file for file in candidates if before[file] not in present]
 

@@ -213,29 +213,100 @@ def test_the_verdict_on_a_script(
     assert run_all.run_each(["it"], True, 1.0 if "sleep" in code else 30.0, 2) is not is_failure
 
 
-def test_the_compiled_module_counts_by_the_sources_of_the_functions_in_use(
+def test_the_compiled_module_counts_by_what_the_functions_in_use_need(
     provenance: Any, tmp_path: Path
 ) -> None:
     """Its binary differs between compilers, and a change of the renderer is none of the coder."""
     coder, player = tmp_path / "coder.py", tmp_path / "player.py"
     coder.write_text("native.encode_segment(frames)\n")
-    player.write_text("def play():\n    return native.tick(memory)\n")
+    player.write_text("def play():\n    return native.cycle(memory)\n")
     of_coder, of_both = (
-        {path.name for path in provenance.native_sources(modules)} for modules in ([coder], [coder, player])
+        {name for declaration in needed_by(provenance, files) for name in declaration.names}
+        for files in ([coder], [coder, player])
     )
-    assert of_coder >= {"module.c", "segments.h", "touch_encode.h", "touch_model.h", "touch.h"}
-    assert not of_coder & {"touch_render.h", "touch_proxy.h", "receiver.h"}
-    assert of_both >= of_coder | {"receiver.h", "touch_render.h", "touch_proxy_search.h"}
+    assert of_coder >= {"native_encode_segment", "touch_code_residual", "TOUCH_CORRUPT", "touch_arena"}
+    assert not of_coder & {"touch_receiver", "touch_proxy", "touch_force_at"}
+    assert of_both >= of_coder | {"touch_receiver_tick", "touch_contact_force", "touch_proxy", "TOUCH_PROXY_AWAY"}
     package = BENCH.parent / "src" / "touchfield"
     assert not any(path.name.startswith("_native") for path in provenance._data_of(package))
+
+
+def needed_by(provenance: Any, files: list[Path]) -> list[Any]:
+    names = provenance.native_names(map(str, files))
+    roots = [function for name, function in provenance.native_functions() if name in names]
+    assert len(roots) == len(files)
+    return list(provenance.c_declarations.needed(provenance._native_declarations(), roots))
 
 
 def test_every_function_of_the_compiled_module_has_a_source(provenance: Any) -> None:
     from touchfield.compute.native import native
 
-    listed = [
-        name
-        for path in provenance.NATIVE.glob("*.h")
-        for name in provenance._FUNCTION.findall(path.read_text())
-    ]
+    listed = [name for name, _ in provenance.native_functions()]
     assert sorted(listed) == sorted(name for name in dir(native) if not name.startswith("_"))
+    known = provenance._native_declarations()
+    assert not [function for _, function in provenance.native_functions() if function not in known]
+
+
+HEADER = """
+#ifndef SHAPES_H
+#define SHAPES_H
+#include <math.h>
+#ifdef __cplusplus
+extern "C" {
+#endif
+typedef struct { /* { of a ball } */
+    double radius_m;
+} ball;
+enum { SMALL = 1, LARGE };
+#define TWICE(x) \\
+    (HALF * 4 * (x))
+#define HALF 0.5
+static const double sizes[2] = {1.0, LARGE};
+static const struct { const char *name; } table[] = {{"ball; }"}};
+static inline double area(const ball *b);
+static inline __attribute__((unused)) double ratio(double a, double b) {
+    double table_of[] = {a};
+    if (b > 0.0) { return table_of[0] / b; }
+    return 0.0;
+}
+#if HAS_LARGE
+static inline double area(const ball *b) { return ratio(b->radius_m, sizes[0]); }
+#else
+static inline double area(const ball *b) { return b->radius_m; }
+#endif
+static inline double other(double x) { return TWICE(x) + sizeof table; }
+#ifdef __cplusplus
+}
+#endif
+#endif
+"""
+
+
+def test_declarations_of_c_by_their_names() -> None:
+    c_declarations = importlib.import_module("c_declarations")
+    known = c_declarations.by_name([HEADER])
+    assert known.keys() == {
+        *("ball", "SMALL", "LARGE", "TWICE", "HALF", "sizes", "table", "area", "ratio", "other")
+    }
+
+    def needs(root: str) -> set[str]:
+        return {name for found in c_declarations.needed(known, [root]) for name in found.names}
+
+    assert needs("ratio") == {"ratio"}
+    assert needs("area") == {"area", "ball", "ratio", "sizes", "SMALL", "LARGE"}
+    assert needs("other") == {"other", "TWICE", "HALF", "table"}
+    body = "static inline double area(const ball *b)"
+    assert {found.text for found in known["area"]} == {
+        f"{body};",
+        f"#if HAS_LARGE {body} {{ return ratio(b->radius_m, sizes[0]); }}",
+        f"#if HAS_LARGE #else {body} {{ return b->radius_m; }}",
+    }
+
+
+def test_a_declaration_in_another_header_or_layout_is_the_same() -> None:
+    c_declarations = importlib.import_module("c_declarations")
+    moved = HEADER.replace("SHAPES_H", "OTHER_H").replace("of a ball", "of balls").replace("    ", "\t")
+    assert {*c_declarations.declarations(moved)} == {*c_declarations.declarations(HEADER)}
+    changed = c_declarations.by_name([HEADER.replace("4 *", "3 *")])
+    differing = {name for name, found in changed.items() if found != c_declarations.by_name([HEADER])[name]}
+    assert differing == {"TWICE"}
