@@ -22,6 +22,8 @@ A simulated hand of 0.1 kg is rendered with the proxy and with the plain field:
 * rests: the same of as many hands that rest on depth sequences, bodies that fall, a terrain, a live stream
   and a deformed medium while these change (``rests.py``).
 
+* swings: hands on springs that swing by themselves beside the edges of heaps of boxes (``swings.py``).
+
 `--walks` is the number of paths over the surface in the tests of speed and hum.
 """
 
@@ -37,6 +39,7 @@ import numpy as np
 import friction
 import rests
 import seams
+import swings
 from machine import SHARED, Bar, Figures, at_most, bench
 from touchfield.compute.native import native
 from touchfield.medium import ForceField
@@ -314,6 +317,7 @@ def measure(seconds: int, walks: int, lattices: int, points: int) -> Figures:
         "friction": friction.friction(lattices),
         "seams_mn": seams.seams(min(points, MAX_SEAM_POINTS)),
         "rests_mn": rests.rests(points, min(lattices, 2)),
+        "swings": swings.swings(points),
     }
 
 
@@ -339,6 +343,7 @@ def bars(figures: Figures) -> list[Bar]:
         *friction.bars(figures["friction"]),
         *seams.bars(figures["seams_mn"]),
         *rests.bars(figures["rests_mn"]),
+        *swings.bars(figures["swings"]),
     ]
 
 

@@ -13,7 +13,7 @@
 
 #include <stdint.h>
 
-enum { TOUCH_RECEIVER_VERSION = 2 };
+enum { TOUCH_RECEIVER_VERSION = 3 };
 
 /* A program that plays files alone may define it as 0: files have no deformations, materials or tools, whose code is left
    out then. */
@@ -190,6 +190,8 @@ typedef struct { /* the proxy, or the other end of the virtual coupling */
     double surface_n;            /* |F| where it ended */
     touch_vector stored_n, force_n; /* at the hand; of the proxy */
     touch_vector eased_n;        /* what jumps of the proxy added to its force and the hand has not got yet */
+    double work_j;               /* that the hand did on the force which the proxy adds, less what it got back */
+    double damping;              /* 0 to 1: how much of the damper of touch_proxy_damping.h acts */
     touch_vector coupling_step_m, coupling_pull_n, hand_m; double added_n_per_m; /* in the tick before; hand_m of both */
 } touch_proxy;
 

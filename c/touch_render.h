@@ -227,6 +227,7 @@ static inline touch_vector touch_desired_force(touch_receiver *receiver, const t
     /* from the field's axes into the device's */
     force = touch_scale(settings->force_scale, touch_rotate_back(&settings->axes, force));
     touch_vector device_velocity = touch_scale(1.0 / settings->scale, touch_rotate_back(&settings->axes, velocity));
+    force = touch_add(force, touch_proxy_damping_force(receiver, device_velocity));
     force = touch_passivity_controller(receiver, force, device_velocity, dt_s);
     return touch_add(force, settings->gravity_n);
 }

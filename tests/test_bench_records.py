@@ -226,7 +226,12 @@ def test_the_compiled_module_counts_by_what_the_functions_in_use_need(
     )
     assert of_coder >= {"native_encode_segment", "touch_code_residual", "TOUCH_CORRUPT", "touch_arena"}
     assert not of_coder & {"touch_receiver", "touch_proxy", "touch_force_at"}
-    assert of_both >= of_coder | {"touch_receiver_tick", "touch_contact_force", "touch_proxy", "TOUCH_PROXY_AWAY"}
+    assert of_both >= of_coder | {
+        "touch_receiver_tick",
+        "touch_contact_force",
+        "touch_proxy",
+        "TOUCH_PROXY_AWAY",
+    }
     package = BENCH.parent / "src" / "touchfield"
     assert not any(path.name.startswith("_native") for path in provenance._data_of(package))
 

@@ -18,7 +18,7 @@ const listed = (folder, ending) => readdirSync(join(here, folder)).filter((n) =>
 const SAMPLE = "../conformance/v1/touch-large.touch";
 
 /** Headers of c/ that touch_wasm.c and hand.c include. */
-const HEADERS = ["", ...["cells", "effects", "encode", "friction", "log", "media_clock", "model", "play", "proxy", "proxy_jump", "proxy_search", "query", "receiver", "render", "seam", "segment_blend", "settings", "shared", "slopes", "timing", "tool", "vector", "write"].map((name) => `_${name}`)].map((name) => `../c/touch${name}.h`);
+const HEADERS = ["", ...["cells", "effects", "encode", "friction", "log", "media_clock", "model", "play", "proxy", "proxy_damping", "proxy_jump", "proxy_search", "query", "receiver", "render", "seam", "segment_blend", "settings", "shared", "slopes", "timing", "tool", "vector", "write"].map((name) => `_${name}`)].map((name) => `../c/touch${name}.h`);
 
 /** Every file that the page is made from; tests/viewer/test_page.py hashes the same. */
 const SOURCES = [...HEADERS, "build.mjs", "build_wasm.sh", "hand.c", "map.css", "map.html", "package-lock.json", "page.css", "page.h", "page.html", "record.h", "relief.h", "surface.h", "three_core.mjs", "timeline.css", "timeline.html", "touch_wasm.c", "unused_methods.mjs",

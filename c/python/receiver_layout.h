@@ -144,6 +144,8 @@ static const struct {
     {"touch_proxy.stored_n", offsetof(touch_proxy, stored_n)},
     {"touch_proxy.force_n", offsetof(touch_proxy, force_n)},
     {"touch_proxy.eased_n", offsetof(touch_proxy, eased_n)},
+    {"touch_proxy.work_j", offsetof(touch_proxy, work_j)},
+    {"touch_proxy.damping", offsetof(touch_proxy, damping)},
     {"touch_proxy.coupling_step_m", offsetof(touch_proxy, coupling_step_m)},
     {"touch_proxy.coupling_pull_n", offsetof(touch_proxy, coupling_pull_n)},
     {"touch_proxy.hand_m", offsetof(touch_proxy, hand_m)},

@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from heap_makers import behind_surface, heap_of_boxes
 from player_makers import laid_out
 from proxy_makers import DT_S, STRONG, Held, field_of, ramp_n
 from seam_makers import Played
@@ -21,7 +22,6 @@ from touchfield.medium.deformation import Deformation
 from touchfield.medium.medium import HapticObject, HapticScene, VibrationFrame
 from touchfield.medium.pose_track import PoseTrack
 from touchfield.medium.trace import Trace
-from touchfield.perception.hand_motion import points_on_surface
 from touchfield.pipeline import prepare
 from touchfield.pipeline.spec import EncodeSpec
 from touchfield.render.feeder import FrameSource
@@ -127,7 +127,8 @@ def test_a_resting_hand_on_a_rough_surface_gets_no_step() -> None:
 def test_a_hand_that_slides_off_is_released_once(shape: Box | Sphere) -> None:
     """From contact to release the force is never zero; before and after, it is the stored force.
 
-    Outside a surface the stored force oscillates around zero, below the level of the proxy.
+    A damper may fade for a while, of less than 5 mN here (`touch_proxy_damping.h`). Outside a surface the
+    stored force oscillates around zero, below the level of the proxy.
     """
     field, rng = field_of(shape, nw=6 if isinstance(shape, Box) else 7), np.random.default_rng(0)
     releases = 0
@@ -150,7 +151,7 @@ def test_a_hand_that_slides_off_is_released_once(shape: Box | Sphere) -> None:
         releases += 1
         eased = np.linalg.norm(forces - stored, axis=1)
         assert eased[:first].max() < 1e-6 and (np.diff(eased[last:]) <= 1e-7).all()
-        assert eased[last] < 2 * rendered.wall.level_n and eased[last + 10 :].max() < 1e-7
+        assert eased[last] < 2 * rendered.wall.level_n and eased[last + 10 :].max() < 5e-3
     assert releases > 30
 
 
@@ -230,23 +231,12 @@ def test_a_proxy_that_slides_about_turns_no_force_on_a_hand_at_rest() -> None:
 
 def test_a_proxy_comes_to_rest_with_its_hand() -> None:
     """Between the surfaces of a heap of boxes a proxy went to and fro for ever, by up to 15 mN a tick."""
-    rng = np.random.default_rng(0)
-    heap = [
-        Box(
-            tuple(rng.uniform(-0.02, 0.02, 3) * (1, 1, 0.3)),
-            tuple(rng.uniform(0.003, 0.008, 3)),
-            tuple(rng.uniform(0, 90, 3)),
-        )
-        for _ in range(24)
-    ]
-    field = field_of(*heap, nw=6)
-    points = points_on_surface(field, 30, np.random.default_rng(1))
-    normals = field.sample_n(points)
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    for point, normal in zip(points, normals, strict=True):
+    field = heap_of_boxes()
+    starts_m, goals_m = behind_surface(field, 30)
+    for start, goal in zip(starts_m, goals_m, strict=True):
         rendered = Held(field)
-        into(rendered, point + 0.008 * normal, point - 0.006 * normal, 100)
-        forces = np.array([rendered.tick(point - 0.006 * normal) for _ in range(4000)])
+        into(rendered, start, goal, 100)
+        forces = np.array([rendered.tick(goal) for _ in range(4000)])
         assert np.linalg.norm(np.diff(forces[-100:], axis=0), axis=1).max() < 1e-4
 
 

@@ -36,7 +36,8 @@ TIMELINE_GZ = 24_000
 MAP_GZ = 24_000
 
 HEADERS = (
-    "cells", "effects", "encode", "friction", "log", "media_clock", "model", "play", "proxy", "proxy_jump",
+    "cells", "effects", "encode", "friction", "log", "media_clock", "model", "play", "proxy",
+    "proxy_damping", "proxy_jump",
     "proxy_search", "query", "receiver", "render", "seam", "segment_blend", "settings", "shared", "slopes",
     "timing", "tool", "vector", "write",
 )  # fmt: skip

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-RECEIVER_VERSION: Final = 2
+RECEIVER_VERSION: Final = 3
 FRAME_BITS: Final = 40
 MAX_DELAY: Final = 4
 PAST_FORCES: Final = 6
@@ -227,6 +227,8 @@ PROXY: Final = np.dtype(
         ("stored_n", np.float64, (3,)),
         ("force_n", np.float64, (3,)),
         ("eased_n", np.float64, (3,)),
+        ("work_j", np.float64),
+        ("damping", np.float64),
         ("coupling_step_m", np.float64, (3,)),
         ("coupling_pull_n", np.float64, (3,)),
         ("hand_m", np.float64, (3,)),

@@ -1,0 +1,118 @@
+"""The damper of a proxy: hands come to rest beside edges, and feel it nowhere else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from heap_makers import behind_surface, heap_of_boxes
+from proxy_makers import DT_S, Held, Vector, field_of
+from seam_makers import DAMPING_N_S_PER_M, HAND_KG, PARTS, SPRING_N_PER_M
+
+from touchfield.sources.shapes.shapes import Box
+
+MOST_N_S_PER_M, HALF_M_S = 8.0, 0.02
+PLATE = Box((0.0, 0.0, 0.0), (0.03, 0.02, 0.001))
+
+
+def on_a_spring(rendered: Held, start_m: Vector, goal_m: Vector, ticks: int) -> Vector:
+    """Return the positions of a hand on a spring, [ticks, 3]."""
+    x, v, rows = start_m.copy(), np.zeros(3), np.empty((ticks, 3))
+    dt_s = DT_S / PARTS
+    for n in range(ticks):
+        force = rendered.tick(x)
+        for _ in range(PARTS):
+            v += dt_s / HAND_KG * (force + SPRING_N_PER_M * (goal_m - x) - DAMPING_N_S_PER_M * v)
+            x += dt_s * v
+        rows[n] = x
+    return rows
+
+
+def test_hands_on_springs_come_to_rest_beside_edges() -> None:
+    """Without the damper, each of these swung for ever, by 0.2 to 1.3 mm."""
+    field = heap_of_boxes()
+    starts_m, goals_m = behind_surface(field, 60)
+    swings_m = []
+    for hand in (22, 25, 30, 31, 33, 48, 57, 58):
+        positions = on_a_spring(Held(field), starts_m[hand], goals_m[hand], 4000)
+        swings_m.append(np.ptp(positions[3600:], axis=0).max() / 2)
+    assert max(swings_m) < 0.02e-3
+
+
+def pressed(mu: float = 0.0) -> tuple[Held, Vector]:
+    """Return a hand that rests deep in a thin plate, where the proxy adds force, and its position."""
+    rendered, hand = Held(field_of(PLATE), mu=mu), np.array([0.004, -0.003, -0.001])
+    for z in np.linspace(0.006, hand[2], 60):
+        rendered.tick(np.array([hand[0], hand[1], z]))
+    for _ in range(200):
+        rendered.tick(hand)
+    return rendered, hand
+
+
+def damper_n(rendered: Held, hand: Vector, step_m: Vector, share: float = 1.0) -> Vector:
+    """Return what the damper adds in a tick in which the hand moves; `share` is what acts of it."""
+    proxy, before = rendered.memory.receiver["state"]["proxy"], rendered.memory.bytes.copy()
+    found = []
+    for acting in (0.0, share):
+        rendered.memory.bytes[:] = before
+        proxy["damping"] = acting
+        proxy["work_j"] = 1.0  # full, so that no more of the damper comes in this tick
+        found.append(rendered.tick(hand + step_m))
+    rendered.memory.bytes[:] = before
+    return found[1] - found[0]
+
+
+@pytest.mark.parametrize(("scale", "force_scale"), [(1.0, 1.0), (3.0, 1.0), (1.0, 0.5)])
+def test_the_damper_is_one_of_the_device(scale: float, force_scale: float) -> None:
+    """Of B v / (1 + (v / 20 mm/s)^2) against the motion, whatever the scale of the scene is."""
+    rendered, hand = pressed()
+    settings = rendered.memory.receiver["settings"]
+    settings["scale"], settings["force_scale"], settings["velocity_cutoff_rad_s"] = scale, force_scale, 1e9
+    hand = hand / scale
+    for _ in range(300):
+        rendered.tick(hand)
+    for step_m in ([1e-6, 0.0, 0.0], [-4e-6, 3e-6, 0.0], [0.0, 1e-4, 0.0]):
+        step = np.array(step_m)
+        velocity = step / DT_S
+        decay = np.exp(-DT_S / 0.02)  # of what was set to 1, in this tick
+        expected = -decay * MOST_N_S_PER_M / (1 + (np.linalg.norm(velocity) / HALF_M_S) ** 2) * velocity
+        assert damper_n(rendered, hand, step) == pytest.approx(expected, rel=0.02, abs=1e-9)
+
+
+def test_friction_needs_no_damper() -> None:
+    rendered, hand = pressed(mu=0.2)
+    assert not damper_n(rendered, hand, np.array([2e-6, 0.0, 0.0])).any()
+
+
+@pytest.mark.parametrize("thickness_m", [0.002, 0.005])
+def test_a_thin_wall_that_is_pressed_and_let_go_is_hardly_damped(thickness_m: float) -> None:
+    """It gives back what it took, although what the proxy adds to it rises and falls steeply."""
+    plate = Box((0.0, 0.0, 0.0), (0.03, 0.02, thickness_m / 2))
+    rendered, damping, added = Held(field_of(plate)), [], []
+    for z in np.concatenate([np.linspace(0.006, -0.001, 300), np.linspace(-0.001, 0.006, 300)]):
+        rendered.tick(np.array([0.004, -0.003, z]))
+        damping.append(rendered.value("state.proxy.damping"))
+        added.append(rendered.value("state.proxy.force_n") - rendered.value("state.proxy.stored_n"))
+    assert np.linalg.norm(added, axis=1).max() > 0.3 and max(damping) < 0.2
+
+
+def test_a_thin_wall_without_friction_has_no_drag() -> None:
+    """A hand slides where half of the force is the proxy's."""
+    plate = Box((0.0, 0.0, 0.0), (0.03, 0.02, 0.0025))
+    rendered, forces = Held(field_of(plate)), []
+    for z in np.linspace(0.009, 0.00007, 300):
+        rendered.tick(np.array([-0.02, 0.0, z]))
+    for x in np.linspace(-0.02, 0.01, 1000):
+        forces.append(rendered.tick(np.array([x, 0.0, 0.00007])))
+        added = rendered.value("state.proxy.force_n") - rendered.value("state.proxy.stored_n")
+        assert np.linalg.norm(added) > 0.2
+    assert np.abs(forces)[:, :2].max() < 1e-3
+
+
+def test_the_damper_ends_in_free_space() -> None:
+    """It fades, so that a hand that leaves feels no step."""
+    rendered, hand = pressed()
+    forces = [rendered.tick(np.array([hand[0], hand[1], z])) for z in np.linspace(hand[2], 0.012, 400)]
+    rendered.memory.receiver["state"]["proxy"]["damping"] = 1.0
+    forces = [rendered.tick(np.array([hand[0], hand[1], 0.012 + 1e-5 * n])) for n in range(200)]
+    falling = -np.array(forces)[20:, 2]  # against the motion, once the velocity has settled
+    assert falling[0] > 0.02 and (np.diff(falling) <= 0.0).all() and not np.any(forces[150:])
