@@ -3,8 +3,8 @@ known to be stale.
 
 The code of a result is every source file that the processes of its benchmark loaded, the data files of loaded
 packages (device profiles; a built page only where a module names it), and the files that the benchmark names
-(such as C that it compiles). Of the compiled module it is the functions that the loaded modules name, with
-all declarations that these need: a change of the renderer leaves the bytes of a coder as they are.
+(such as a program in C). Of the C core it is the functions that the loaded modules and these programs name,
+with all declarations that they need: a change of the renderer leaves the bytes of a coder as they are.
 Hashes ignore comments, docstrings and layout of Python, C and TypeScript. They also ignore the folder of a
 file, because other files then import the same names from another module.
 """
@@ -48,7 +48,7 @@ NOT_MEASURED: Final = frozenset(
 was measured with, and a release does not make it stale."""
 NATIVE: Final = ROOT / "c" / "python"
 """The compiled module, whose headers list their functions as `{"name", function, ...}`."""
-COMPILED: Final = "c (what the compiled module needs)"
+COMPILED: Final = "c (what the functions in use need)"
 """The line of a record for these functions; the others are paths of files."""
 NOT_DATA: Final = frozenset(
     (".py", ".pyc", ".pyi", ".nbi", ".nbc", ".typed", ".so", ".pyd", ".pdb", ".dylib")
@@ -87,7 +87,8 @@ class Trace:
         packages = {path.parent for path in sources if path.name == "__init__.py"}
         sources.update(path for package in packages for path in _data_of(package))
         files = {path.relative_to(ROOT).as_posix() for path in sources} - NOT_MEASURED
-        if any(Path(name).name.startswith("_native.") for name in loaded):
+        is_compiled = any(Path(name).name.startswith("_native.") for name in loaded)
+        if is_compiled or any(file.endswith(".c") for file in files):
             files.add(COMPILED)
         return sorted(files - unread_pages(files))
 
@@ -107,22 +108,24 @@ def _source(name: str) -> Iterator[Path]:
         yield path
 
 
-def native_names(files: Iterable[str]) -> frozenset[str]:
-    """Return the functions of the compiled module that Python files name, as in ``native.cycle``."""
-    modules = [ROOT / file for file in files if file.endswith(".py")]
-    texts = [path.read_text(encoding="utf-8") for path in modules if path.is_file()]
-    return frozenset(name for text in texts for name in _NATIVE_NAME.findall(text))
+def compiled_roots(files: Iterable[str]) -> frozenset[str]:
+    """Return the functions of C that files use: as ``native.cycle`` in Python, by any name in C programs."""
+    present = [ROOT / file for file in files if (ROOT / file).is_file()]
+    modules = [path.read_text(encoding="utf-8") for path in present if path.suffix == ".py"]
+    programs = [path.read_text(encoding="utf-8") for path in present if path.suffix == ".c"]
+    names = {name for text in modules for name in _NATIVE_NAME.findall(text)}
+    named = (c_declarations.words(c_declarations.without_comments(text)) for text in programs)
+    return frozenset(function for name, function in native_functions() if name in names).union(*named)
 
 
 @cache
-def native_digest(names: frozenset[str]) -> str:
-    """Return a hash of the functions of the compiled module with these names, and of all that they need.
+def compiled_digest(roots: frozenset[str]) -> str:
+    """Return a hash of functions of C, and of all that they need.
 
     The binary of the compiled module differs between compilers, and holds all functions.
     """
-    roots = [function for name, function in native_functions() if name in names]
-    texts = [declaration.text for declaration in c_declarations.needed(_native_declarations(), roots)]
-    return _hash("\n".join(texts))
+    found = c_declarations.needed(_native_declarations(), roots)
+    return _hash("\n".join(declaration.text for declaration in found))
 
 
 @cache
@@ -251,7 +254,9 @@ def c_meaning(text: str) -> str:
 def code_of(files: Iterable[str]) -> dict[str, str]:
     """Return the hash of each file, by its path; `COMPILED` is that of what these files need."""
     files = list(files)
-    return {file: native_digest(native_names(files)) if file == COMPILED else digest(file) for file in files}
+    return {
+        file: compiled_digest(compiled_roots(files)) if file == COMPILED else digest(file) for file in files
+    }
 
 
 def overall(code: dict[str, str]) -> str:

@@ -237,10 +237,17 @@ def test_the_compiled_module_counts_by_what_the_functions_in_use_need(
 
 
 def needed_by(provenance: Any, files: list[Path]) -> list[Any]:
-    names = provenance.native_names(map(str, files))
-    roots = [function for name, function in provenance.native_functions() if name in names]
-    assert len(roots) == len(files)
+    roots = provenance.compiled_roots(map(str, files))
+    assert len(roots) >= len(files)
     return list(provenance.c_declarations.needed(provenance._native_declarations(), roots))
+
+
+def test_a_program_in_c_counts_by_what_it_names(provenance: Any, tmp_path: Path) -> None:
+    program = tmp_path / "program.c"
+    program.write_text("/* touch_contact_force */ int main(void) { return (int)touch_force_at(t, p).x; }\n")
+    names = {name for found in needed_by(provenance, [program]) for name in found.names}
+    assert {"touch_force_at", "touch_cell_force", "touch_vector"} <= names
+    assert not names & {"touch_contact_force", "native_force_at"}
 
 
 def test_every_function_of_the_compiled_module_has_a_source(provenance: Any) -> None:
