@@ -1,11 +1,11 @@
 /* touch_proxy_damping.h: a damper where the force that the proxy of touch_proxy.h adds has given out more work than it got.
 
    A proxy adds a = F - F_stored to the stored force. The sum is no gradient: a hand that goes round beside an edge gets a little
-   more work out of a than it puts in, and without friction it would swing for ever. So the work is accounted for. What the hand
+   more work out of a than it puts in, and would swing for ever. So the work is accounted for. What the hand
    does against a is credited, up to what a spring K holds at that force, |a|^2 / 2 K, and what a does on the hand is
    subtracted. A thin wall that is pressed and let go gives back what it took, and the balance does not become negative.
    Where it does, hands are damped, slow ones in full and fast ones hardly, as these leave. A negative balance fades. Friction
-   takes the work as well, and needs no damper. */
+   acts along the surface only, and takes no work that a does across it. */
 #ifndef TOUCH_PROXY_DAMPING_H
 #define TOUCH_PROXY_DAMPING_H
 
@@ -18,7 +18,6 @@
 #define TOUCH_PROXY_DAMPING_FADE_S 1.0        /* time constant in which a negative balance fades, */
 #define TOUCH_PROXY_DAMPING_TURN_S 0.02       /* and in which the damper comes and goes */
 #define TOUCH_PROXY_DAMPING_LEAST 1e-3        /* of the damper: less, where nothing is added, is none */
-#define TOUCH_PROXY_DAMPING_FRICTION 0.1      /* mu from which on friction takes the work */
 
 /* What the proxy added to the stored force in the latest tick, N, less what it owes. */
 static inline touch_vector touch_added_by_proxy(const touch_proxy *proxy) {
@@ -52,11 +51,10 @@ static inline void touch_account_work(const touch_isosurface *s, double softness
 static inline touch_vector touch_proxy_damping_force(const touch_receiver *receiver, touch_vector device_velocity_m_s) {
     const touch_settings *settings = &receiver->settings;
     const touch_proxy *proxy = &receiver->state.proxy;
-    double by_friction = 1.0 - receiver->state.friction / TOUCH_PROXY_DAMPING_FRICTION;
-    if (!(settings->wall_n_per_m > 0.0 && proxy->is_active && by_friction > 0.0)) return touch_zero();
+    if (!(settings->wall_n_per_m > 0.0 && proxy->is_active)) return touch_zero();
     double speed = touch_magnitude(device_velocity_m_s) / TOUCH_PROXY_DAMPING_M_S;
-    double share = by_friction * proxy->damping;
-    return touch_scale(-share * TOUCH_PROXY_DAMPING_N_S_PER_M / (1.0 + speed * speed), device_velocity_m_s);
+    double damper_n_s_per_m = proxy->damping * TOUCH_PROXY_DAMPING_N_S_PER_M / (1.0 + speed * speed);
+    return touch_scale(-damper_n_s_per_m, device_velocity_m_s);
 }
 
 #endif

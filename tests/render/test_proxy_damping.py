@@ -38,9 +38,9 @@ def test_hands_on_springs_come_to_rest_beside_edges() -> None:
     assert max(swings_m) < 0.02e-3
 
 
-def pressed(mu: float = 0.0) -> tuple[Held, Vector]:
+def pressed() -> tuple[Held, Vector]:
     """Return a hand that rests deep in a thin plate, where the proxy adds force, and its position."""
-    rendered, hand = Held(field_of(PLATE), mu=mu), np.array([0.004, -0.003, -0.001])
+    rendered, hand = Held(field_of(PLATE)), np.array([0.004, -0.003, -0.001])
     for z in np.linspace(0.006, hand[2], 60):
         rendered.tick(np.array([hand[0], hand[1], z]))
     for _ in range(200):
@@ -76,11 +76,6 @@ def test_the_damper_is_one_of_the_device(scale: float, force_scale: float) -> No
         decay = np.exp(-DT_S / 0.02)  # of what was set to 1, in this tick
         expected = -decay * MOST_N_S_PER_M / (1 + (np.linalg.norm(velocity) / HALF_M_S) ** 2) * velocity
         assert damper_n(rendered, hand, step) == pytest.approx(expected, rel=0.02, abs=1e-9)
-
-
-def test_friction_needs_no_damper() -> None:
-    rendered, hand = pressed(mu=0.2)
-    assert not damper_n(rendered, hand, np.array([2e-6, 0.0, 0.0])).any()
 
 
 @pytest.mark.parametrize("thickness_m", [0.002, 0.005])
