@@ -1,8 +1,9 @@
 """Counts hands on springs that swing by themselves beside edges, where nothing moves and nothing rubs.
 
 Sixty hands (0.2 kg, 200 N/m, 2 N s/m) are pressed 6 mm behind the surface of a heap of 24 boxes on 64^3
-samples, without friction and with mu 0.3. `--points` of 20 make one heap. A hand swings if it still moves by more than 50 um
-to either side after 3.6 s. Each heap is rendered by the player's choice ("auto", a proxy) and by the field.
+samples, without friction and with mu 0.3. `--points` of 20 make one heap. A hand swings if it still moves by
+more than 50 um to either side after 3.6 s. Each heap is rendered by the player's choice ("auto", a proxy) and
+by the field.
 """
 
 from __future__ import annotations
@@ -22,8 +23,12 @@ from heap_makers import behind_surface, heap_of_boxes
 
 HANDS, TICKS, REST, SWING_M = 60, 4000, 3600, 0.05e-3
 WAYS = {
-    "auto": ("auto", 0.0), "field": ("field", 0.0), "auto, mu 0.3": ("auto", 0.3), "field, mu 0.3": ("field", 0.3),
-}  # fmt: skip
+    "auto": ("auto", 0.0),
+    "field": ("field", 0.0),
+    "auto, mu 0.3": ("auto", 0.3),
+    "field, mu 0.3": ("field", 0.3),
+}
+"""Each way to render, and its friction."""
 POINTS_A_HEAP = 20
 """So that 200 points, the setting of other tables, are ten heaps."""
 
