@@ -21,7 +21,6 @@ A simulated hand of 0.1 kg is rendered with the proxy and with the plain field:
   the field's own (``seams.py``), for hands that rest at `--points` points.
 * rests: the same of as many hands that rest on depth sequences, bodies that fall, a terrain, a live stream
   and a deformed medium while these change (``rests.py``).
-
 * swings: hands on springs that swing by themselves beside the edges of heaps of boxes (``swings.py``).
 
 `--walks` is the number of paths over the surface in the tests of speed and hum.

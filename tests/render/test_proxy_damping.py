@@ -48,11 +48,11 @@ def pressed() -> tuple[Held, Vector]:
     return rendered, hand
 
 
-def damper_n(rendered: Held, hand: Vector, step_m: Vector, share: float = 1.0) -> Vector:
-    """Return what the damper adds in a tick in which the hand moves; `share` is what acts of it."""
+def damper_n(rendered: Held, hand: Vector, step_m: Vector) -> Vector:
+    """Return what the damper adds in a tick in which the hand moves, newtons, if all of it acts."""
     proxy, before = rendered.memory.receiver["state"]["proxy"], rendered.memory.bytes.copy()
     found = []
-    for acting in (0.0, share):
+    for acting in (0.0, 1.0):
         rendered.memory.bytes[:] = before
         proxy["damping"] = acting
         proxy["work_j"] = 1.0  # full, so that no more of the damper comes in this tick
@@ -106,7 +106,8 @@ def test_a_thin_wall_without_friction_has_no_drag() -> None:
 def test_the_damper_ends_in_free_space() -> None:
     """It fades, so that a hand that leaves feels no step."""
     rendered, hand = pressed()
-    forces = [rendered.tick(np.array([hand[0], hand[1], z])) for z in np.linspace(hand[2], 0.012, 400)]
+    for z in np.linspace(hand[2], 0.012, 400):
+        rendered.tick(np.array([hand[0], hand[1], z]))
     rendered.memory.receiver["state"]["proxy"]["damping"] = 1.0
     forces = [rendered.tick(np.array([hand[0], hand[1], 0.012 + 1e-5 * n])) for n in range(200)]
     falling = -np.array(forces)[20:, 2]  # against the motion, once the velocity has settled

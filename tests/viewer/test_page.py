@@ -37,9 +37,8 @@ MAP_GZ = 24_000
 
 HEADERS = (
     "cells", "effects", "encode", "friction", "log", "media_clock", "model", "play", "proxy",
-    "proxy_damping", "proxy_jump",
-    "proxy_search", "query", "receiver", "render", "seam", "segment_blend", "settings", "shared", "slopes",
-    "timing", "tool", "vector", "write",
+    "proxy_damping", "proxy_jump", "proxy_search", "query", "receiver", "render", "seam", "segment_blend",
+    "settings", "shared", "slopes", "timing", "tool", "vector", "write",
 )  # fmt: skip
 
 
