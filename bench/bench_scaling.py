@@ -1,17 +1,19 @@
 """Measures how time and memory of each operation grow with frames, surface and empty box.
 
-    python bench/bench_scaling.py [--quick] [--doublings N] [--part P] [--operations NAME,NAME]
+    python bench/bench_scaling.py [--quick] [--doublings N] [--part P] [--rounds N] [--operations NAME,NAME]
     python bench/bench_scaling.py --draw
 
 Each row is an operation on media whose size is doubled four times (`--doublings`) along one axis
 (`scaling_media`): frames, surface, the empty box around it, or what an operation grows with besides: bodies,
-pictures, media. A row runs in a process of its own, with two threads (`scaling_work`).
+pictures, media. A row runs in a process of its own, on one thread (`scaling_work`): two that run on one core
+take more processor time for the same work, and long operations have two more often than short ones.
 
 * exponent: the slope of the straight line through log time, or log memory, over log size (least squares). 1
   is linear, 0 constant.
-* Time is that of the processor, on all threads. A constant part would lower the exponent; a small medium is
-  therefore measured first, and its size and its time are subtracted from those of the others. Of an empty
-  box nothing is subtracted: the surface in it is the constant part.
+* Time is that of the processor, the least of `--rounds` rounds over all rows, minutes apart: what else runs
+  only adds to it. A constant part would lower the exponent; a small medium is therefore measured first, and
+  its size and its time are subtracted from those of the others. Of an empty box nothing is subtracted: the
+  surface in it is the constant part.
 * Memory is the peak above that before the operation; nothing is subtracted, and less than 1 MB counts as 1.
 * `play` is the time of a number of ticks of a looped medium, without opening it: it must not grow at all.
 
@@ -29,7 +31,7 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -38,7 +40,7 @@ from scaling_picture import draw
 
 HERE: Final = Path(__file__).resolve().parent
 PICTURE: Final = HERE.parent / "docs" / "pictures" / "scaling.png"
-THREADS: Final = 2
+THREADS: Final = 1
 LEAST_MB: Final = 1.0
 """Less memory is not told from none."""
 LINEAR, CONSTANT = 1.1, 0.1
@@ -155,17 +157,28 @@ def figures_of(row: Row, cases: list[Figures]) -> Figures:
     }
 
 
-def measure(doublings: int, part: float, operations: str) -> Figures:
+def least(rounds: list[list[Figures]]) -> list[Figures]:
+    """Return the figures of each size, with the least time and memory of all rounds."""
+    return [
+        {**cases[0], **{name: min(case[name] for case in cases) for name in ("cpu_s", "peak_mb")}}
+        for cases in zip(*rounds, strict=True)
+    ]
+
+
+def measure(doublings: int, part: float, rounds: int, operations: str) -> Figures:
     """Measure the rows of some operations, or of all."""
     selected = [
         row for row in ROWS if operations in ("all", row.operation) or row.operation in operations.split(",")
     ]
-    rows: dict[str, Any] = {}
-    with tempfile.TemporaryDirectory() as folder:
-        for row in selected:
-            rows[row.name] = figures_of(row, run_row(row, row.sizes(doublings, part), Path(folder)))
-            print(f"{row.name}: {text(rows[row.name]['time_exponent'])}", flush=True)
-    return {"doublings": doublings, "part": part, "threads": THREADS, "rows": rows}
+    runs: dict[str, list[list[Figures]]] = {row.name: [] for row in selected}
+    for n in range(rounds):
+        with tempfile.TemporaryDirectory() as folder:
+            for row in selected:
+                runs[row.name].append(run_row(row, row.sizes(doublings, part), Path(folder)))
+                exponent = figures_of(row, least(runs[row.name]))["time_exponent"]
+                print(f"round {n + 1}, {row.name}: {text(exponent)}", flush=True)
+    rows = {row.name: figures_of(row, least(runs[row.name])) for row in selected}
+    return {"doublings": doublings, "part": part, "rounds": rounds, "threads": THREADS, "rows": rows}
 
 
 def bars(figures: Figures) -> list[Bar]:
@@ -183,6 +196,6 @@ if __name__ == "__main__":
         draw(stored("scaling")["rows"], PICTURE)
     else:
         bench(
-            "scaling", __doc__, measure, bars, doublings=(4, 1), part=(1.0, 0.5),
+            "scaling", __doc__, measure, bars, doublings=(4, 1), part=(1.0, 0.5), rounds=(2, 1),
             operations=("all", "encode,decode,search"),
         )  # fmt: skip

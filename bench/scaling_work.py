@@ -46,7 +46,7 @@ TICKS, TICKS_OF_FRAMES, FIRST_TICK = 40_000, 4000, 100
 """Ticks that are measured on a medium of one frame and on others, and the number of the first of them."""
 NEAR_M, STOPS, STEP_M = 0.02, 32, 1e-4
 """A hand goes to so many places with a force, this near to the middle, in steps of `STEP_M`."""
-SHORT_S, REPEATS = 0.5, 2
+SHORT_S, REPEATS = 1.0, 4
 """A run that takes less processor time is repeated so often."""
 MEDIA: Final = 640
 SEARCHES: Final = 4
