@@ -4,9 +4,9 @@
 
 The waiting times are those from opening a file to its first force, and from requesting a page to its figures
 and its first picture (median of `--rounds` rounds). The decoder of the page, `c/touch.h` as WebAssembly, runs
-in node and is compared with the numba decoder on one thread, on the same files. A moving file is played for
-`--minutes` minutes, and another for an hour of media time, as fast as the browser draws; the growth of memory
-is reported.
+in node and is compared with that of the native module on one thread, on the same files. A moving file is
+played for `--minutes` minutes, and another for an hour of media time, as fast as the browser draws; the
+growth of memory is reported.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ for (let n = 0; n < 12; n++) {
 }
 console.log(JSON.stringify(times));
 """
-NUMBA_SPEED = """
+MODULE_SPEED = """
 import json, sys
 from time import perf_counter
 import touchfield as tf
@@ -76,17 +76,17 @@ def decoder() -> bytes:
 
 
 def decode_ms(folder: Path, stream: Path) -> tuple[float, float]:
-    """Return milliseconds to decode a first frame in WebAssembly and with numba.
+    """Return milliseconds to decode a first frame in WebAssembly and with the native module.
 
     Each is the fastest of twelve runs.
     """
     wasm, script = folder / "touch.wasm", folder / "speed.mjs"
     wasm.write_bytes(gzip.decompress(decoder()))
     script.write_text(WASM_SPEED)
-    environment = {**os.environ, "NUMBA_NUM_THREADS": "1"}
+    environment = {**os.environ, "TOUCHFIELD_THREADS": "1"}
     ours = subprocess.run(["node", script, wasm, stream], check=True, capture_output=True, text=True)
     peer = subprocess.run(
-        [sys.executable, "-c", NUMBA_SPEED, str(stream)],
+        [sys.executable, "-c", MODULE_SPEED, str(stream)],
         check=True,
         capture_output=True,
         text=True,
@@ -176,8 +176,8 @@ def measure(minutes: float, rounds: int) -> Figures:
             ours, peer = decode_ms(folder, stream)
             figures |= {
                 f"{scene}_wasm_ms": ours,
-                f"{scene}_numba_ms": peer,
-                f"{scene}_decode_of_numba": peer / ours,
+                f"{scene}_module_ms": peer,
+                f"{scene}_decode_of_module": peer / ours,
             }
             figures |= opened_ms(folder, scene, stream, rounds)
         return figures | growth(folder, minutes) | hour(folder)
@@ -198,8 +198,14 @@ def bars(figures: Figures) -> list[Bar]:
         at_most("page, gzip", figures["page_gz_bytes"], 204_000, "bytes"),
         at_most("module, gzip", figures["wasm_gz_bytes"], 91_000, "bytes"),
         *(at_most(name, ms, limit, "ms") for name, (ms, limit) in waits.items()),
-        at_least("terrain, decoding over numba's", figure(figures, "terrain_decode_of_numba"), 0.6),
-        at_least("motorcycle, decoding over numba's", figure(figures, "motorcycle_decode_of_numba"), 0.6),
+        at_least(
+            "terrain, decoding over the native module's", figure(figures, "terrain_decode_of_module"), 0.6
+        ),
+        at_least(
+            "motorcycle, decoding over the native module's",
+            figure(figures, "motorcycle_decode_of_module"),
+            0.6,
+        ),
         at_most(
             "growth of the heap while it plays", figure(figures, "heap_growth_bytes"), 2_000_000, "bytes"
         ),
