@@ -5,8 +5,8 @@
 
 Each row is an operation on media whose size is doubled four times (`--doublings`) along one axis
 (`scaling_media`): frames, surface, the empty box around it, or what an operation grows with besides: bodies,
-pictures, media. A row runs in a process of its own, on one thread (`scaling_work`): two that run on one core
-take more processor time for the same work, and long operations have two more often than short ones.
+pictures, media. A row runs in a process of its own, on one thread (`scaling_work`): two threads that share a
+core take more processor time for the same work, and only long operations keep two busy.
 
 * exponent: the slope of the straight line through log time, or log memory, over log size (least squares). 1
   is linear, 0 constant.
