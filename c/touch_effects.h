@@ -382,12 +382,16 @@ static inline touch_vector touch_passivity_controller(const touch_receiver *rece
 
 /* |F| <= limit and |F - F_before| <= slew dt hold of the doubles that are returned, because the limit itself sinks by at
    most half of what the slew limit allows: the force before is shortened to the limit of now, and the rest of the way leads
-   straight towards what is desired. Up to H = 3/4 C^2 of heat, which follows |F|^2, the peak is allowed; from there to C^2
-   the limit sinks to the continuous one, C. */
+   straight towards what is desired. The heat H follows |F|^2. With a peak P, and a continuous limit C,
+
+       L^2 = H + r (C^2 - H),    r = 1.5 P^2 / C^2
+
+   is allowed, from C to P. So the peak is allowed up to about a third of C^2. From there on, heat and limit approach C^2 and C
+   exponentially, without a step. */
 
 #define TOUCH_LIMIT_USED (1.0 - 1.0 / 1099511627776.0) /* 1 - 2^-40: the rest is for the rounding of those who check */
 #define TOUCH_STEP_ROUNDING (1.0 / 562949953421312.0)  /* 2^-49 of a peak: what differences of forces may be off by */
-#define TOUCH_COOL_FRACTION 0.75                       /* of C^2: below this heat the peak is allowed */
+#define TOUCH_HEAT_RATIO 1.5                           /* r C^2 / P^2: the smaller, the shorter and the softer is a peak */
 
 /* Advance the heat by a time in which the force before was put out; the limit that goes with it. */
 static inline double touch_heat_limit(const touch_settings *settings, const touch_limits *limits, touch_limited *state,
@@ -395,8 +399,9 @@ static inline double touch_heat_limit(const touch_settings *settings, const touc
     state->heat += (touch_dot(state->output, state->output) - state->heat) * -expm1(-dt_s / settings->thermal_s);
     if (limits->continuous <= 0.0) return limits->peak;
     double max_heat = limits->continuous * limits->continuous;
-    double cool = (max_heat - state->heat) / ((1.0 - TOUCH_COOL_FRACTION) * max_heat);
-    return limits->continuous + (limits->peak - limits->continuous) * touch_clamp(cool, 0.0, 1.0);
+    double ratio = TOUCH_HEAT_RATIO * limits->peak * limits->peak / max_heat;
+    double square = state->heat + ratio * (max_heat - state->heat);
+    return touch_clamp(sqrt(touch_fmax(0.0, square)), limits->continuous, limits->peak);
 }
 
 /* The force, N, or torque, N m, that may be put out where `desired` is; stored in the state, with heat and limit. */

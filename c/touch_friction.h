@@ -11,6 +11,7 @@
 #define TOUCH_FRICTION_H
 
 #include "touch_query.h"
+#include "touch_segment_blend.h"
 
 #define TOUCH_IN_CONE (1.0 - 1.0 / 549755813888.0) /* 1 - 2^-39: rounding never lifts friction out of its cone */
 
@@ -49,6 +50,12 @@ static inline touch_vector touch_stick_friction(const touch_friction_rule *rule,
     return size > max_n ? touch_scale(max_n / size, friction) : friction;
 }
 
+/* How hard a hand is pressed, N, by a force of the field: after a seam, a larger force than before fades in. */
+static inline double touch_pressing_n(const touch_seam *seam, double force_n) {
+    if (!(seam->left_s > 0.0)) return force_n;
+    return touch_fmin(force_n, force_n + touch_fade_weight(seam->left_s) * (seam->pressed_n - force_n));
+}
+
 /* Friction on the hand, N, in the field's axes, where a force presses a point of it against a surface. */
 static inline touch_vector touch_friction_force(touch_receiver *receiver, const touch_instant *t, touch_vector point_m,
                                                 int64_t body, touch_vector force_n, double dt_s) {
@@ -66,7 +73,7 @@ static inline touch_vector touch_friction_force(touch_receiver *receiver, const 
         velocity = touch_add_scaled(velocity, -1.0 / dt_s, touch_subtract(anchor_m, anchor->position_m));
     }
     touch_friction_rule rule;
-    rule.max_n = state->friction * size;
+    rule.max_n = state->friction * touch_pressing_n(&state->seam, size);
     rule.stick_n_per_m = settings->stick_n_per_m;
     rule.stick_n_s_per_m = settings->stick_n_s_per_m;
     rule.normal = touch_divided(force_n, size);

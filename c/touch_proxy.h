@@ -16,7 +16,7 @@
                touch_ramp_depth                how far the proxy lies below the foot of the wall's ramp, x
                touch_added_force               how much of what the stored force lacks is added
            touch_ease_jump                 where the proxy jumps, its force comes slowly           touch_proxy_jump.h
-           touch_account_work              whether it gives out more than it got: it is damped    touch_proxy_damping.h
+           touch_account_work              whether the hand got more work than it did: a damper   touch_proxy_damping.h
 
    The hand gets the force that the medium stores at the hand, which changes with time as smoothly as the field does, and
    not as a surface that is searched for. The spring is a yardstick, K (|proxy - hand| + x): in a wall that fills its
@@ -35,7 +35,6 @@
 #include "touch_proxy_search.h"
 
 static inline void touch_store_proxy(touch_proxy *proxy, const touch_instant *t, touch_vector position_m, int is_in_contact);
-static inline void touch_start_force(touch_proxy *proxy);
 static inline touch_vector touch_proxy_force(const touch_isosurface *s, double softness, touch_vector hand_m,
                                              touch_vector stored_n);
 static inline double touch_ramp_depth(const touch_isosurface *s, touch_vector position_m, touch_vector inwards,
@@ -59,7 +58,7 @@ static inline touch_vector touch_contact_force(touch_receiver *receiver, const t
     else
         start_m = touch_carried_point(t, proxy->body, proxy->body_position_m, proxy->position_m);
     touch_field_point carried = touch_probe(&s, start_m), found = carried;
-    touch_contact_motion motion = {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, 0.0};
+    touch_contact_motion motion = {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, 0.0};
     if (!is_new) motion = touch_motion_of(&s, hand_m, carried);
     int is_in_contact = touch_move_proxy(&s, hand_m, TOUCH_PROXY_AWAY * motion.total_m, &found);
     touch_store_proxy(proxy, t, found.position_m, is_in_contact); /* position_m is of this tick now, force_n and stored_n not */
@@ -68,23 +67,18 @@ static inline touch_vector touch_contact_force(touch_receiver *receiver, const t
     double softness = 1.0 / (1.0 + s.stiffness_n_per_m * receiver->state.compliance_m_per_n);
     touch_vector stored = touch_scale(softness, touch_force_at(t, hand_m));
     touch_vector force = is_in_contact ? touch_proxy_force(&s, softness, hand_m, stored) : stored;
-    touch_vector added_before = touch_added_by_proxy(proxy);
-    if (is_new)
-        touch_start_force(proxy);
-    else
+    if (is_new) {
+        proxy->eased_n = touch_zero(); /* it owes nothing */
+        touch_start_swing(&proxy->swing);
+    } else {
         touch_ease_jump(&s, &motion, force, stored, dt_s);
+        touch_account_work(&s, &motion, dt_s);
+    }
     proxy->surface_n = found.force_n;
     proxy->hand_m = hand_m;
     proxy->force_n = force;
     proxy->stored_n = stored;
-    if (!is_new) touch_account_work(&s, softness, motion.space_m, added_before, dt_s);
     return touch_subtract(force, proxy->eased_n);
-}
-
-/* A proxy that is new owes nothing and has done no work. */
-static inline void touch_start_force(touch_proxy *proxy) {
-    proxy->eased_n = touch_zero();
-    proxy->work_j = proxy->damping = 0.0;
 }
 
 /* Store the position of the proxy, also in the axes of the body that pushes most there. */

@@ -18,9 +18,10 @@
 #define TOUCH_PROXY_EASE_TURN 10.0            /* times K and the motion of the hand: so far a change may turn off the field's */
 
 typedef struct { /* in a tick */
-    touch_vector hand_m;  /* of the hand, relative to the body that carries the proxy */
-    touch_vector space_m; /* of the hand in space */
-    double total_m;       /* how far hand and surface moved, relative to that body */
+    touch_vector hand_m;   /* of the hand, relative to the body that carries the proxy */
+    touch_vector space_m;  /* of the hand in space */
+    touch_vector beside_m; /* of the hand, relative to the surface at the proxy */
+    double total_m;        /* how far hand and surface moved, relative to that body */
 } touch_contact_motion;
 
 /* How far hand and surface moved since the tick before. */
@@ -30,7 +31,9 @@ static inline touch_contact_motion touch_motion_of(const touch_isosurface *s, to
     touch_contact_motion motion;
     motion.space_m = touch_subtract(hand_m, proxy->hand_m);
     motion.hand_m = touch_subtract(motion.space_m, carry_m);
-    motion.total_m = touch_magnitude(motion.hand_m) + fabs(carried.force_n - proxy->surface_n) / s->stiffness_n_per_m;
+    double surface_m = (carried.force_n - proxy->surface_n) / s->stiffness_n_per_m; /* by so much it came out of that body */
+    motion.beside_m = touch_add_scaled(motion.hand_m, -surface_m, carried.normal);
+    motion.total_m = touch_magnitude(motion.hand_m) + fabs(surface_m);
     return motion;
 }
 

@@ -13,7 +13,7 @@
 
 #include <stdint.h>
 
-enum { TOUCH_RECEIVER_VERSION = 3 };
+enum { TOUCH_RECEIVER_VERSION = 4 };
 
 /* A program that plays files alone may define it as 0: files have no deformations, materials or tools, whose code is left
    out then. */
@@ -180,6 +180,18 @@ typedef struct { /* of a force, N, or a torque, N m, that is limited */
     double limit;                /* of |output| at present */
 } touch_limited;
 
+typedef struct { /* of a hand at the proxy about its mean, for the damper of touch_proxy_damping.h */
+    touch_vector pushed_n;       /* the force on the hand in the tick before, without vibration */
+    touch_vector force_n;        /* low-passed */
+    touch_vector space_m_s, beside_m_s; /* velocity in space and beside the surface, low-passed */
+    touch_vector mean_n, mean_m_s; /* of that force, and of the velocity in space */
+    touch_vector turn_n;         /* where the force swung to last, from its mean */
+    double turns;                /* of swings lately */
+    double work_j;               /* that the hand did on swings of the force, less what it got back */
+    double spring_j;             /* what a spring K holds at such a swing, mean */
+    double damping;              /* 0 to 1: how much of the damper acts */
+} touch_swing;
+
 typedef struct { /* the proxy, or the other end of the virtual coupling */
     int64_t is_active;
     touch_vector position_m;
@@ -190,8 +202,7 @@ typedef struct { /* the proxy, or the other end of the virtual coupling */
     double surface_n;            /* |F| where it ended */
     touch_vector stored_n, force_n; /* at the hand; of the proxy */
     touch_vector eased_n;        /* what jumps of the proxy added to its force and the hand has not got yet */
-    double work_j;               /* that the hand did on the force which the proxy adds, less what it got back */
-    double damping;              /* 0 to 1: how much of the damper of touch_proxy_damping.h acts */
+    touch_swing swing;
     touch_vector coupling_step_m, coupling_pull_n, hand_m; double added_n_per_m; /* in the tick before; hand_m of both */
 } touch_proxy;
 
@@ -210,6 +221,7 @@ typedef struct { /* over a seam of the medium, from the force before to the forc
     int64_t is_field_missing;    /* in the tick before: no frame, or no position */
     double late_s;               /* since the latest frame */
     double left_s;               /* of the fade; 0: there is none */
+    double pressed_n;            /* |force| before, in the field: friction fades from that */
     touch_vector force_n, torque_nm; /* by which force and torque before were larger */
     double max_n, max_nm;        /* |force| and |torque| before */
     touch_vector hand_m;         /* in the tick before */

@@ -219,15 +219,16 @@ static inline touch_vector touch_desired_force(touch_receiver *receiver, const t
     double vibration = touch_vibration_force(receiver, t, point, dt_s);
     if (material) vibration += touch_texture(receiver, material, force, velocity, dt_s);
     touch_vector added = touch_add_scaled(friction, -settings->damping_n_s_per_m, velocity);
+    added = touch_add(added, touch_proxy_damping_force(receiver));
     touch_vector vibration_n = touch_vector_of(0.0, 0.0, vibration); /* along the force; upwards where there is none */
     if (size > 0.0) vibration_n = touch_scale(vibration, touch_divided(force, size));
-    added = touch_add(added, vibration_n);
-    force = touch_add(touch_braked(state, force, velocity, dt_s), added);
+    touch_vector pushed_n = touch_add(touch_braked(state, force, velocity, dt_s), added);
+    state->proxy.swing.pushed_n = pushed_n;
+    force = touch_add(pushed_n, vibration_n);
 
     /* from the field's axes into the device's */
     force = touch_scale(settings->force_scale, touch_rotate_back(&settings->axes, force));
     touch_vector device_velocity = touch_scale(1.0 / settings->scale, touch_rotate_back(&settings->axes, velocity));
-    force = touch_add(force, touch_proxy_damping_force(receiver, device_velocity));
     force = touch_passivity_controller(receiver, force, device_velocity, dt_s);
     return touch_add(force, settings->gravity_n);
 }
@@ -304,6 +305,7 @@ static inline void touch_leave_field(touch_tick_state *state, int is_proxy_kept)
 /* No force and no friction of the field act in this tick, nor stand in the log. */
 static inline void touch_skip_field(touch_tick_state *state) {
     state->field_force_n = state->friction_n = state->field_torque_nm = touch_zero();
+    touch_start_swing(&state->proxy.swing); /* it would take the time without a field for one tick */
 }
 
 /* The desired force and torque, times the gain, limited by peak, heat and slew. The force; the torque is in

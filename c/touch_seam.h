@@ -8,9 +8,10 @@
 
        F = F_after + w (F_before - F_after in the first tick)
 
-   The hand has the stiffness, the proxy and the friction of the field after the seam from the first tick on. Where the field
-   is the same on both sides, nothing is added. |F| is at most the larger one of |F_before| and |F_after|. A wall that has come
-   over the hand pushes as slowly as after any other jump of the proxy (touch_proxy_jump.h).
+   The hand has the stiffness and the proxy of the field after the seam from the first tick on; friction is that of the smaller
+   force while the larger one fades in. Where the field is the same on both sides, nothing is added. |F| is at most the larger
+   one of |F_before| and |F_after|. A wall that has come over the hand pushes as slowly as after any other jump of the proxy
+   (touch_proxy_jump.h).
 
    A receiver whose segments are not blended (layout.is_unblended) has no fades either: the force steps, as far as the slew
    limit lets it.
@@ -128,9 +129,6 @@ static inline touch_vector touch_motion_change(const touch_receiver *receiver, c
     return touch_scale(settings->force_scale, touch_rotate_back(&settings->axes, change));
 }
 
-/* The weight of what was before, where a fade has so long to go. */
-static inline double touch_fade_weight(double left_s) { return 0.5 - 0.5 * cos(TOUCH_PI * left_s / TOUCH_BLEND_S); }
-
 /* Fade from the force and the torque of the tick before to those of this one, in TOUCH_BLEND_S. */
 static inline void touch_start_fade(touch_seam *seam, touch_vector force_n, touch_vector torque_nm, touch_vector new_force_n,
                                     touch_vector new_torque_nm) {
@@ -155,6 +153,15 @@ typedef struct { /* what a seam needs of the tick before */
     touch_vector force_n, torque_nm; /* desired */
 } touch_force_before;
 
+/* From the first tick after a seam on, friction depends on how hard the hand was pressed before, too. `before_n`: in the
+   device's axes. */
+static inline void touch_start_pressing(touch_receiver *receiver, touch_vector before_n) {
+    const touch_settings *settings = &receiver->settings;
+    touch_seam *seam = &receiver->state.seam;
+    seam->left_s = TOUCH_BLEND_S;
+    seam->pressed_n = touch_norm(touch_subtract(before_n, settings->gravity_n)) / settings->force_scale;
+}
+
 /* Before the force of a tick: in the first one after a seam, the force of the tick before goes on with the motion of the hand,
    and proxy and anchor stay in place. `t` is NULL while frames are still to come. */
 static inline touch_force_before touch_enter_seam(touch_receiver *receiver, const touch_instant *t) {
@@ -166,6 +173,7 @@ static inline touch_force_before touch_enter_seam(touch_receiver *receiver, cons
     if (!t || !before.is_starting) return before;
     before.force_n = touch_add(before.force_n, touch_motion_change(receiver, t));
     touch_stay_in_place(receiver, t);
+    if (!receiver->layout.is_unblended) touch_start_pressing(receiver, before.force_n);
     return before;
 }
 

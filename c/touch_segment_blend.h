@@ -25,6 +25,9 @@ static inline double touch_blend_weight(double rate_hz, int64_t index, int64_t l
     return 0.5 - 0.5 * cos(TOUCH_PI * passed / frames);
 }
 
+/* The weight of what was before a seam (touch_seam.h), where its fade has so long to go. */
+static inline double touch_fade_weight(double left_s) { return 0.5 - 0.5 * cos(TOUCH_PI * left_s / TOUCH_BLEND_S); }
+
 typedef struct {
     double weight; /* of the frame after */
     double k, f0_n; /* of the mask max(f0_n, k |F|) within which a decoded force is that of its source */

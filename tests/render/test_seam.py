@@ -70,6 +70,25 @@ def test_a_looped_body_leaves_the_hand_without_a_click(render: str, is_spring: b
         assert not forces[200 + FADE + 1].any()
 
 
+@pytest.mark.parametrize("render", ["field", "proxy"])
+def test_friction_after_a_seam_fades_in_with_the_force(render: str) -> None:
+    """A ball is suddenly below a hand, and moves past it: it drags no harder than it pushes."""
+    positions = np.zeros((FRAMES, 3))
+    positions[:, 0] = 0.02 * np.arange(FRAMES) / RATE_HZ
+    positions[40:] = [0.0, 0.0, 0.04]
+    spec, mu = RenderSpec(render=render, friction=0.5), 0.5
+    played = Played(scene(body(BALL, positions)), start_s=0.45, loop=True, spec=spec)
+    forces, frictions, pressing = [], [], []
+    for _ in range(50 + FADE):
+        forces.append(played.tick(ON_BALL))
+        frictions.append(np.linalg.norm(played.value("state.friction_n")))
+        pressing.append(np.linalg.norm(played.value("state.field_force_n")))
+    assert not np.any(forces[:50]) and frictions[-1] > 0.4 * pressing[-1] > 0.2
+    weights = 0.5 - 0.5 * np.cos(np.pi * np.arange(FADE) / FADE)
+    assert (frictions[50:] <= mu * np.array(pressing[50:]) * weights + 1e-6).all()
+    assert steps_n(np.array(forces))[45:55].max() < 0.01
+
+
 def test_a_body_does_not_pass_the_hand_on_its_way_back() -> None:
     between = np.array([0.0, 0.0, 0.02])  # off the ball at both ends of the seam
     played = Played(falling(), start_s=0.4, loop=True)

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-RECEIVER_VERSION: Final = 3
+RECEIVER_VERSION: Final = 4
 FRAME_BITS: Final = 40
 MAX_DELAY: Final = 4
 PAST_FORCES: Final = 6
@@ -215,6 +215,22 @@ LIMITED: Final = np.dtype(
     ]
 )
 
+SWING: Final = np.dtype(
+    [
+        ("pushed_n", np.float64, (3,)),
+        ("force_n", np.float64, (3,)),
+        ("space_m_s", np.float64, (3,)),
+        ("beside_m_s", np.float64, (3,)),
+        ("mean_n", np.float64, (3,)),
+        ("mean_m_s", np.float64, (3,)),
+        ("turn_n", np.float64, (3,)),
+        ("turns", np.float64),
+        ("work_j", np.float64),
+        ("spring_j", np.float64),
+        ("damping", np.float64),
+    ]
+)
+
 PROXY: Final = np.dtype(
     [
         ("is_active", np.int64),
@@ -227,8 +243,7 @@ PROXY: Final = np.dtype(
         ("stored_n", np.float64, (3,)),
         ("force_n", np.float64, (3,)),
         ("eased_n", np.float64, (3,)),
-        ("work_j", np.float64),
-        ("damping", np.float64),
+        ("swing", SWING),
         ("coupling_step_m", np.float64, (3,)),
         ("coupling_pull_n", np.float64, (3,)),
         ("hand_m", np.float64, (3,)),
@@ -254,6 +269,7 @@ SEAM: Final = np.dtype(
         ("is_field_missing", np.int64),
         ("late_s", np.float64),
         ("left_s", np.float64),
+        ("pressed_n", np.float64),
         ("force_n", np.float64, (3,)),
         ("torque_nm", np.float64, (3,)),
         ("max_n", np.float64),
@@ -414,6 +430,7 @@ STRUCTS: Final = {
     "touch_clock": CLOCK,
     "touch_grip": GRIP,
     "touch_limited": LIMITED,
+    "touch_swing": SWING,
     "touch_proxy": PROXY,
     "touch_stick_anchor": STICK_ANCHOR,
     "touch_seam": SEAM,
