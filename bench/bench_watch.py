@@ -41,7 +41,7 @@ import numpy as np
 
 import onset_signals
 from approach_scenes import MAKERS, RATE_HZ as DEPTH_HZ, REGIONS, SIZE as DEPTH_SIZE, Scene
-from machine import Bar, Figures, at_least, at_most, bench, figure
+from machine import Bar, Figures, at_least, at_most, bench, figure, not_measured
 from onset_signals import RATE_HZ, SIGNALS, Score, Signal, energy_onsets, score
 from peak_memory import peak_bytes
 from touchfield.arrays import Bools, Float32s, Float64s
@@ -138,9 +138,7 @@ def onsets(seconds: float, seeds: int) -> Figures:
 
 
 def long_movie(seconds: float) -> Figures:
-    """Watch a long movie and a quarter of it, each in a process of its own; empty without ffmpeg."""
-    if which("ffmpeg") is None:
-        return {}
+    """Watch a long movie and a quarter of it, each in a process of its own."""
     figures: Figures = {"size": "{} x {}".format(*SIZE)}
     for title, duration_s in (("whole", seconds), ("quarter", seconds / 4)):
         with TemporaryDirectory() as folder:
@@ -234,9 +232,7 @@ def approaches(scenes: int) -> Figures:
 
 
 def depth_movie(seconds: float) -> Figures:
-    """Watch a movie with depth in a process of its own; empty without ffmpeg."""
-    if which("ffmpeg") is None:
-        return {}
+    """Watch a movie with depth in a process of its own."""
     with TemporaryDirectory() as folder:
         movie, depth = Path(folder) / "movie.mp4", Path(folder) / "depth.mkv"
         _write_depth_movie(movie, depth, seconds)
@@ -280,11 +276,12 @@ def _child(movie: str, out: str, depth: str | None = None) -> None:
 
 
 def measure(seconds: float, seeds: int, movie: float, scenes: int) -> Figures:
-    """Measure onsets, approaches, a long movie, and one with depth."""
-    return {
-        "onsets": onsets(seconds, seeds), "approaches": approaches(scenes), "movie": long_movie(movie),
-        "depth movie": depth_movie(movie),
-    }  # fmt: skip
+    """Measure onsets, approaches, a long movie, and one with depth; without ffmpeg no movies."""
+    figures: Figures = {"onsets": onsets(seconds, seeds), "approaches": approaches(scenes)}
+    if which("ffmpeg") is None:
+        reason = not_measured("ffmpeg is missing: apt install ffmpeg, brew install ffmpeg")
+        return figures | {"movie": reason, "depth movie": reason}
+    return figures | {"movie": long_movie(movie), "depth movie": depth_movie(movie)}
 
 
 def bars(figures: Figures) -> list[Bar]:
@@ -307,10 +304,10 @@ def bars(figures: Figures) -> list[Bar]:
             figure(baseline, "false drives a minute"),
         )
     )
-    if figures.get("depth movie"):
+    if isinstance(figures["depth movie"], dict):
         wall_s = figure(figures, "depth movie", "wall, s") / figure(figures, "depth movie", "movie, s")
         rows.append(at_most("wall-clock time with depth over the duration", wall_s, 0.5))
-    if figures["movie"]:
+    if isinstance(figures["movie"], dict):
         whole = figure(figures, "movie", "whole")
         spent = figure(whole, "processor, s") / figure(whole, "movie, s")
         quarter_mb = figure(figures, "movie", "quarter", "peak memory, MB")

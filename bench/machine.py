@@ -49,6 +49,8 @@ SAME = 0.02
 The order of summation depends on the processor, and choices of an encoder depend on it. On one machine the
 figures are equal.
 """
+NOT_MEASURED = "not measured: "
+"""Begins the text that stands for figures whose requirements are missing; the reason follows."""
 VERDICTS = {True: "met", False: "NOT MET", None: "not measured"}
 
 Figures = dict[str, Any]
@@ -316,6 +318,24 @@ def _name_of(row: Any) -> str:
     return ", ".join(texts)
 
 
+def not_measured(reason: str) -> str:
+    """Return the text that stands in place of figures which cannot be measured here."""
+    return NOT_MEASURED + reason
+
+
+def is_not_measured(figures: Any, path: str) -> bool:
+    """Return whether a figure, or the group of figures that it belongs to, says why it was not measured."""
+    if isinstance(figures, str):
+        return figures.startswith(NOT_MEASURED)
+    if not isinstance(figures, Mapping):
+        return False
+    return any(
+        is_not_measured(part, path[len(str(key)) + 1 :])
+        for key, part in figures.items()
+        if path == str(key) or path.startswith(f"{key}/")
+    )
+
+
 def stored_quick(name: str) -> dict[str, float]:
     """Return the exact figures of a quick run; empty if none are stored."""
     path = QUICK / f"{name}.json"
@@ -325,12 +345,13 @@ def stored_quick(name: str) -> dict[str, float]:
 def quick_differences(name: str, figures: Figures, without: Iterable[str] = ()) -> list[str]:
     """Return a line for each exact figure of a quick run that differs from the stored.
 
-    Missing figures do not count where the optional folder of inputs is absent.
+    Missing figures do not count where the optional folder of inputs is absent, nor those that say why they
+    were not measured (`not_measured`).
     """
     found, lines = exact_figures(figures, without), []
     for path, before in stored_quick(name).items():
         now = found.get(path)
-        if now is None and not SHARED.is_dir():
+        if now is None and (not SHARED.is_dir() or is_not_measured(figures, path)):
             continue
         if now is None or abs(now - before) > SAME * abs(before):
             lines.append(f"{path}: {text(now)} (stored {text(before)})")

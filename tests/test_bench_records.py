@@ -170,6 +170,23 @@ def test_a_byte_count_that_changed_fails_a_quick_run(
             machine.check_quick("it", figures)
 
 
+def test_a_quick_run_may_leave_out_only_figures_that_say_why(
+    machine: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(machine, "QUICK", tmp_path / "quick")
+    monkeypatch.setattr(machine, "SHARED", tmp_path)
+    monkeypatch.setenv(machine.STORE_QUICK, "1")
+    machine.check_quick("it", {"movie": {"touch bytes": 3006}, "map": {"a.svg": {"map bytes": 29529}}})
+    monkeypatch.delenv(machine.STORE_QUICK)
+    reason = machine.not_measured("ffmpeg is missing")
+    machine.check_quick("it", {"movie": reason, "map": {"a.svg": {"map bytes": reason}}})
+    with pytest.raises(SystemExit, match="map bytes") as raised:
+        machine.check_quick("it", {"movie": reason, "map": {"a.svg": {}}})
+    assert "touch bytes" not in str(raised.value)
+    with pytest.raises(SystemExit, match="touch bytes"):
+        machine.check_quick("it", {"movie": "another text", "map": {"a.svg": {"map bytes": 29529}}})
+
+
 def test_each_bar_that_is_not_met_says_why(machine: Any) -> None:
     results = {path.stem: machine.stored(path.stem)["bars"] for path in machine.RESULTS.glob("*.json")}
     unmet = [(name, bar) for name, bars in results.items() for bar in bars if not bar["met"]]
