@@ -3,7 +3,8 @@
    The anchor is the point of the surface that the hand stuck to last. A spring and a damper pull the hand back to it along
    the surface. Where they would pull by more than mu |F|, the anchor slides after, so that the spring alone pulls by mu |F|:
    the model of Hayward and Armstrong (2000), Dahl's with an edge. Friction depends on positions and not on a measured speed,
-   so that a hand at rest is held by a force that does not change. A body that moves carries the anchor.
+   so that a hand at rest is held by a force that does not change. A body that moves carries the anchor; the damper takes the
+   velocity of its surface low-passed.
 
    The spring is as stiff as the loop of the device renders stably (touch_choose_stick), and the damper is the one that it
    needs. Both only take energy out over a cycle: what stretches the spring comes back, and what slides is lost. */
@@ -33,6 +34,19 @@ static inline void touch_store_anchor(touch_stick_anchor *anchor, const touch_in
     anchor->position_m = anchor_m;
     anchor->body = body;
     anchor->body_position_m = touch_point_in_body(t, body, anchor_m);
+}
+
+#define TOUCH_STICK_SURFACE_S 0.008 /* time constant of the velocity of the surface */
+
+/* The velocity of the surface at an anchor that it carried to `carried_m`, m/s. It is low-passed: where a body is hit, or the
+   hand comes from one body to the next, it would jump, and the damper's force with it. */
+static inline touch_vector touch_surface_velocity(touch_stick_anchor *anchor, touch_vector carried_m, double dt_s) {
+    touch_vector now_m_s = touch_scale(1.0 / dt_s, touch_subtract(carried_m, anchor->position_m));
+    double weight = anchor->is_followed ? -expm1(-dt_s / TOUCH_STICK_SURFACE_S) : 1.0;
+    touch_vector change_m_s = touch_subtract(now_m_s, anchor->surface_m_s);
+    anchor->surface_m_s = touch_add_scaled(anchor->surface_m_s, weight, change_m_s);
+    anchor->is_followed = 1;
+    return anchor->surface_m_s;
 }
 
 /* The friction on a point at the surface, N, along it and at most max_n. The anchor slides where it must, in `*anchor_m`. */
@@ -70,7 +84,10 @@ static inline touch_vector touch_friction_force(touch_receiver *receiver, const 
     touch_vector anchor_m = point_m, velocity = state->velocity_m_s;
     if (anchor->is_set) {
         anchor_m = touch_carried_point(t, anchor->body, anchor->body_position_m, anchor->position_m);
-        velocity = touch_add_scaled(velocity, -1.0 / dt_s, touch_subtract(anchor_m, anchor->position_m));
+        velocity = touch_subtract(velocity, touch_surface_velocity(anchor, anchor_m, dt_s));
+    } else {
+        anchor->is_followed = 0;
+        anchor->surface_m_s = touch_zero();
     }
     touch_friction_rule rule;
     rule.max_n = state->friction * touch_pressing_n(&state->seam, size);

@@ -62,6 +62,8 @@ static inline touch_vector touch_contact_force(touch_receiver *receiver, const t
     if (!is_new) motion = touch_motion_of(&s, hand_m, carried);
     int is_in_contact = touch_move_proxy(&s, hand_m, TOUCH_PROXY_AWAY * motion.total_m, &found);
     touch_store_proxy(proxy, t, found.position_m, is_in_contact); /* position_m is of this tick now, force_n and stored_n not */
+    int is_away = !is_in_contact && touch_distance(found.position_m, hand_m) > s.max_step_m;
+    proxy->released_s = is_away && !is_new ? proxy->released_s + dt_s : 0.0;
 
     /* the coupling makes the whole field softer, so that neither contact nor a thin wall changes how stiff it is */
     double softness = 1.0 / (1.0 + s.stiffness_n_per_m * receiver->state.compliance_m_per_n);

@@ -5,8 +5,9 @@
    less half of what the field may pass on: in full where it works against the motion, half where it lies across it, and not
    where it works along it, so that it drives no hand. The motion is that of the hand beside the body that
    carries the proxy, or in space, whichever gives less: neither a body that moves past a hand at rest, nor one that takes the
-   hand along, brings what is owed. In free space of a medium of one frame it comes with motion in any direction, as after a
-   slip round a rim: no wall can come back there that it would have softened. */
+   hand along, brings what is owed. Of a force that falls at most 70 % stay owed. In free space of a medium of one frame what is
+   owed comes with motion in any direction, as after a slip round a rim: no wall can come back there that it would have
+   softened. */
 #ifndef TOUCH_PROXY_JUMP_H
 #define TOUCH_PROXY_JUMP_H
 
@@ -15,6 +16,7 @@
 #define TOUCH_PROXY_EASE_S 1.0                /* in which a jump by a large force of the field comes to a hand at rest, */
 #define TOUCH_PROXY_EASE_SMALL_S 0.5          /* and time constant for a small one */
 #define TOUCH_PROXY_EASE_PASSED 0.5           /* of what changed at once: so much less comes with the motion */
+#define TOUCH_PROXY_EASE_SHARE 0.7            /* of a force that falls: more of it is not owed any longer */
 #define TOUCH_PROXY_EASE_TURN 10.0            /* times K and the motion of the hand: so far a change may turn off the field's */
 
 typedef struct { /* in a tick */
@@ -73,6 +75,16 @@ static inline touch_vector touch_passed_change(const touch_isosurface *s, touch_
     return touch_subtract(change_n, touch_shortened(across_n, limit_n));
 }
 
+/* What is owed of a force, N, after this fell by `passed_n`, a change that is passed on: it falls as well, where it is most of
+   the force. Otherwise a hand that leaves a wall faster than it is given back would feel none, or be drawn in. */
+static inline touch_vector touch_owed_of_falling(touch_vector owed_n, touch_vector force_n, touch_vector passed_n) {
+    double size = touch_magnitude(force_n);
+    if (!(size > 0.0)) return owed_n;
+    double fall_n = -touch_dot(passed_n, force_n) / size;
+    double excess_n = touch_dot(owed_n, force_n) / size - TOUCH_PROXY_EASE_SHARE * size;
+    return touch_add_scaled(owed_n, -touch_fmax(0.0, touch_fmin(fall_n, excess_n)) / size, force_n);
+}
+
 /* Pass on what the field explains of a change of the proxy's force, and give back some of what is owed. */
 static inline void touch_ease_jump(const touch_isosurface *s, const touch_contact_motion *motion, touch_vector force_n,
                                    touch_vector stored_n, double dt_s) {
@@ -83,6 +95,7 @@ static inline void touch_ease_jump(const touch_isosurface *s, const touch_contac
     touch_vector at_once_n = within_n; /* in no time, at a seam, which fades */
     if (dt_s > 0.0) at_once_n = touch_passed_change(s, motion->hand_m, within_n, own_n);
     touch_vector owed_n = touch_add(proxy->eased_n, touch_subtract(change_n, at_once_n));
+    owed_n = touch_owed_of_falling(owed_n, force_n, at_once_n);
     int is_free = touch_is_free_for_good(s, stored_n);
     double given_n = touch_fmin(touch_given_by_motion(s, motion->hand_m, owed_n, passed_n, is_free),
                                 touch_given_by_motion(s, motion->space_m, owed_n, passed_n, is_free));

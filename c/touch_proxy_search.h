@@ -8,7 +8,8 @@
            touch_add_constraint            its tangent plane constrains the next step
        where it stops:
            touch_is_lost                   a proxy that hangs at a rim starts anew at the hand,
-           touch_is_way_free               and one behind a shell, if the hand is in free space in front
+           touch_is_way_free               and one behind a shell, if the hand is in free space in front;
+           released_s                      and any that has held no hand for 20 ms and does not follow it
 
    Steps get shorter where those of the tick before went to and fro. The proxy goes from the hand only about as far as hand and
    surface moved, so that it comes to rest where they do. */
@@ -34,6 +35,7 @@
 #define TOUCH_PROXY_LOST_STEPS 16             /* half samples that a proxy which hangs may stay behind its hand, */
 #define TOUCH_PROXY_LOST_FORCES 2.0           /* and one which does not so many depths of a large force more */
 #define TOUCH_PROXY_LOST_COSINE 0.5           /* between the forces at hand and proxy: from here on they push to one side */
+#define TOUCH_PROXY_RELEASED_S 0.02           /* a proxy that hangs so long where it holds no hand starts anew at the hand */
 #define TOUCH_PROXY_WAY_LEAST_STEPS 8         /* half samples: a proxy nearer to a free hand is at its surface, */
 #define TOUCH_PROXY_WAY_STEPS 1024            /* half samples: a proxy farther from a free hand looks for no straight way to it */
 #define TOUCH_PROXY_RAMP_SAMPLES 2.0          /* behind the surface, from where on the low-pass leaves a ramp as it is */
@@ -334,7 +336,10 @@ static inline int touch_move_proxy(const touch_isosurface *s, touch_vector hand_
         step_m *= TOUCH_PROXY_SHORTER;
     }
     double pull_cosine = touch_pull_cosine(at.position_m, hand_m, &planes, count);
-    if (count > 0 && (touch_is_lost(s, at, hand_m, pull_cosine, hangs) || touch_is_way_free(s, at, hand_m))) {
+    int is_lost = proxy->released_s > TOUCH_PROXY_RELEASED_S;
+    if (count > 0) is_lost = is_lost || touch_is_lost(s, at, hand_m, pull_cosine, hangs) || touch_is_way_free(s, at, hand_m);
+    if (is_lost) {
+        proxy->released_s = 0.0;
         *proxy_at = touch_push_out(s, touch_probe(s, hand_m)); /* it starts anew */
         return 0;
     }

@@ -200,6 +200,7 @@ typedef struct { /* the proxy, or the other end of the virtual coupling */
     touch_vector body_position_m; /* in the axes of that body */
     double step_m;               /* at which the search of the tick before ended */
     double surface_n;            /* |F| where it ended */
+    double released_s;           /* since no surface stops it where it hangs, away from the hand */
     touch_vector stored_n, force_n; /* at the hand; of the proxy */
     touch_vector eased_n;        /* what jumps of the proxy added to its force and the hand has not got yet */
     touch_swing swing;
@@ -208,9 +209,11 @@ typedef struct { /* the proxy, or the other end of the virtual coupling */
 
 typedef struct { /* of friction: the point of the surface that the hand stuck to last */
     int64_t is_set;
+    int64_t is_followed;         /* surface_m_s is known */
     touch_vector position_m;
     int64_t body;                /* that carries it; -1: none */
     touch_vector body_position_m; /* in the axes of that body */
+    touch_vector surface_m_s;    /* of the surface there, low-passed */
 } touch_stick_anchor;
 
 typedef struct { /* over a seam of the medium, from the force before to the force after (touch_seam.h) */

@@ -305,12 +305,13 @@ def test_friction_holds_on_a_body_that_turns(turn_deg: int) -> None:
         return np.asarray(turned + parallel)
 
     into(rendered, place + of_body(0.03 * pressed), place + of_body(0.022 * pressed))
-    for at in np.linspace(0, 3, 151):
+    for tick, at in enumerate(np.linspace(0, 3, 151)):
         rendered.at = at
         rendered.tick(place + of_body(0.022 * pressed))
         normal, force = of_body(pressed), rendered.value("state.field_force_n")
         assert force @ normal > 1.0 and force @ normal == pytest.approx(np.linalg.norm(force), rel=0.01)
-        assert np.linalg.norm(rendered.value("state.friction_n")) < 0.05
+        # both start at once, and the damper takes the velocity of the body low-passed
+        assert np.linalg.norm(rendered.value("state.friction_n")) < (0.1 if tick < 30 else 0.05)
         assert np.cross(rendered.proxy_m - place, normal) == pytest.approx(np.zeros(3), abs=1e-4)
 
 
@@ -400,6 +401,28 @@ def test_a_proxy_does_not_stay_behind_a_shell(behind_mm: list[list[float]]) -> N
     press = [[18, -38, 30], [18, -38, -3.4], [18, -20, -3.4], [18, -20, 10]]
     through(travelled, [above, press[0]])
     assert np.allclose(through(travelled, press), through(fresh, press), atol=1e-6)
+
+
+def test_a_hand_that_came_round_a_rim_is_not_drawn_back() -> None:
+    """Its proxy hung at the rim, and drew it there when it came nearer to the far side again."""
+    rendered = Held(field_of(Box((0.0, 0.0, 0.0), (0.04, 0.001, 0.025)), nw=6))
+    over_mm = [[38.6, 6, 0.3], [38.6, -2, 0.3], [39.3, -2.8, 0.3], [38.5, -3.9, 1.1], [36.1, -10.3, 1.6]]
+    assert through(rendered, over_mm, 0.02)[:, 1].max() > 0.3
+    through(rendered, [over_mm[-1], [35.3, -11.4, 3.9]], 0.02)
+    behind_mm = [[35.3, -11.4, 3.9], [35, -8.9, 5.2], [35.1, -5.6, 6.7], [36.8, -4.2, 5]]
+    forces = through(rendered, behind_mm, 0.02)
+    assert np.linalg.norm(forces, axis=1).max() < rendered.wall.level_n
+
+
+def test_what_is_owed_of_a_force_falls_with_it() -> None:
+    """A hand that left a wall faster than it was given back felt nothing in it, or was drawn in."""
+    rendered, ways_m = Held(field_of(BALL)), np.linspace(0.020, 0.0245, 40)
+    before = into(rendered, np.array([0.0, 0.0, 0.03]), np.array([0.0, 0.0, ways_m[0]]))
+    rendered.memory.receiver["state"]["proxy"]["eased_n"] = (0.0, 0.0, 0.85 * before[2])
+    forces = np.array([rendered.tick(np.array([0.0, 0.0, z])) for z in ways_m])[:, 2]
+    stored = rendered.field.sample_n(np.column_stack([np.zeros((len(ways_m), 2)), ways_m]))[:, 2]
+    assert forces[0] < 0.2 * stored[0] and (np.diff(forces) <= 5e-3).all()
+    assert (forces > 0.12 * stored).all()
 
 
 def _peak_n(medium: HapticMedium | HapticScene, spec: RenderSpec) -> tuple[float, tuple[str, ...]]:

@@ -240,6 +240,7 @@ PROXY: Final = np.dtype(
         ("body_position_m", np.float64, (3,)),
         ("step_m", np.float64),
         ("surface_n", np.float64),
+        ("released_s", np.float64),
         ("stored_n", np.float64, (3,)),
         ("force_n", np.float64, (3,)),
         ("eased_n", np.float64, (3,)),
@@ -254,9 +255,11 @@ PROXY: Final = np.dtype(
 STICK_ANCHOR: Final = np.dtype(
     [
         ("is_set", np.int64),
+        ("is_followed", np.int64),
         ("position_m", np.float64, (3,)),
         ("body", np.int64),
         ("body_position_m", np.float64, (3,)),
+        ("surface_m_s", np.float64, (3,)),
     ]
 )
 
