@@ -35,7 +35,7 @@
 #define TOUCH_PROXY_LOST_STEPS 16             /* half samples that a proxy which hangs may stay behind its hand, */
 #define TOUCH_PROXY_LOST_FORCES 2.0           /* and one which does not so many depths of a large force more */
 #define TOUCH_PROXY_LOST_COSINE 0.5           /* between the forces at hand and proxy: from here on they push to one side */
-#define TOUCH_PROXY_RELEASED_S 0.02           /* a proxy that hangs so long where it holds no hand starts anew at the hand */
+#define TOUCH_PROXY_RELEASED_S 0.0205         /* where it holds no hand so long, it starts anew at the hand; no multiple of a tick */
 #define TOUCH_PROXY_WAY_LEAST_STEPS 8         /* half samples: a proxy nearer to a free hand is at its surface, */
 #define TOUCH_PROXY_WAY_STEPS 1024            /* half samples: a proxy farther from a free hand looks for no straight way to it */
 #define TOUCH_PROXY_RAMP_SAMPLES 2.0          /* behind the surface, from where on the low-pass leaves a ramp as it is */
